@@ -92,7 +92,7 @@ from wheelsight.places import (
 )
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam import RelativePose
-from wheelsight.slam.maps import MapFolder, SessionSettings, driven_way, info_of, occupancy_of, rebuild, save_occupancy
+from wheelsight.slam.maps import MapFolder, driven_way, info_of, occupancy_of, rebuild, save_occupancy
 from wheelsight.slam.maps.folder import OCCUPANCY_FILE
 from wheelsight.slam.maps.keyframes import DepthSteps
 from wheelsight.vision.camera_calibration.board import board_from

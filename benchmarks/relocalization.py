@@ -23,6 +23,7 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks import machine
+from benchmarks.place_finder import PlaceFinder, Search
 from benchmarks.sequences import Sequence as Recorded
 from benchmarks.sequences import default_data_folder, find_sequences
 from benchmarks.table import Sheet, targets_sheet
@@ -32,7 +33,6 @@ from wheelsight.core.geometry import FloatArray, se3, so3
 from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.io.recordings import open_recording
-from wheelsight.places.place_finder import PlaceFinder, Search
 from wheelsight.places.recognition import Recognizer, SeenView, ViewMaker
 from wheelsight.places.verification import PlaceVerifier
 from wheelsight.vision.dense import DenseOdometry, DenseSettings, GridFrame

@@ -24,7 +24,7 @@ from wheelsight.slam.place_recognition import KnownMap
 
 RATE_HZ, STEP_RAD = 15.0, np.radians(4.0)
 CALIBRATION = Calibration.registered_camera(CAMERA)
-SETTINGS = {"odometry": "dense", "loops.source": "keyframes", "loops.latency_s": 0.3, "loops.seen.apart_s": 2.5}
+SETTINGS = {"odometry": "dense", "loops.source": "keyframes", "loops.latency_s": 0.3, "loops.apart_s": 2.5}
 
 
 def at(step: float, aside_m: float = 0.0) -> FloatArray:

@@ -40,7 +40,7 @@ def frames(elsewhere: int) -> list[RgbdFrame]:
 
 
 def answers(frames: list[RgbdFrame], loops: str) -> tuple[Localizer, list[Estimate]]:
-    overrides = {"odometry": "dense", "loops.source": loops, "loops.latency_s": 0.3, "loops.seen.apart_s": 2.5}
+    overrides = {"odometry": "dense", "loops.source": loops, "loops.latency_s": 0.3, "loops.apart_s": 2.5}
     subject = Localizer(CALIBRATION, load_config(overrides=overrides), waits=True)
     found = [not_none(subject.process(frame)) for frame in frames]
     return subject, [*found[:LOOKED], *found[LOOKED + DARK :]]

@@ -253,7 +253,7 @@ class Earlier:
 def test_it_finds_itself_in_a_known_map_by_a_detector_of_a_users_own(room: Room, tmp_path: Path) -> None:
     recording, events, truth = room
     run(recording, load_config(overrides={"map": "surfels", "loops.source": "keyframes"}), tmp_path / "one")
-    known = {"known_map.path": str(tmp_path / "one"), "loops.seen.apart_s": 0.5, "loops.latency_s": 0.1}
+    known = {"known_map.path": str(tmp_path / "one"), "loops.apart_s": 0.5, "loops.latency_s": 0.1}
     part, detector = Told(room), Earlier()
     record = run(
         recording, load_config(overrides=known), tmp_path / "two", visual_odometry=part, loop_detector=detector

@@ -26,7 +26,7 @@ from wheelsight.core.trajectory import read_tum
 from wheelsight.slam.maps import MapFolder, lie_together
 
 pytestmark = pytest.mark.usefixtures("real_odometry")
-SETTINGS = {"odometry": "dense", "loops.source": "keyframes", "loops.latency_s": 0.3, "loops.seen.apart_s": 2.5}
+SETTINGS = {"odometry": "dense", "loops.source": "keyframes", "loops.latency_s": 0.3, "loops.apart_s": 2.5}
 UNKNOWN = "The place was not recognised in the map"
 
 

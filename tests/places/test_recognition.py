@@ -9,19 +9,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from places.seen_room import kept, ring, seen, standing
-from pydantic import ValidationError
 
 from wheelsight.core.errors import ArgumentError, MapError
 from wheelsight.core.geometry import se3
 from wheelsight.core.keyframes import KeyframeId
-from wheelsight.core.settings import FernSettings, RecognitionSettings, WordSettings
+from wheelsight.core.settings import RecognitionSettings
 from wheelsight.places import recognition_kernels as _likeness_kernels
 from wheelsight.places import recognition_kernels as _word_kernels
 from wheelsight.places import vocabulary as kept_words
 from wheelsight.places.recognition import Ferns, Recognizer
 from wheelsight.places.vocabulary import Vocabulary
 
-SETTINGS = WordSettings(split_at=8, branching=3)
+
+@pytest.fixture
+def small_words(monkeypatch):
+    """Words that are split early."""
+    monkeypatch.setattr(kept_words, "RULES", kept_words.RULES._replace(split_at=8, branching=3))
 
 
 @pytest.fixture(scope="module")
@@ -81,9 +84,7 @@ def test_the_same_keyframes_give_the_same_answers():
     assert one.candidates(views[3], 6) == two.candidates(views[3], 6)
     other = Recognizer(RecognitionSettings(seed=1))
     other.add(KeyframeId(0), views[0])
-    assert not np.array_equal(
-        Ferns.drawn(FernSettings(), 0).code(*_images(views[0])), Ferns.drawn(FernSettings(), 1).code(*_images(views[0]))
-    )
+    assert not np.array_equal(Ferns.drawn(0).code(*_images(views[0])), Ferns.drawn(1).code(*_images(views[0])))
 
 
 def test_what_is_saved_is_found_again(known, tmp_path):
@@ -106,7 +107,7 @@ def test_a_file_of_the_first_format_is_read(known, tmp_path):
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files if not name.startswith("words_")}
     arrays["format"] = np.frombuffer(b"wheelsight-recognition-1", np.uint8)
-    words = Vocabulary(known.settings.words)
+    words = Vocabulary()
     for number, T in enumerate(ring()):
         words.add(seen(T).features.descriptors, number)
     arrays |= {f"words_{name}": array for name, array in words.arrays().items()}
@@ -114,9 +115,10 @@ def test_a_file_of_the_first_format_is_read(known, tmp_path):
     assert Recognizer.load(path).candidates(view, 24) == known.candidates(view, 24)
 
 
+@pytest.mark.usefixtures("small_words")
 def test_words_come_back_in_the_order_in_which_they_were_added(rng):
     """From their keyframes as far as these have their descriptors; and they go on growing as they would have."""
-    words = Vocabulary(SETTINGS)
+    words = Vocabulary()
     rows = [descriptors(rng, 40) for _ in range(9)]
     rows[5][:30] = rows[2][:30]
     for row, shown in enumerate(rows):
@@ -130,7 +132,7 @@ def test_words_come_back_in_the_order_in_which_they_were_added(rng):
     with pytest.raises(MapError, match="keyframe 0 lacks keypoints"):
         kept_words.unpacked(kept, numbers, lambda _: rows[0][:2])
     arrays = kept_words.unpacked(kept, numbers, lambda number: rows[number // 3][::2])
-    back = Vocabulary.from_arrays(arrays, SETTINGS, len(rows))
+    back = Vocabulary.from_arrays(arrays, len(rows))
     more = descriptors(rng, 40)
     for grown in (words, back):
         grown.add(more, len(rows))
@@ -189,7 +191,7 @@ def test_no_pickle_is_opened(tmp_path):
 
 
 def test_light_changes_few_ferns_and_another_view_changes_most():
-    ferns = Ferns.drawn(FernSettings(), 0)
+    ferns = Ferns.drawn(0)
     depth_m, grey = _images(seen(ring()[3]))
     dimmed = ferns.code(depth_m, np.where(grey > 0, 0.5 * grey + 20, grey).astype(np.float32))
     codes = np.stack([dimmed, ferns.code(*_images(seen(ring()[15])))])
@@ -201,12 +203,7 @@ def test_light_changes_few_ferns_and_another_view_changes_most():
 
 def test_without_images_all_ferns_say_no():
     empty = np.zeros((240, 320), np.float32)
-    assert not Ferns.drawn(FernSettings(), 0).code(empty, empty).any()
-
-
-def test_ferns_fill_whole_words():
-    with pytest.raises(ValidationError):
-        FernSettings(ferns=500)
+    assert not Ferns.drawn(0).code(empty, empty).any()
 
 
 @given(st.integers(0, 2**32))
@@ -229,47 +226,53 @@ def test_the_best_are_those_of_a_stable_sort(scores, wanted):
 
 @given(st.integers(0, 2**32))
 def test_a_keyframe_is_in_the_word_of_each_of_its_descriptors(seed):
-    rng = np.random.default_rng(seed)
-    rows = [descriptors(rng, 40) for _ in range(5)]
-    rows[3] = rows[1].copy()
-    words = Vocabulary(SETTINGS)
-    for row, shown in enumerate(rows):
-        words.add(shown, row)
-    assert len(words) > 10
-    tree = _word_kernels.Tree(**words.arrays())
-    for row, shown in enumerate(rows):
-        for i in range(len(shown)):
-            word = _word_kernels.word_of(tree, shown, i)
-            assert row in _rows_of(tree, word)
-    is_word = tree.children == 0
-    assert tree.postings[is_word].sum() == tree.sizes[_word_kernels.POSTINGS] == 200
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(kept_words, "RULES", kept_words.RULES._replace(split_at=8, branching=3))
+        rng = np.random.default_rng(seed)
+        rows = [descriptors(rng, 40) for _ in range(5)]
+        rows[3] = rows[1].copy()
+        words = Vocabulary()
+        for row, shown in enumerate(rows):
+            words.add(shown, row)
+        assert len(words) > 10
+        tree = _word_kernels.Tree(**words.arrays())
+        for row, shown in enumerate(rows):
+            for i in range(len(shown)):
+                word = _word_kernels.word_of(tree, shown, i)
+                assert row in _rows_of(tree, word)
+        is_word = tree.children == 0
+        assert tree.postings[is_word].sum() == tree.sizes[_word_kernels.POSTINGS] == 200
 
 
 @given(st.integers(0, 2**32))
 def test_votes_are_those_counted_one_by_one(seed):
-    rng = np.random.default_rng(seed)
-    pool = descriptors(rng, 60)
-    rows = [pool[rng.integers(0, 60, 30)] for _ in range(6)]
-    words = Vocabulary(SETTINGS)
-    for row, shown in enumerate(rows):
-        words.add(shown, row)
-    query = pool[rng.integers(0, 60, 25)]
-    tree = _word_kernels.Tree(**words.arrays())
-    asked = [int(_word_kernels.word_of(tree, query, i)) for i in range(len(query))]
-    idf = {word: np.log((1 + tree.sizes[_word_kernels.POSTINGS]) / (1 + tree.postings[word])) for word in asked}
-    both = [
-        sum(min(asked.count(word), _rows_of(tree, word).count(row)) * idf[word] for word in idf) for row in range(6)
-    ]
-    most = sum(idf[word] for word in asked)
-    assert words.vote(query, 6) == pytest.approx(np.array(both) / most, rel=1e-4)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(kept_words, "RULES", kept_words.RULES._replace(split_at=8, branching=3))
+        rng = np.random.default_rng(seed)
+        pool = descriptors(rng, 60)
+        rows = [pool[rng.integers(0, 60, 30)] for _ in range(6)]
+        words = Vocabulary()
+        for row, shown in enumerate(rows):
+            words.add(shown, row)
+        query = pool[rng.integers(0, 60, 25)]
+        tree = _word_kernels.Tree(**words.arrays())
+        asked = [int(_word_kernels.word_of(tree, query, i)) for i in range(len(query))]
+        idf = {word: np.log((1 + tree.sizes[_word_kernels.POSTINGS]) / (1 + tree.postings[word])) for word in asked}
+        both = [
+            sum(min(asked.count(word), _rows_of(tree, word).count(row)) * idf[word] for word in idf) for row in range(6)
+        ]
+        most = sum(idf[word] for word in asked)
+        assert words.vote(query, 6) == pytest.approx(np.array(both) / most, rel=1e-4)
 
 
-def test_common_words_are_left_out_first(rng):
+def test_common_words_are_left_out_first(rng, monkeypatch):
+    monkeypatch.setattr(kept_words, "RULES", kept_words.RULES._replace(split_at=4, branching=4))
     common, rare = descriptors(rng, 1), descriptors(rng, 36).reshape(3, 12, 4)
     asked = np.concatenate([common, rare[1, :1]])
     votes = {}
     for most_postings in (1, 1000):
-        words = Vocabulary(WordSettings(split_at=4, branching=4, most_postings=most_postings))
+        monkeypatch.setattr(kept_words, "_MOST_POSTINGS", most_postings)
+        words = Vocabulary()
         for row in range(3):
             words.add(np.concatenate([np.repeat(common, 20, axis=0), rare[row]]), row)
         votes[most_postings] = words.vote(asked, 3)
@@ -279,8 +282,9 @@ def test_common_words_are_left_out_first(rng):
     assert (votes[1000] > 0).all()
 
 
-def test_words_stop_growing_at_the_most_nodes(rng):
-    words = Vocabulary(WordSettings(split_at=8, branching=4, most_nodes=40))
+def test_words_stop_growing_at_the_most_nodes(rng, monkeypatch):
+    monkeypatch.setattr(kept_words, "RULES", kept_words.RULES._replace(split_at=8, branching=4, most_nodes=40))
+    words = Vocabulary()
     for row in range(20):
         words.add(descriptors(rng, 50), row)
     assert len(words) <= 40

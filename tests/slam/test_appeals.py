@@ -9,7 +9,6 @@ from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.slam.drive_graph import PieceGraph
 from wheelsight.slam.graph import RelativePose, anchor
-from wheelsight.slam.settings import LoopSettings
 
 COUNT, STEP_M = 30, 0.4
 C = 1e-4 * np.eye(6)
@@ -25,7 +24,7 @@ def at(number: int) -> FloatArray:
 
 def known_map() -> PieceGraph:
     """Keyframes of yesterday, each held, and those of a drive that nobody has laid into them yet."""
-    made = PieceGraph(LoopSettings())
+    made = PieceGraph()
     for number in range(2 * COUNT):
         is_new = number >= COUNT
         T = se3.exp([0.0, 9.0, 0.0, 0.0, 0.0, 1.0]) @ at(number) if is_new else at(number)

@@ -9,7 +9,6 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight.slam.drive_graph import SeenAgain
 from wheelsight.slam.loop_closing import ClosedLoops, Unused, carried, correct, corrected_by
 from wheelsight.slam.loop_gate import LoopReport
-from wheelsight.slam.settings import LoopSettings, MatchSettings
 from wheelsight.slam.solvers import OwnPoseGraph
 
 SPEED_M_S, SIDE_S, STEP_S = 1.0, 12.0, 0.1
@@ -117,10 +116,10 @@ def test_without_matches_all_stays_as_it_was():
     np.testing.assert_allclose(found.corrected.T_frame_body, T_lived, atol=1e-9)
 
 
-def test_every_pose_keeps_its_place_between_keyframes():
+def test_every_pose_keeps_its_place_between_keyframes(monkeypatch):
     stamps_s, T_true, T_lived, stated = driven()
-    settings = LoopSettings(matches=MatchSettings(keyframe_way_m=2.0))
-    found = correct(lived_of(stamps_s, T_lived), matches_of(stamps_s, T_true), settings, stated=stated)
+    monkeypatch.setattr("wheelsight.slam.loop_closing._KEYFRAME_WAY_M", 2.0)
+    found = correct(lived_of(stamps_s, T_lived), matches_of(stamps_s, T_true), stated=stated)
     np.testing.assert_allclose(found.corrected.T_frame_body[found.rows], found.T_map_keyframe, atol=1e-9)
     steps_m = np.linalg.norm(np.diff(found.corrected.positions_m, axis=0), axis=1)
     assert np.abs(steps_m - SPEED_M_S * STEP_S).max() < 0.01

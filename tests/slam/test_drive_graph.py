@@ -9,7 +9,6 @@ from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.drive_graph import DriveGraph, LivedKeyframe, SeenAgain
 from wheelsight.slam.graph import ANCHOR_SIGMA, RelativePose
 from wheelsight.slam.place_recognition import KnownMap
-from wheelsight.slam.settings import LoopSettings
 
 STEP = np.diag(np.square([0.02] * 3 + [0.01] * 3))
 SEEN = np.diag(np.square([0.03] * 3 + [0.02] * 3))
@@ -34,7 +33,7 @@ def loop(first: int, second: int, T: FloatArray) -> RelativePose:
 
 
 def test_a_chain_grows_as_its_steps_do() -> None:
-    graph, settings = DriveGraph(LoopSettings()), LoopSettings().matches
+    graph = DriveGraph()
     assert graph.place() is None
     for number in range(4):
         graph.add(lived(number, number))
@@ -44,7 +43,7 @@ def test_a_chain_grows_as_its_steps_do() -> None:
     assert place.number == 3
     np.testing.assert_allclose(place.T_map_keyframe, se3.exp([3.0, 0, 0, 0, 0, 0]), atol=1e-6)
     # Odometry's covariance at the keyframe, the least error of each step, and what holds the first one.
-    least = np.diag(np.square([settings.plane_sigma_m] * 3 + [settings.plane_sigma_rad] * 3))
+    least = np.diag(np.full(6, 1e-6))
     expected = 3 * STEP + ANCHOR_SIGMA**2 * np.eye(6)
     for way_m in range(3):
         Ad = se3.adjoint(se3.exp([float(way_m), 0, 0, 0, 0, 0]))
@@ -53,7 +52,7 @@ def test_a_chain_grows_as_its_steps_do() -> None:
 
 
 def test_a_keyframe_seen_again_is_as_sure_as_it_is_and_the_view_of_it() -> None:
-    graph = DriveGraph(LoopSettings())
+    graph = DriveGraph()
     for number in range(4):
         graph.add(lived(number, number))
         graph.close([])
@@ -69,7 +68,7 @@ def test_a_keyframe_seen_again_is_as_sure_as_it_is_and_the_view_of_it() -> None:
 
 
 def test_a_piece_is_placed_once_loops_join_it_and_more_surely_by_more_of_them() -> None:
-    graph = DriveGraph(LoopSettings(), known_map(3))
+    graph = DriveGraph(known_map(3))
     sigmas_m = []
     for passed in range(3):
         graph.add(lived(3 + passed, passed, begins=not passed))

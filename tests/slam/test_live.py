@@ -16,13 +16,13 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight.slam.drive_graph import LivedKeyframe, PoseUpdate, SeenAgain
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.loop_closing import LiveLoops, corrected_by
-from wheelsight.slam.settings import LoopSettings, SeenSettings
+from wheelsight.slam.settings import LoopSettings
 
 # Half round the room and the same way again, some centimetres aside; a keyframe a second.
 WAY = [T for lap in (0.0, 0.06) for T in (pose @ se3.exp([lap, 0, 0, 0, 0, 0]) for pose in ring(16)[:8])]
 # Odometry errs alike in each step, by what it states.
 DRIFT = np.array([0.02, -0.01, 0.01, 0.004, -0.006, 0.01])
-SETTINGS = LoopSettings(latency_s=0.5, seen=SeenSettings(apart_s=5.0))
+SETTINGS = LoopSettings(latency_s=0.5, apart_s=5.0)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_what_is_due_is_waited_for_and_comes_as_late_each_time(keyframes: list[K
 
 
 def test_nothing_is_told_where_nothing_is_seen_again(keyframes: list[Keyframe]) -> None:
-    live, told = driven(keyframes, LoopSettings(latency_s=0.0, seen=SeenSettings(apart_s=100.0)))
+    live, told = driven(keyframes, LoopSettings(latency_s=0.0, apart_s=100.0))
     assert all(update is None for update in told)
     found = live.finish()
     np.testing.assert_allclose(found.T_map_keyframe, found.T_odom_keyframe, atol=1e-9)

@@ -16,7 +16,6 @@ from wheelsight.core.geometry import se3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.slam.graph import Prior, RelativePose
 from wheelsight.slam.loop_gate import LoopCloser, chi_squared, clusters_of
-from wheelsight.slam.settings import LoopSettings
 from wheelsight.slam.solvers import GtsamPoseGraph, OwnPoseGraph
 
 SOLVERS = [OwnPoseGraph, GtsamPoseGraph]
@@ -26,11 +25,11 @@ def rmse_m(T, T_true):
     return float(np.sqrt(np.mean(np.sum((T[:, :3, 3] - T_true[:, :3, 3]) ** 2, axis=1))))
 
 
-def driven(graph, T, steps, loops, settings=None):
+def driven(graph, T, steps, loops):
     """Loops are offered as the drive comes to them."""
     graph.add(T[0])
     graph.add_prior(Prior(KeyframeId(0), T[0], ANCHOR))
-    closer = LoopCloser(graph, settings)
+    closer = LoopCloser(graph)
     for step in steps:
         graph.add(graph.poses[-1] @ step.T_first_second)
         graph.add_edges([step])
@@ -58,31 +57,34 @@ def test_false_loops_are_refused_and_true_ones_kept_as_they_come(solver):
     assert rmse_m(graph.poses, T) < 0.5 * rmse_m(dead_reckoned(T[0], steps), T)
 
 
-def test_a_false_cluster_that_agrees_with_itself_is_refused_all_the_same():
+def test_a_false_cluster_that_agrees_with_itself_is_refused_all_the_same(monkeypatch):
+    monkeypatch.setattr("wheelsight.slam.loop_gate._REVIEW_AFTER", 4)
     rng = np.random.default_rng(11)
     T = drive()
     steps, true, false = odometry(rng, T), true_loops(rng, T, 12), false_cluster(rng, T, 8)
     graph = GtsamPoseGraph()
-    report = driven(graph, T, steps, [*true, *false], LoopSettings(review_after=4))
+    report = driven(graph, T, steps, [*true, *false])
     assert report.reviews >= 1
     assert among(false, report) == 0
     assert among(true, report) == 12
 
 
 @pytest.mark.parametrize("count", [1, 8])
-def test_loops_alone_against_an_honest_odometry_are_not_believed(count):
+def test_loops_alone_against_an_honest_odometry_are_not_believed(monkeypatch, count):
+    monkeypatch.setattr("wheelsight.slam.loop_gate._REVIEW_AFTER", 1)
     rng = np.random.default_rng(12)
     T = drive()
     steps = odometry(rng, T)
     false = false_cluster(rng, T, count)
     graph = filled(GtsamPoseGraph(), steps, dead_reckoned(T[0], steps))
-    report = LoopCloser(graph, LoopSettings(review_after=1)).offer(false)
+    report = LoopCloser(graph).offer(false)
     assert not any(one.is_kept for one in report)
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_loops_refused_for_a_dishonest_odometry_win_in_a_review(solver):
+def test_loops_refused_for_a_dishonest_odometry_win_in_a_review(monkeypatch, solver):
     """The odometry turns by more than it states, always to one side: the gate refuses what is true."""
+    monkeypatch.setattr("wheelsight.slam.loop_gate._REVIEW_AFTER", 5)
     rng = np.random.default_rng(13)
     T = drive()
     drift = se3.exp([0, 0, 0, 0, 0, 0.012])
@@ -92,7 +94,7 @@ def test_loops_refused_for_a_dishonest_odometry_win_in_a_review(solver):
     gated = sum(chi_squared(graph, loop) > 22.5 for loop in true)
     assert gated > len(true) / 2
     before = rmse_m(graph.poses, T)
-    closer = LoopCloser(graph, LoopSettings(review_after=5))
+    closer = LoopCloser(graph)
     closer.offer(true)
     report = closer.report()
     assert report.overturned == 1

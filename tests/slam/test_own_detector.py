@@ -23,12 +23,12 @@ from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.estimation.odometry_choice import OwnParts
 from wheelsight.io.recordings import open_recording
 from wheelsight.places.recognition import Recognizer
+from wheelsight.slam import place_recognition
 from wheelsight.slam.loop_closing import LiveLoops
 from wheelsight.slam.place_recognition import PlaceWatcher
-from wheelsight.slam.settings import SeenSettings
 
 LAP = 8
-SEEN = SeenSettings(apart_s=5.0, near_candidates=0)
+APART_S = 5.0
 DRIVE = {"features.keyframe_share": 0.95, "loops.latency_s": 0.1}
 
 
@@ -55,7 +55,7 @@ def store() -> KeyframeStore:
 
 def loops_by(store: KeyframeStore, detector: Named) -> dict[int, list[int]]:
     """The older ends of loops, by the newer one."""
-    watcher = PlaceWatcher(store, EXACT, SEEN, detector=detector)
+    watcher = PlaceWatcher(store, EXACT, APART_S, detector=detector)
     return {number: [loop.first for loop in watcher.look(number)] for number in store}
 
 
@@ -87,7 +87,7 @@ def test_a_wrong_candidate_makes_no_loop(store: KeyframeStore) -> None:
 def test_a_mistake_of_the_detector_is_one_typed_error(
     store: KeyframeStore, answer: Callable[[int], Any], why: str
 ) -> None:
-    watcher = PlaceWatcher(store, EXACT, SEEN, detector=Named(answer))
+    watcher = PlaceWatcher(store, EXACT, APART_S, detector=Named(answer))
     with pytest.raises(PartError, match=why):
         watcher.look(KeyframeId(0))
 
@@ -97,17 +97,17 @@ def test_keyframes_of_before_are_shown_first_and_their_answers_do_not_count(stor
     for number in range(LAP):
         known.add(KeyframeId(number), store[KeyframeId(number)])
     detector = Named(lambda number: [number - LAP] if number >= LAP else [77])
-    watcher = PlaceWatcher(store, EXACT, SEEN, None, known, detector)
+    watcher = PlaceWatcher(store, EXACT, APART_S, None, known, detector)
     found = [loop.first for number in (10, 11) for loop in watcher.look(KeyframeId(number))]
     assert detector.shown == [*range(LAP), 10, 11]
     assert found == [2, 3]
 
 
-def test_who_does_not_know_where_he_is_asks_it_too(store: KeyframeStore) -> None:
+def test_who_does_not_know_where_he_is_asks_it_too(store: KeyframeStore, monkeypatch: pytest.MonkeyPatch) -> None:
     """Those that are adrift with the robot cannot tell where in the map it is: others of those named come first."""
-    settings = SeenSettings(apart_s=0.5, near_candidates=0, most_places=1)
+    monkeypatch.setattr(place_recognition, "_MOST_PLACES", 1)
     detector = Named(lambda number: [1, 2] if number == 10 else [])
-    watcher = PlaceWatcher(store, EXACT, settings, detector=detector)
+    watcher = PlaceWatcher(store, EXACT, 0.5, detector=detector)
     for number in list(store)[:10]:
         watcher.look(number)
     assert [loop.first for loop in watcher.look(KeyframeId(10), adrift=(KeyframeId(1),))] == [2]
@@ -115,7 +115,7 @@ def test_who_does_not_know_where_he_is_asks_it_too(store: KeyframeStore) -> None
 
 def driven(store: KeyframeStore, detector: Named) -> LiveLoops:
     own = KeyframeStore()
-    live = LiveLoops(own, EXACT, SETTINGS.model_copy(update={"seen": SEEN}), waits=True, detector=detector)
+    live = LiveLoops(own, EXACT, SETTINGS, waits=True, detector=detector)
     for number, way in zip(store, lived(), strict=True):
         own.add(store[number], way.T_odom_keyframe)
         live.due(way.stamp_s)

@@ -11,7 +11,6 @@ from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.slam.drive_graph import PieceGraph
 from wheelsight.slam.graph import RelativePose, anchor
-from wheelsight.slam.settings import LoopSettings
 
 COUNT, STEP_M = 5, 0.4
 C = 1e-4 * np.eye(6)
@@ -25,7 +24,7 @@ def at(number: int) -> FloatArray:
 
 
 def graph() -> PieceGraph:
-    made = PieceGraph(LoopSettings())
+    made = PieceGraph()
     for number in range(2 * COUNT):
         piece = COUNT * (number // COUNT)
         T = at(number) if not piece else APART @ at(number)

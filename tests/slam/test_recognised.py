@@ -11,9 +11,9 @@ from places.seen_room import EXACT, kept, ring, seen
 from wheelsight.core.errors import MapError
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
+from wheelsight.slam import place_recognition
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.place_recognition import PlaceWatcher
-from wheelsight.slam.settings import SeenSettings
 
 # Half round the room and the same way again, some centimetres aside; a keyframe a second.
 WAY = [T for lap in (0.0, 0.06) for T in (pose @ se3.exp([lap, 0, 0, 0, 0, 0]) for pose in ring(16)[:8])]
@@ -30,7 +30,7 @@ def store() -> KeyframeStore:
 
 @pytest.fixture(scope="module")
 def watcher(store: KeyframeStore) -> PlaceWatcher:
-    return PlaceWatcher(store, EXACT, SeenSettings(apart_s=5.0))
+    return PlaceWatcher(store, EXACT, 5.0)
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def test_candidates_are_counted_that_were_refused(loops: list[RelativePose], wat
 
 
 def test_who_is_passed_by_is_found_later(store: KeyframeStore) -> None:
-    watcher = PlaceWatcher(store, EXACT, SeenSettings(apart_s=5.0))
+    watcher = PlaceWatcher(store, EXACT, 5.0)
     for number in list(store)[:10]:
         assert watcher.pass_by(number) == ()
     assert any(watcher.look(number) for number in list(store)[10:])
@@ -77,7 +77,7 @@ def test_a_keyframe_that_cannot_be_read_is_told_and_passed_over(store: KeyframeS
 
     lame = KeyframeStore()
     lame.hold(5)
-    watcher, loops = PlaceWatcher(lame, EXACT, SeenSettings(apart_s=5.0)), list[RelativePose]()
+    watcher, loops = PlaceWatcher(lame, EXACT, 5.0), list[RelativePose]()
     for number in store:
         loops += watcher.look(lame.add(store[number], np.eye(4)))
         if number == 4:
@@ -87,12 +87,15 @@ def test_a_keyframe_that_cannot_be_read_is_told_and_passed_over(store: KeyframeS
     assert 4 not in {loop.first for loop in loops}
 
 
-def test_who_is_adrift_asks_more_of_the_rest_and_then_those_that_are_adrift_with_it(store: KeyframeStore) -> None:
+def test_who_is_adrift_asks_more_of_the_rest_and_then_those_that_are_adrift_with_it(
+    store: KeyframeStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The nearest view is adrift, too: it must not take the place of one that tells where in the map that is."""
-    settings = SeenSettings(apart_s=0.5, candidates=1, near_candidates=0, candidates_adrift=4)
+    for name, value in (("_CANDIDATES", 1), ("_NEAR_CANDIDATES", 0), ("_CANDIDATES_UNJOINED", 4)):
+        monkeypatch.setattr(place_recognition, name, value)
     asked = {}
     for adrift in ((), (KeyframeId(1), KeyframeId(3))):
-        watcher = PlaceWatcher(store, EXACT, settings)
+        watcher = PlaceWatcher(store, EXACT, 0.5)
         for number in list(store)[:9]:
             watcher.pass_by(number)
         asked[adrift] = [loop.first for loop in watcher.look(KeyframeId(9), adrift=adrift)]

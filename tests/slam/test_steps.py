@@ -8,7 +8,6 @@ import pytest
 from wheelsight.core.geometry import se3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.slam.graph import RelativePose, along_floor, step_edge
-from wheelsight.slam.settings import StepSettings
 from wheelsight.slam.solvers import OwnPoseGraph
 
 # The camera looks ahead: its y axis points down.
@@ -45,7 +44,7 @@ def test_an_edge_stays_definite_where_a_direction_is_hardly_known(seed: int, var
     T_before, T_now = (se3.exp(rng.normal(0, 1, 6)) for _ in range(2))
     axes = np.linalg.qr(rng.normal(0, 1, (6, 6)))[0]
     C_now = (axes * [variance, 1.0, 1.0, 1.0, 1.0, 1.0]) @ axes.T
-    edge = step_edge(ENDS, (T_before, 0.1 * np.eye(6)), (T_now, (C_now + C_now.T) / 2), StepSettings())
+    edge = step_edge(ENDS, (T_before, 0.1 * np.eye(6)), (T_now, (C_now + C_now.T) / 2))
     graph = OwnPoseGraph()
     for _ in ENDS:
         graph.add(np.eye(4))

@@ -14,7 +14,6 @@ from wheelsight.slam import solvers as own_solver
 from wheelsight.slam.drive_graph import PieceGraph
 from wheelsight.slam.graph import RelativePose, anchor
 from wheelsight.slam.loop_gate import LoopCloser, Refusal
-from wheelsight.slam.settings import LoopSettings
 from wheelsight.slam.solvers import GtsamPoseGraph, OwnPoseGraph
 
 SOLVERS = [OwnPoseGraph, GtsamPoseGraph]
@@ -97,7 +96,7 @@ def test_a_matrix_without_enough_digits_tells_no_covariance(monkeypatch):
 
 def driven(rng, solver, count, off, false):
     """A drive in pieces; loops are off by some of their own standard deviations, and some are false."""
-    made = PieceGraph(LoopSettings(review_after=3, cauchy_scale=float(rng.choice([0.1, 1.0, 10.0]))))
+    made = PieceGraph()
     step = se3.exp([0.5, 0, 0, 0, 0, 0.2])
     T = [np.eye(4)]
     for k in range(count):
@@ -134,6 +133,7 @@ def driven(rng, solver, count, off, false):
 def test_no_drive_ends_for_its_graph(solver, seed, count, off, false):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(piece_graph, "new_pose_graph", solver)
+        patch.setattr("wheelsight.slam.loop_gate._REVIEW_AFTER", 3)
         made = driven(np.random.default_rng(seed), solver, count, off, false)
     assert np.isfinite(made.poses).all()
     report = made.report()

@@ -162,7 +162,7 @@ class OccupancySettings(Settings):
 
 
 # Height of a layer: free space at one height does not free the others, as the floor below a table does not free its
-# top. From a simulated room: docs/decisions/0060.
+# top. From a simulated room: docs/decisions/occupancy.md.
 _LAYER_M = 0.1
 # Added to floor_m and drop_m for each metre of distance: mount and base are level to about a degree. Chosen.
 _TILT_RAD = 0.015
@@ -170,11 +170,9 @@ _COLUMNS = 80  # number of a keyframe's depth columns that are used, with rows a
 # Neighbouring rays that hit at one height within this distance hit one object: no robot fits between. Chosen.
 _BRIDGED_M = 0.15
 # Depth of the unknown space behind a surface: of a shelf at the camera's height, only the front and the floor below are
-# visible; as deep as tables are. From a simulated room: docs/decisions/0060.
+# visible; as deep as tables are. From a simulated room: docs/decisions/occupancy.md.
 _HIDDEN_M = 0.8
-_MARGIN_SIGMAS = (
-    3.0  # a ray frees nothing within this many standard deviations of depth, and a cell, of its end
-)
+_MARGIN_SIGMAS = 3.0  # a ray frees nothing within this many standard deviations of depth, and a cell, of its end
 _STOOD_M = 0.25  # radius around the base within which the floor is free, since the base stands there; chosen
 # Probabilities: a layer in which a keyframe sees something is occupied; likewise one that it sees through; the limits,
 # so that free space may become occupied. OctoMap's defaults (Hornung et al. 2013).

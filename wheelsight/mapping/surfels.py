@@ -41,13 +41,13 @@ _KEPT_S = 1e6  # likewise if none expires: many seconds may pass between two key
 _MERGED_EVERY = 3
 _BLOCK_M = 0.5  # edge of the blocks that index surfels in view; chosen
 # Surfels are added up to far_m plus this many standard deviations of depth: there, readings that err towards the camera
-# add surfels, and others correct them before they are predicted. Simulator: docs/decisions/0026.
+# add surfels, and others correct them before they are predicted. Simulator: docs/decisions/dense-alignment.md.
 _ADDED_SIGMAS = 12.0
 # Standard deviation of a reading's weight over its distance from the image centre, 1 at the farthest corner: Keller et
 # al. 2013, 4.2.
 _RADIAL_SIGMA = 0.6
 # Unstable surfels with a larger standard deviation are not predicted: the depth errors of a far wall are correlated.
-# Simulator: docs/decisions/0026.
+# Simulator: docs/decisions/dense-alignment.md.
 _VAGUE_M = 0.035
 # Disks in a view. Chosen: limits of their radius (below the least, disks that were seen from nearer leave gaps; above
 # the largest, drawing takes long), the least cosine of the viewing angle, and the distance of disks of one surface, per
@@ -58,11 +58,13 @@ _RULES = Rules(
     stable_confidence=0.0,
     most_confidence=100.0,  # frames: a surface seen for long can still change
     gone_confidence=0.4,  # a surfel in free space loses half of its confidence per frame, and is removed below this
-    color_frames=4.0,  # averaged: lamps and lenses shade a point differently from each viewpoint; docs/decisions/0037
+    # Frames over which colour is averaged: lamps and lenses shade a point differently from each viewpoint. Simulator:
+    # docs/decisions/dense-alignment.md.
+    color_frames=4.0,
     most_readings=50.0,  # that count for a position: it is never better known than poses are
     far_m=0.0,
     # Surfels are averaged this much farther than they are added: otherwise only readings of a wall there that err
-    # towards the camera would count. Simulator: docs/decisions/0026.
+    # towards the camera would count. Simulator: docs/decisions/dense-alignment.md.
     averaged_sigmas=6.0,
     gate_sigmas=3.0,  # largest distance of consistent readings along the normal, and gate_m for errors of poses
     gate_m=0.01,
@@ -73,7 +75,8 @@ _RULES = Rules(
     free_sigmas=4.0,
     drift_m=0.1,  # added to it for surfels outside the active window
     min_normal_dot=np.cos(np.radians(40.0)),  # largest angle between consistent normals
-    min_cosine=np.cos(np.radians(84.5)),  # surfaces seen at a larger angle are not fused; docs/decisions/0026
+    # Surfaces seen at a larger angle are not fused. Simulator: docs/decisions/dense-alignment.md.
+    min_cosine=np.cos(np.radians(84.5)),
     laid_m=0.0,
     least_cosine2=0.2**2,  # of the viewing angle of a plane, by which the depth error is projected on its normal
 )
@@ -99,7 +102,7 @@ class SurfelSettings(Settings):
     far_m: float = setting(
         6.0,
         "largest distance of predicted surfels; some are added farther, by the depth noise",
-        f"{ON_SIMULATOR}: docs/decisions/0026",
+        f"{ON_SIMULATOR}: docs/decisions/dense-alignment.md",
         gt=0,
         le=40,
     )

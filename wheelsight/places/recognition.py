@@ -21,11 +21,11 @@ from wheelsight.core.geometry.arrays import UInt64Array
 from wheelsight.core.inputs import ArrayFile, Kind, parse_json, read_bytes
 from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.core.settings import FernSettings, RecognitionSettings
+from wheelsight.core.settings import RecognitionSettings
 from wheelsight.core.settings.base import split_removed
 from wheelsight.core.threads import Rows
 from wheelsight.places.recognition_kernels import BLOCK, best, likeness_kernel
-from wheelsight.places.vocabulary import Descriptors, Vocabulary, packed, unpacked
+from wheelsight.places.vocabulary import DESCRIPTORS, RULES, Descriptors, Vocabulary, packed, unpacked
 from wheelsight.vision.dense.pyramid import Gridder, GridFrame, Level, coarser
 from wheelsight.vision.dense.settings import DenseSettings
 from wheelsight.vision.dense.views import KeypointTracker
@@ -37,6 +37,9 @@ _FILE = Kind("codes of keyframes", most_mb=4096, fix="give a file that `Recogniz
 _REBUILD = "rebuild the map"
 # Settings take 1.5 kB; sizes and checksums are smaller.
 _LONGEST_TEXT, _SMALL_BYTES = 1 << 16, 64
+# Added to ranks before the two orders, by ferns and by words, are joined by the sum of 1 / rank: Cormack et al. 2009.
+_FUSED_RANK = 60.0
+_RANKED = 64  # keyframes of each order that are joined; chosen
 # Limit of a file without a known number of keyframes: 80 000 keyframes.
 _MOST_BYTES = 1 << 30
 
@@ -64,9 +67,9 @@ class Recognizer:
 
     def __init__(self, settings: RecognitionSettings | None = None) -> None:
         self._settings = settings or RecognitionSettings()
-        self._ferns = Ferns.drawn(self._settings.ferns, self._settings.seed)
-        self._words = Vocabulary(self._settings.words)
-        self._codes = np.zeros((16, self._settings.ferns.ferns // 16), np.uint64)
+        self._ferns = Ferns.drawn(self._settings.seed)
+        self._words = Vocabulary()
+        self._codes = np.zeros((16, _FERNS // 16), np.uint64)
         self._keyframes: list[KeyframeId] = []
         self._rows: dict[KeyframeId, int] = {}
 
@@ -114,9 +117,9 @@ class Recognizer:
         likeness[out], votes[out] = -1, -1
         # Fused by the sum of 1 / rank in both orders (Cormack et al. 2009).
         scores: dict[int, float] = {}
-        rank = self._settings.fused_rank
+        rank = _FUSED_RANK
         for values in (likeness, votes):
-            order = np.empty(self._settings.ranked, np.int64)
+            order = np.empty(_RANKED, np.int64)
             found = best(values, order)
             for place, row in enumerate(order[:found].tolist()):
                 scores[row] = scores.get(row, 0.0) + 0.5 * (rank + 1) / (rank + 1 + place)
@@ -182,15 +185,14 @@ class Recognizer:
     def _from_arrays(cls, stated: _FileHeader, on_disk: Descriptors) -> Self:
         """Return a recognizer of a file's arrays. Raises MapError if they are inconsistent."""
         made, arrays = cls(stated.settings), stated.arrays()
-        keyframes, codes, settings = arrays["keyframes"], arrays["codes"], made._settings.ferns
-        shapes = {"pixel": (settings.ferns,), "grey": (settings.ferns, 2), "depth_m": (settings.ferns, 2)}
-        is_whole = codes.shape == (len(keyframes), settings.ferns // 16) and codes.dtype == np.uint64
+        keyframes, codes = arrays["keyframes"], arrays["codes"]
+        shapes = {"pixel": (_FERNS,), "grey": (_FERNS, 2), "depth_m": (_FERNS, 2)}
+        is_whole = codes.shape == (len(keyframes), _FERNS // 16) and codes.dtype == np.uint64
         if not is_whole or any(arrays[name].shape != shape for name, shape in shapes.items()):
             raise MapError("its codes are of another shape than its settings say", fix=_REBUILD)
-        if not ((arrays["pixel"] >= 0) & (arrays["pixel"] < settings.width_px * settings.height_px)).all():
+        if not ((arrays["pixel"] >= 0) & (arrays["pixel"] < _SIZE_PX[0] * _SIZE_PX[1])).all():
             raise MapError("its ferns compare pixels outside the image", fix=_REBUILD)
-        size = (settings.width_px, settings.height_px)
-        made._ferns = Ferns(size, settings.blur_px, *(arrays[name] for name in shapes))
+        made._ferns = Ferns(*(arrays[name] for name in shapes))
         words = {name.removeprefix("words_"): array for name, array in arrays.items() if name.startswith("words_")}
         made._keyframes = [KeyframeId(int(number)) for number in keyframes]
         made._rows = {number: row for row, number in enumerate(made._keyframes)}
@@ -198,7 +200,7 @@ class Recognizer:
             raise MapError("it knows a keyframe twice", fix=_REBUILD)
         if stated.format != _FIRST_FORMAT:
             words = unpacked(words, made._keyframes, on_disk)
-        made._words = Vocabulary.from_arrays(words, made._settings.words, len(keyframes))
+        made._words = Vocabulary.from_arrays(words, len(keyframes))
         made._codes = np.concatenate([codes, np.zeros((16, codes.shape[1]), np.uint64)])
         return made
 
@@ -230,14 +232,13 @@ class _FileHeader:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return all arrays, each no larger than the keyframes need."""
-        words, ferns = self.settings.words, self.settings.ferns.ferns
-        postings = self._keyframes * words.descriptors
+        postings = self._keyframes * DESCRIPTORS
         # Each node is created with its own descriptor, and each inner one has at least two children.
-        nodes = min(words.most_nodes, 2 * postings + 1)
+        nodes = min(RULES.most_nodes, 2 * postings + 1)
         # The first format has blocks, used and free.
-        blocks = 2 * (postings // BLOCK + nodes + words.branching)
-        most = {"codes": self._keyframes * ferns // 2, "words_centre": 32 * nodes, "words_own": 32 * postings}
-        most |= dict.fromkeys(("pixel", "grey", "depth_m"), 16 * ferns)
+        blocks = 2 * (postings // BLOCK + nodes + RULES.branching)
+        most = {"codes": self._keyframes * _FERNS // 2, "words_centre": 32 * nodes, "words_own": 32 * postings}
+        most |= dict.fromkeys(("pixel", "grey", "depth_m"), 16 * _FERNS)
         most |= {"keyframes": 8 * self._keyframes, "words_place": 2 * postings}
         if self.format == _FIRST_FORMAT:
             most |= {"words_row": 4 * BLOCK * blocks, "words_descriptor": 32 * BLOCK * blocks}
@@ -323,6 +324,14 @@ def known_grey(keyframe: Keyframe) -> np.ndarray:
     return grey
 
 
+_FERNS = 512  # of 4 bits each; Glocker et al. 2015 use 500, and 16 fill a word
+_SIZE_PX = (40, 30)  # of the small image: of 640×480 the paper uses a sixteenth
+_BLUR_PX = 1.0  # standard deviation of the blur over the small image; the paper has 2.5 over 5 px
+# Thresholds of grey lie within this many standard deviations of an image's grey about its mean: light and exposure
+# change both. Chosen.
+_GREY_SIGMAS = 1.2
+# Range of thresholds of depth, as far as depth cameras see indoors; the paper has 0.4 to 4 m. Chosen.
+_NEAREST_M, _FARTHEST_M = 0.5, 6.0
 _SHIFTS = np.arange(0, 64, 4, dtype=np.uint64)
 # Large images are first subsampled to this multiple of the small image.
 _FINER = 2
@@ -337,28 +346,23 @@ class Ferns:
     to the mean and deviation of its image, since light and exposure change from day to day.
 
     Attributes:
-        size_px: width and height of the small image.
-        blur_px: standard deviation of its blur.
         pixel: (F,) index into the small image.
         grey: (F, 2) thresholds, in standard deviations of the image's grey from its mean.
         depth_m: (F, 2) thresholds, metres.
     """
 
-    size_px: tuple[int, int]
-    blur_px: float
     pixel: IntArray
     grey: FloatArray
     depth_m: FloatArray
 
     @classmethod
-    def drawn(cls, settings: FernSettings, seed: int) -> Ferns:
+    def drawn(cls, seed: int) -> Ferns:
         """Return random ferns by a seed."""
         rng = np.random.default_rng(seed)
-        size, count = (settings.width_px, settings.height_px), settings.ferns
-        pixel = rng.integers(0, size[0] * size[1], count)
-        grey = rng.uniform(-settings.grey_sigmas, settings.grey_sigmas, (count, 2))
-        depth_m = np.exp(rng.uniform(np.log(settings.nearest_m), np.log(settings.farthest_m), (count, 2)))
-        return cls(size, settings.blur_px, pixel, grey, depth_m)
+        pixel = rng.integers(0, _SIZE_PX[0] * _SIZE_PX[1], _FERNS)
+        grey = rng.uniform(-_GREY_SIGMAS, _GREY_SIGMAS, (_FERNS, 2))
+        depth_m = np.exp(rng.uniform(np.log(_NEAREST_M), np.log(_FARTHEST_M), (_FERNS, 2)))
+        return cls(pixel, grey, depth_m)
 
     def code(self, depth_m: Float32Array, grey: Float32Array) -> UInt64Array:
         """Return the code (F / 16,) of depth (h, w) in metres and grey (h, w), at most 0 if unknown. Unknown gives zero
@@ -379,10 +383,10 @@ class Ferns:
 
     def _tiny(self, image: Float32Array) -> Float32Array:
         """Return means (h, w) of the known pixels of an image; 0 if there are none."""
-        stride = max(1, image.shape[1] // (_FINER * self.size_px[0]))
+        stride = max(1, image.shape[1] // (_FINER * _SIZE_PX[0]))
         some = image[::stride, ::stride]
         is_known = some > 0
         both = np.dstack([np.where(is_known, some, np.float32(0)), is_known.astype(np.float32)])
-        both = cv2.resize(both, self.size_px, interpolation=cv2.INTER_AREA)
-        total, share = cv2.split(cv2.GaussianBlur(both, (0, 0), self.blur_px))
+        both = cv2.resize(both, _SIZE_PX, interpolation=cv2.INTER_AREA)
+        total, share = cv2.split(cv2.GaussianBlur(both, (0, 0), _BLUR_PX))
         return np.where(share > 0.2, total / np.maximum(share, 0.2), np.float32(0))

@@ -23,7 +23,7 @@ from wheelsight.core.estimates import Reason
 from wheelsight.core.geometry import FloatArray, IntArray, se3, so3
 from wheelsight.core.geometry.motion_kernels import is_definite
 from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId
-from wheelsight.core.settings import PlaceVerificationSettings, RecognitionSettings
+from wheelsight.core.settings import RecognitionSettings
 from wheelsight.places.recognition import SeenView, ViewMaker
 from wheelsight.vision.dense.alignment import Aligner, Judgement, Prior, SurfaceWeight, Told, judge
 from wheelsight.vision.dense.pyramid import Level, ReferenceMaker
@@ -32,6 +32,38 @@ from wheelsight.vision.features.tracking import Alignment, PointPairs, find_moti
 
 # One in this many common points is used for camera errors, and at least this many are needed.
 _EVERY, _LEAST = 4, 10
+_MAX_HAMMING = 64  # bits by which descriptors of one point may differ
+# Standard deviation of a keypoint's pixel at a middle scale, by `features.sigma_px` and `sigma_growth`.
+_KEYPOINT_PX = 1.0
+# Largest number of RANSAC's iterations: of views from far apart one match in ten is right, and three must be. 0.1³ of
+# 4000 is 4, so one is found in 98 %.
+_ITERATIONS = 4000
+# Keypoints that must agree on a motion before surfaces are compared: at wrong places 6 and 7 often agree. From two real
+# recordings: docs/decisions/recognition-and-sessions.md.
+_MIN_INLIERS = 8
+# Keypoints that must agree, or their share of those matched, to count along directions that surfaces do not show: fewer
+# fit the next door of a corridor too. 63 to 96 % agree at the right place, 19 to 26 % in another stretch of a corridor
+# (simulator: docs/decisions/features.md).
+_CLEAR_INLIERS, _CLEAR_SHARE = 40, 0.5
+_CORRELATION = 20.0  # number of neighbouring keypoints that err as one, as in `dense.verification`
+# Largest motion by surfaces away from the few keypoints. Chosen.
+_AGREE_M, _AGREE_RAD = 0.15, 0.12
+# Share of the view's points that must find a surface of the keyframe: with less, an edge of a table fits many places
+# (docs/decisions/recognition-and-sessions.md). Largest mean residual, in standard deviations of the sensor.
+_FIT_LIMITS = {"min_overlap": 0.15, "max_residual": 5.0}
+# Depth within which points belong to one surface: a distance, a share of the depth, by which real cameras err, and
+# standard deviations of depth; and the pixels of the coarsest level within which the nearest depth is the surface.
+# Chosen.
+_SURFACE_M, _SURFACE_SHARE, _SURFACE_SIGMAS, _SURFACE_PX = 0.06, 0.03, 3.0, 1
+# Largest share of the points visible in both views that may intrude into free space, such as people and moved chairs;
+# chosen. Largest share of free-standing objects, such as a person close by: as much must support the place.
+_MAX_INTRUDING, _MAX_FREE = 0.12, 0.5
+# Standard deviations of a place by surfaces seen from apart, beyond the errors of single frames and of the camera's
+# points. freiburg1_desk against motion capture: docs/decisions/loops-and-graph.md.
+_REGISTRATION_SIGMA_M, _REGISTRATION_SIGMA_RAD = 0.01, 0.01
+_UNSEEN_SIGMA_M = 10.0  # standard deviation along unobserved directions, with turns as distances at 2 m; chosen
+# Directions of six that may be unobserved: a corridor leaves one; a single plane leaves three, and is no place.
+_MOST_UNSEEN = 2
 
 
 class Refusal(StrEnum):
@@ -65,7 +97,7 @@ class VerifiedPlace:
         covariance: (6, 6) of the left perturbation (v, ω) of `T_keyframe_camera`.
         shared: (6, 6) part of it that is the view's own error, common to all keyframes.
         degenerate: (K, 6) unit vectors of (v, ω · 2 m) along which the pose is unobserved, as along a corridor. The
-            covariance there is as large as `unseen_sigma_m`.
+            covariance there is 10 m.
         matches, inliers: number of matched keypoints, and of those that agree.
         intruding: share of the points visible in both views that intrude into the other's free space.
     """
@@ -116,20 +148,16 @@ class PlaceVerifier:
     def __init__(
         self, calibration: Calibration, settings: RecognitionSettings | None = None, views: ViewMaker | None = None
     ) -> None:
-        both = settings or RecognitionSettings()
-        self._settings, self._seed = both.verification, both.seed
+        self._seed = (settings or RecognitionSettings()).seed
         self._views = views or ViewMaker(calibration)
         dense = self._views.settings
-        limits = {"min_overlap": self._settings.min_overlap, "max_residual": self._settings.max_residual}
-        self._dense = dense.model_copy(update=limits)
-        self._features = FeatureSettings(
-            min_inliers=self._settings.min_inliers, ransac_iterations=self._settings.iterations
-        )
+        self._dense = dense.model_copy(update=_FIT_LIMITS)
+        self._features = FeatureSettings(min_inliers=_MIN_INLIERS, ransac_iterations=_ITERATIONS)
         self._calibration, self._noise = calibration, calibration.depth_noise
         self._of_frame = frame_covariance(calibration)
-        sigmas = [self._settings.registration_sigma_m] * 3 + [self._settings.registration_sigma_rad] * 3
+        sigmas = [_REGISTRATION_SIGMA_M] * 3 + [_REGISTRATION_SIGMA_RAD] * 3
         self._of_registration = np.diag(np.square(sigmas))
-        self._sigma_xy = float(np.hypot(self._settings.keypoint_px, calibration.color_sigma_px))
+        self._sigma_xy = float(np.hypot(_KEYPOINT_PX, calibration.color_sigma_px))
         self._sigma_xy *= np.sqrt(2) / calibration.cameras[0].fx
         self._maker = ReferenceMaker(self._noise, dense, self._views.rows)
         self._aligner = Aligner(calibration, dense, self._views.rows, self._views.gridder, self._maker)
@@ -144,7 +172,7 @@ class PlaceVerifier:
         if isinstance(T_camera_keyframe, Reason):
             return self._refused(candidate, _REFUSALS[T_camera_keyframe], len(matched))
         found = refine_motion(matched, T_camera_keyframe, self._features)
-        if not found.inliers >= self._settings.min_inliers:
+        if not found.inliers >= _MIN_INLIERS:
             return self._refused(candidate, Refusal.TOO_FEW_INLIERS, len(matched))
         other = self._views.of_keyframe(keyframe) if isinstance(keyframe, Keyframe) else keyframe
         view, other = self._views.of_one_size(view, other)
@@ -152,18 +180,18 @@ class PlaceVerifier:
         judged = self._align(view, other, found, len(matched))
         if judged.reason is not None:
             return self._refused(candidate, _REFUSALS[judged.reason], *counts)
-        if len(judged.degenerate) > self._settings.most_unseen:
+        if len(judged.degenerate) > _MOST_UNSEEN:
             return self._refused(candidate, Refusal.DEGENERATE, *counts)
         T_keyframe_camera = se3.nearest(judged.T_reference_frame)
         T_by_keypoints = se3.invert(found.T_current_reference)
         T_off = se3.invert(T_by_keypoints) @ T_keyframe_camera
         off_m, off_rad = float(np.linalg.norm(T_off[:3, 3])), float(so3.angle(T_off[:3, :3]))
-        if off_m > self._settings.agree_m or off_rad > self._settings.agree_rad:
+        if off_m > _AGREE_M or off_rad > _AGREE_RAD:
             return self._refused(candidate, Refusal.CONTRADICTED, *counts)
         level = self._dense.levels - 1
         seen = (other.grid.levels[level], view.grid.levels[level])
-        space = intrusion(*seen, T_keyframe_camera, self._noise, self._settings)
-        if space.share > self._settings.max_intruding or space.free_share > self._settings.max_free:
+        space = intrusion(*seen, T_keyframe_camera, self._noise)
+        if space.share > _MAX_INTRUDING or space.free_share > _MAX_FREE:
             return self._refused(candidate, Refusal.INTRUDES, *counts)
         shared = with_frame_error(np.zeros((6, 6)), T_keyframe_camera, self._of_frame)
         covariance = self._systematic_covariance(*seen, T_keyframe_camera) + judged.covariance + shared
@@ -180,7 +208,7 @@ class PlaceVerifier:
         here, there = np.flatnonzero(points[:, 2] > 0), np.flatnonzero(known_points[:, 2] > 0)
         if known is None or not len(here) or not len(there):
             return PointPairs(none, none[:, :2], none[:, 0], none[:, 0], none[:, 0])
-        pairs = match_all(known.descriptors[there], seen.descriptors[here], self._settings.max_hamming)
+        pairs = match_all(known.descriptors[there], seen.descriptors[here], _MAX_HAMMING)
         p_keyframe, p_camera = known_points[there[pairs.first]], points[here[pairs.second]]
         z_m = p_camera[:, 2].copy()
         sigma_m = np.hypot(self._noise.sigma_m(p_keyframe[:, 2]), self._noise.sigma_m(z_m))
@@ -194,11 +222,11 @@ class PlaceVerifier:
         """
         T_keyframe_camera = se3.invert(found.T_current_reference)
         Ad = se3.adjoint(T_keyframe_camera)
-        information = np.linalg.inv(self._settings.correlation * Ad @ found.covariance @ Ad.T)
+        information = np.linalg.inv(_CORRELATION * Ad @ found.covariance @ Ad.T)
         by_keypoints = Told(T_keyframe_camera, np.asarray(information, float))
         reference = self._maker.of_frame(other.grid, np.eye(4))
         aligned = self._aligner.align(view.grid, reference, T_keyframe_camera, told=by_keypoints)
-        is_clear = found.inliers >= min(self._settings.clear_inliers, self._settings.clear_share * matches)
+        is_clear = found.inliers >= min(_CLEAR_INLIERS, _CLEAR_SHARE * matches)
         # Both are weighted by their distance; see `SurfaceWeight`.
         correlation = self._dense.correlation
         weight = SurfaceWeight(self._dense.joint)
@@ -207,17 +235,17 @@ class PlaceVerifier:
         # Surfaces constrain these directions however far they are off.
         hinted, information = aligned.information - surfaces, surfaces
         if is_clear:
-            hinted = hinted + (self._settings.correlation - 1) * correlation * by_keypoints.information
+            hinted = hinted + (_CORRELATION - 1) * correlation * by_keypoints.information
             information = information + correlation * by_keypoints.information
         both = replace(aligned, T_reference_frame=joint.T_reference_frame, information=information, hinted=hinted)
-        return judge(both, Prior(T_keyframe_camera, self._settings.unseen_sigma_m), self._dense)
+        return judge(both, Prior(T_keyframe_camera, _UNSEEN_SIGMA_M), self._dense)
 
     def _systematic_covariance(self, other: Level, view: Level, T_keyframe_camera: FloatArray) -> FloatArray:
         """Return the covariance (6, 6) of errors other than noise and the view's own; NaN with too few common points.
 
         Systematic errors of the camera's points grow with the distance between both views.
         """
-        points = shown_points(view, other, T_keyframe_camera, self._noise, self._settings)[::_EVERY]
+        points = shown_points(view, other, T_keyframe_camera, self._noise)[::_EVERY]
         if len(points) < _LEAST:
             return np.full((6, 6), np.nan)
         off = place_errors(self._calibration, T_keyframe_camera, points)
@@ -260,58 +288,50 @@ class Intrusion(NamedTuple):
         return self.free / max(self.compared, 1)
 
 
-def intrusion(
-    first: Level, second: Level, T_first_second: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
-) -> Intrusion:
+def intrusion(first: Level, second: Level, T_first_second: FloatArray, noise: DepthNoise) -> Intrusion:
     """Return the intrusion of both views' points into the other's free space; the second view is at (4, 4) in the
     first.
     """
-    there = _one_way(second, first, T_first_second, noise, settings)
-    back = _one_way(first, second, se3.invert(T_first_second), noise, settings)
+    there = _one_way(second, first, T_first_second, noise)
+    back = _one_way(first, second, se3.invert(T_first_second), noise)
     intruding, compared = there.intruding + back.intruding, there.compared + back.compared
     less, more = sorted((there, back), key=lambda way: way.free)
-    is_one_sided = less.intruding <= settings.max_intruding * less.compared
+    is_one_sided = less.intruding <= _MAX_INTRUDING * less.compared
     return Intrusion(intruding, compared, more.free if is_one_sided else 0)
 
 
-def shown_share(
-    seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
-) -> float:
+def shown_share(seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise) -> float:
     """Return the share of one view's points whose surface another view shows too; 0 without points.
 
     `T_by_seen` (4, 4) maps the first view's points into the other one.
     """
-    points, surface_m, within_m, _, count = _met(seen, by, T_by_seen, noise, settings)
+    points, surface_m, within_m, _, count = _met(seen, by, T_by_seen, noise)
     return int(np.count_nonzero(np.abs(points[:, 2] - surface_m) <= within_m)) / max(count, 1)
 
 
-def shown_points(
-    seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
-) -> FloatArray:
+def shown_points(seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise) -> FloatArray:
     """Return points (N, 3) of one view, in the frame of another, whose surface the other shows too.
 
     `T_by_seen` (4, 4) maps the first view's points into the other one.
     """
-    points, surface_m, within_m, _, _ = _met(seen, by, T_by_seen, noise, settings)
+    points, surface_m, within_m, _, _ = _met(seen, by, T_by_seen, noise)
     return np.asarray(points[np.abs(points[:, 2] - surface_m) <= within_m])
 
 
-def _one_way(
-    seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
-) -> Intrusion:
+def _one_way(seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise) -> Intrusion:
     """Return the intrusion of one view's points. Points behind what the other one saw are hidden, and not compared.
 
     Free-standing are patches whose border is mostly an outline with more depth behind it. A neighbour that was not
     compared and is not farther may be part of the same object, and is ignored.
     """
-    points, surface_m, within_m, pixels, _ = _met(seen, by, T_by_seen, noise, settings)
+    points, surface_m, within_m, pixels, _ = _met(seen, by, T_by_seen, noise)
     z_m, depth_m = points[:, 2], seen.depth_m
     is_compared, intrudes = z_m < surface_m + within_m, z_m < surface_m - within_m
     compared, intruding = np.zeros(depth_m.shape, bool), np.zeros(depth_m.shape, bool)
     compared.reshape(-1)[pixels[is_compared]], intruding.reshape(-1)[pixels[intrudes]] = True, True
     count, label = cv2.connectedComponents(intruding.astype(np.uint8), connectivity=4)
     outline, attached = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    behind_m = settings.free_m + settings.free_share * depth_m + settings.free_sigmas * noise.sigma_m(depth_m)
+    behind_m = _SURFACE_M + _SURFACE_SHARE * depth_m + _SURFACE_SIGMAS * noise.sigma_m(depth_m)
     for here, beside in _NEIGHBOURS:
         borders = (label[here] > 0) & (label[beside] == 0) & (depth_m[beside] > 0)
         is_behind = depth_m[beside] > (depth_m + behind_m)[here]
@@ -322,7 +342,7 @@ def _one_way(
 
 
 def _met(
-    seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise, settings: PlaceVerificationSettings
+    seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, int]:
     """Project points into the other view, and keep those at pixels with known depth.
 
@@ -338,12 +358,12 @@ def _met(
     height, width = by.depth_m.shape
     inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
     u, v, points, pixels = u[inside], v[inside], points[inside], pixels[inside]
-    # The nearest depth within `free_px` pixels: at an outline, a point may belong to either side.
+    # The nearest depth within `_SURFACE_PX` pixels: at an outline, a point may belong to either side.
     far = np.where(by.depth_m > 0, by.depth_m, _NOTHING)
-    window = np.ones((2 * settings.free_px + 1,) * 2, np.uint8)
+    window = np.ones((2 * _SURFACE_PX + 1,) * 2, np.uint8)
     nearest_m = np.asarray(cv2.erode(far, window), np.float32)[v, u]
     is_known = by.depth_m[v, u] > 0
     surface_m, points, pixels = nearest_m[is_known].astype(float), points[is_known], pixels[is_known]
     sigma_m = np.hypot(noise.sigma_m(surface_m), noise.sigma_m(points[:, 2]))
-    within_m = settings.free_m + settings.free_share * surface_m + settings.free_sigmas * sigma_m
+    within_m = _SURFACE_M + _SURFACE_SHARE * surface_m + _SURFACE_SIGMAS * sigma_m
     return points, surface_m, within_m, pixels, count

@@ -22,26 +22,26 @@ from wheelsight.core.errors import MapError
 from wheelsight.core.geometry import Float32Array, IntArray
 from wheelsight.core.geometry.arrays import UInt64Array
 from wheelsight.core.keyframes import KeyframeId
-from wheelsight.core.settings import WordSettings
 from wheelsight.places.recognition_kernels import BLOCK, BLOCKS, FREE, NODES, Rules, Tree, insert, vote
 
 _OF_NODES = ("centre", "first", "children", "level", "postings", "limit", "head", "tail", "used")
 _OF_BLOCKS = ("following", "row", "descriptor")
 _FIRST_ROOM = 256
+# How the tree grows: a word of 64 descriptors is split in eight, whose centres three rounds improve; up to eight levels
+# and 32 000 nodes. Chosen.
+RULES = Rules(branching=8, split_at=64, steps=3, depth=8, most_nodes=32_000)
+DESCRIPTORS = 300
+"""Descriptors of a keyframe that become words, 36 bytes each. Chosen."""
+# Keyframes that are counted for the words of one view, those of rare words first: it bounds the time to 0.2 ms.
+_MOST_POSTINGS = 10_000
 
 
 class Vocabulary:
-    """Words, and the keyframes, by row, that have them.
+    """Words, and the keyframes, by row, that have them."""
 
-    Args:
-        settings: settings of the growth.
-    """
-
-    def __init__(self, settings: WordSettings) -> None:
-        self._settings = settings
-        self._rules = Rules(settings.branching, settings.split_at, settings.steps, settings.depth, settings.most_nodes)
+    def __init__(self) -> None:
         self._tree = _empty(_FIRST_ROOM)
-        self._tree.limit[0], self._tree.sizes[NODES] = settings.split_at, 1
+        self._tree.limit[0], self._tree.sizes[NODES] = RULES.split_at, 1
 
     def __len__(self) -> int:
         """Return the number of words."""
@@ -50,10 +50,10 @@ class Vocabulary:
 
     def add(self, descriptors: UInt64Array, row: int) -> None:
         """Add the descriptors (N, 4) of a keyframe, whose row is larger than all earlier ones."""
-        chosen = descriptors[_evenly(len(descriptors), self._settings.descriptors)]
+        chosen = descriptors[_evenly(len(descriptors), DESCRIPTORS)]
         # Every descriptor may split a word, which frees its blocks and needs another one in each new word.
-        nodes = int(self._tree.sizes[NODES]) + len(chosen) * self._settings.branching
-        blocks = int(self._tree.sizes[BLOCKS]) + len(chosen) * (1 + self._settings.branching)
+        nodes = int(self._tree.sizes[NODES]) + len(chosen) * RULES.branching
+        blocks = int(self._tree.sizes[BLOCKS]) + len(chosen) * (1 + RULES.branching)
         room = dict.fromkeys(_OF_NODES, nodes) | dict.fromkeys(_OF_BLOCKS, blocks)
         grown = {}
         for name, needed in room.items():
@@ -63,13 +63,13 @@ class Vocabulary:
                 grown[name] = np.zeros((max(needed, 2 * len(array)), *array.shape[1:]), array.dtype)
                 grown[name][: len(array)] = array
         self._tree = self._tree._replace(**grown)
-        insert(self._tree, np.ascontiguousarray(chosen), row, self._rules)
+        insert(self._tree, np.ascontiguousarray(chosen), row, RULES)
 
     def vote(self, descriptors: UInt64Array, rows: int) -> Float32Array:
         """Return the share (rows,) of the words of descriptors (N, 4), weighted by idf, that each keyframe has."""
         votes = np.empty(rows, np.float32)
-        chosen = descriptors[_evenly(len(descriptors), self._settings.descriptors)]
-        vote(self._tree, np.ascontiguousarray(chosen), self._settings.most_postings, votes)
+        chosen = descriptors[_evenly(len(descriptors), DESCRIPTORS)]
+        vote(self._tree, np.ascontiguousarray(chosen), _MOST_POSTINGS, votes)
         return votes
 
     def arrays(self) -> dict[str, NDArray[Any]]:
@@ -79,10 +79,10 @@ class Vocabulary:
         return {"sizes": sizes} | {name: getattr(self._tree, name)[:end] for name, end in used.items()}
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], settings: WordSettings, rows: int) -> Self:
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], rows: int) -> Self:
         """Return a vocabulary from `arrays`, with `rows` keyframes. Raises MapError for inconsistent arrays."""
-        kept = _checked(Tree(**{name: np.array(arrays[name]) for name in Tree._fields}), rows, settings)
-        made = cls(settings)
+        kept = _checked(Tree(**{name: np.array(arrays[name]) for name in Tree._fields}), rows)
+        made = cls()
         made._tree = kept
         return made
 
@@ -103,8 +103,8 @@ def _empty(room: int) -> Tree:
     return Tree(sizes, centre, first, children, level, words, limit, head, tail, used, following, *blocks)
 
 
-def _checked(tree: Tree, rows: int, settings: WordSettings) -> Tree:
-    """Return the tree if its indices are within it, as kernels need, and its depth and width are within the settings.
+def _checked(tree: Tree, rows: int) -> Tree:
+    """Return the tree if its indices are within it, as kernels need, and its depth and width follow `RULES`.
 
     Raises MapError otherwise.
     """
@@ -126,9 +126,9 @@ def _checked(tree: Tree, rows: int, settings: WordSettings) -> Tree:
         (tree.sizes[:FREE] == (nodes, blocks)).all()
         and nodes > 0
         and (tree.children >= 0).all()
-        and (tree.children <= settings.branching).all()
+        and (tree.children <= RULES.branching).all()
         and ((first > inner) & (last <= nodes)).all()
-        and _is_within(tree.level, 0, settings.depth + 1)
+        and _is_within(tree.level, 0, RULES.depth + 1)
         and (np.repeat(tree.level[inner] + 1, tree.children[inner]) == tree.level[of_children()]).all()
         and all(_is_within(array, -1, blocks) for array in (tree.head, tree.tail, tree.following, tree.sizes[2:3]))
         and _is_within(tree.row, 0, max(rows, 1))

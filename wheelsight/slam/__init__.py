@@ -3,7 +3,7 @@
 from wheelsight.slam.graph import PoseGraph, Prior, RelativePose
 from wheelsight.slam.loop_closing import Correction, Unused, correct
 from wheelsight.slam.loop_gate import JudgedLoop, LoopCloser, LoopReport
-from wheelsight.slam.settings import LoopSettings, MatchSettings
+from wheelsight.slam.settings import LoopSettings
 from wheelsight.slam.solvers import GtsamPoseGraph, OwnPoseGraph, new_pose_graph
 
 __all__ = [
@@ -13,7 +13,6 @@ __all__ = [
     "LoopCloser",
     "LoopReport",
     "LoopSettings",
-    "MatchSettings",
     "OwnPoseGraph",
     "PoseGraph",
     "Prior",

@@ -14,8 +14,17 @@ from wheelsight.core.keyframes import KeyframeId
 from wheelsight.slam.graph import ANCHOR_SIGMA, Prior, RelativePose, along_floor, anchor, step_edge
 from wheelsight.slam.loop_gate import LoopCloser, LoopReport, laid_by
 from wheelsight.slam.place_recognition import KnownMap
-from wheelsight.slam.settings import LoopSettings
 from wheelsight.slam.solvers import new_pose_graph
+
+# Standard deviations of keyframe positions and rotations in a map that is extended. Chosen.
+_KNOWN_SIGMA_M, _KNOWN_SIGMA_RAD = 0.3, 0.1
+_LEAST_SHIFT_M = 0.002  # least motion of keyframes that is reported; a turn by a radian counts as 1.5 m; chosen
+# Largest difference of two loops that join pieces of a map, and of their standard deviations. Chosen.
+_AGREE_M, _AGREE_RAD = 0.3, 0.1
+JOIN_APART_M = 0.5
+"""Least distance of their viewpoints, with a turn by a radian as 1.5 m: a repeated wrong match agrees with itself."""
+_JOIN_MAJORITY = 2.0  # number of loops that must agree for each loop between the pieces that contradicts; chosen
+_MOST_ACROSS = 60  # newest loops between pieces that are kept: comparing more takes long; estimated
 
 CameraMotion: TypeAlias = tuple[FloatArray, FloatArray]
 """A motion (4, 4) and the covariance (6, 6) of its left perturbation."""
@@ -111,17 +120,15 @@ class DriveGraph:
     """Pose graph of a drive. It may consist of pieces until a recognized place joins them.
 
     Args:
-        settings: see `LoopSettings`.
         known: map of an earlier drive. Without a start pose in it, the drive begins a separate piece.
     """
 
-    def __init__(self, settings: LoopSettings, known: KnownMap | None = None) -> None:
-        self._settings = settings
-        self._graph = PieceGraph(settings)
+    def __init__(self, known: KnownMap | None = None) -> None:
+        self._graph = PieceGraph()
         self._before: LivedKeyframe | None = None
         self._start = None if known is None else known.start
         if known is not None:
-            for prior in known.priors(ANCHOR_SIGMA, settings.known_sigma_m, settings.known_sigma_rad):
+            for prior in known.priors(ANCHOR_SIGMA, _KNOWN_SIGMA_M, _KNOWN_SIGMA_RAD):
                 self._graph.add(prior.T_map_keyframe, piece=0)
                 self._graph.hold(prior)
             self._graph.add_edges(known.edges)
@@ -181,7 +188,7 @@ class DriveGraph:
             self._hold(start, piece=keyframe.number, until_joined=True)
             return
         then, now = ((one.T_odom_keyframe, one.covariance) for one in (before, keyframe))
-        edge = step_edge((before.number, keyframe.number), then, now, self._settings.matches)
+        edge = step_edge((before.number, keyframe.number), then, now)
         if keyframe.motion is not None:
             edge = along_floor(edge, keyframe.motion, up=before.T_odom_keyframe[2, :3])
         self._graph.add(se3.nearest(self._graph.poses[-1] @ edge.T_first_second), int(self._graph.pieces[-1]))
@@ -211,7 +218,7 @@ class DriveGraph:
         """
         has_joined = bool(loops) and self._graph.close(loops)
         shift_m = se3.view_shift_m(se3.invert(self._reported) @ self._graph.poses).max()
-        if not has_joined and shift_m <= self._settings.least_shift_m:
+        if not has_joined and shift_m <= _LEAST_SHIFT_M:
             return None
         self._reported = self._graph.poses
         ends = [sorted((edge.first, edge.second)) for edge in self.edges if edge.is_loop]
@@ -242,15 +249,11 @@ class PieceGraph:
     Loops within a piece are gated by the graph's covariance. The relative pose of two pieces depends on loops alone:
     two loops from separate viewpoints must agree, and few may contradict them. Only loops that constrain all directions
     count, since self-similar views along a corridor repeat the same error.
-
-    Args:
-        settings: see `LoopSettings`.
     """
 
-    def __init__(self, settings: LoopSettings) -> None:
-        self._settings = settings
-        self._graph = new_pose_graph(settings.cauchy_scale)
-        self._closer = LoopCloser(self._graph, settings)
+    def __init__(self) -> None:
+        self._graph = new_pose_graph()
+        self._closer = LoopCloser(self._graph)
         self._piece: list[int] = []
         self._held: dict[int, Prior] = {}  # prior of each piece that is not joined
         self._across: list[RelativePose] = []  # loops between pieces without a second one that agrees
@@ -306,13 +309,13 @@ class PieceGraph:
             self._closer.offer(within)
         across = [loop for loop in loops if self._piece[loop.first] != self._piece[loop.second]]
         self._across += [loop for loop in across if self._constrains_all(loop)]
-        self._across = self._across[-self._settings.most_across :]
+        self._across = self._across[-_MOST_ACROSS:]
         return self._join_pieces()
 
     def _constrains_all(self, loop: RelativePose) -> bool:
         """Return whether the loop's standard deviation in each direction is within the limits for agreement."""
         variances = [np.linalg.eigvalsh(part)[-1] for part in (loop.covariance[:3, :3], loop.covariance[3:, 3:])]
-        return bool(variances[0] <= self._settings.agree_m**2 and variances[1] <= self._settings.agree_rad**2)
+        return bool(variances[0] <= _AGREE_M**2 and variances[1] <= _AGREE_RAD**2)
 
     def _join_pieces(self) -> bool:
         """Join two pieces if loops agree and few contradict them; return whether any were joined."""
@@ -322,11 +325,11 @@ class PieceGraph:
                 continue
             # The views must be separate: from the same viewpoint, a wrong match repeats itself.
             apart_m = float(se3.view_shift_m(se3.invert(T[one.second]) @ T[other.second]))
-            if not (apart_m >= self._settings.join_apart_m and self._agree(one, other, T)):
+            if not (apart_m >= JOIN_APART_M and self._agree(one, other, T)):
                 continue
             alike = [loop for loop in self._across if self._ends(loop) == self._ends(one)]
             agreeing = [loop for loop in alike if self._agree(one, loop, T)]
-            if len(agreeing) >= self._settings.join_majority * (len(alike) - len(agreeing)):
+            if len(agreeing) >= _JOIN_MAJORITY * (len(alike) - len(agreeing)):
                 self._join_by(one, agreeing, T)
                 return True
         return False
@@ -347,5 +350,5 @@ class PieceGraph:
         """Return whether two loops give the same relative pose of the pieces, compared at the other loop's keyframe."""
         X = T[one.first] @ one.T_first_second @ se3.invert(T[one.second])
         D = se3.invert(X @ T[other.second]) @ T[other.first] @ other.T_first_second
-        is_near = np.linalg.norm(D[:3, 3]) <= self._settings.agree_m
-        return bool(is_near and so3.angle(D[:3, :3]) <= self._settings.agree_rad)
+        is_near = np.linalg.norm(D[:3, 3]) <= _AGREE_M
+        return bool(is_near and so3.angle(D[:3, :3]) <= _AGREE_RAD)

@@ -15,7 +15,6 @@ from wheelsight.core.geometry import BoolArray, FloatArray, IntArray, se3, so3
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.geometry.motion_kernels import is_definite
 from wheelsight.core.keyframes import KeyframeId
-from wheelsight.slam.settings import StepSettings
 
 # A heading with this standard deviation or a larger one is unknown.
 _UNKNOWN_TURN_RAD = np.pi
@@ -113,8 +112,7 @@ class PoseGraph(Protocol):
 class GraphContents:
     """Keyframes, edges and priors with validation, shared by all solvers."""
 
-    def __init__(self, cauchy_scale: float = 1.0) -> None:
-        self.cauchy_scale = cauchy_scale
+    def __init__(self) -> None:
         self._room, self._count = np.zeros((16, 4, 4)), 0
         self._edges: list[RelativePose] = []
         self._priors: list[Prior] = []
@@ -215,6 +213,12 @@ class GraphContents:
             )
 
 
+# Added to the error of each odometry step, metres per coordinate and radians per axis: planar odometry has no error out
+# of the plane. Estimated: floors are level to some millimetres per metre.
+_PLANE_SIGMA_M, _PLANE_SIGMA_RAD = 1e-3, 1e-3
+# Standard deviations above which the Cauchy kernel reduces a loop's weight. Found on synthetic graphs:
+# docs/decisions/loops-and-graph.md.
+CAUCHY_SCALE = 1.0
 # Standard deviation of the prior that fixes the map frame, metres and radians; in effect exact.
 ANCHOR_SIGMA = 1e-4
 # Larger variances (m² or rad²) are clipped, as are those below this share of the largest, which are rounding errors.
@@ -230,18 +234,16 @@ def step_edge(
     ends: tuple[KeyframeId, KeyframeId],
     before: tuple[FloatArray, FloatArray],
     now: tuple[FloatArray, FloatArray],
-    settings: StepSettings,
 ) -> RelativePose:
     """Return the edge between successive keyframes, from poses (4, 4) with covariances (6, 6) that grow along the way.
 
     Args:
         ends: the two keyframes.
         before, now: odometry pose and covariance of the first and the second keyframe.
-        settings: least standard deviations of a step.
     """
     T_step, _ = motions.between(*before, *now)
     _, grown = motions.step_between(*before, *now)
-    return RelativePose(*ends, motions.mended(T_step), _with_least(grown, settings))
+    return RelativePose(*ends, motions.mended(T_step), _with_least(grown))
 
 
 def along_floor(edge: RelativePose, motion: tuple[FloatArray, FloatArray], up: FloatArray) -> RelativePose:
@@ -262,19 +264,19 @@ def along_floor(edge: RelativePose, motion: tuple[FloatArray, FloatArray], up: F
 
 
 def aligned_edge(
-    ends: tuple[KeyframeId, KeyframeId], T_first_second: FloatArray, covariance: FloatArray, settings: StepSettings
+    ends: tuple[KeyframeId, KeyframeId], T_first_second: FloatArray, covariance: FloatArray
 ) -> RelativePose:
     """Return a loop edge from the alignment of a keyframe with an older, revisited one."""
-    return RelativePose(*ends, motions.mended(T_first_second), _with_least(covariance, settings), is_loop=True)
+    return RelativePose(*ends, motions.mended(T_first_second), _with_least(covariance), is_loop=True)
 
 
-def _with_least(C: FloatArray, settings: StepSettings) -> FloatArray:
+def _with_least(C: FloatArray) -> FloatArray:
     """Return C (6, 6) plus the least variances of a step, clipped so that it is positive definite beyond rounding.
 
     A camera in front of a bare wall gave a standard deviation of 10⁶ m along it. Rounding of that variance made other
     ones negative.
     """
-    C = C + np.diag(np.square([settings.plane_sigma_m] * 3 + [settings.plane_sigma_rad] * 3))
+    C = C + np.diag(np.square([_PLANE_SIGMA_M] * 3 + [_PLANE_SIGMA_RAD] * 3))
     variances, axes = np.linalg.eigh((C + C.T) / 2)
     bounded = (axes * np.clip(variances, _ROUNDING * variances[-1], _UNKNOWN)) @ axes.T
     return np.asarray((bounded + bounded.T) / 2)
@@ -336,9 +338,9 @@ def edge_jacobians(T: FloatArray, edges: EdgeArrays, errors: FloatArray) -> Floa
     return inverse_left_jacobian(errors) @ se3.adjoint(se3.invert(T[edges.first]))
 
 
-def cauchy_loss(chi2: FloatArray, scale: float) -> FloatArray:
+def cauchy_loss(chi2: FloatArray) -> FloatArray:
     """Return half of squared whitened errors (...) under the Cauchy kernel: (c²/2) log(1 + χ²/c²)."""
-    return np.asarray(scale**2 / 2 * np.log1p(chi2 / scale**2))
+    return np.asarray(CAUCHY_SCALE**2 / 2 * np.log1p(chi2 / CAUCHY_SCALE**2))
 
 
 def inverse_left_jacobian(xi: FloatArray) -> FloatArray:

@@ -25,11 +25,22 @@ from wheelsight.slam.drive_graph import DriveGraph, KeyframePlace, LivedKeyframe
 from wheelsight.slam.graph import PoseGraph, RelativePose, anchor, step_edge
 from wheelsight.slam.loop_gate import LoopCloser, LoopReport
 from wheelsight.slam.place_recognition import KnownMap, LoopDetector, PlaceWatcher
-from wheelsight.slam.settings import LoopSettings, MatchSettings
+from wheelsight.slam.settings import LoopSettings
 from wheelsight.slam.solvers import new_pose_graph
 
 _LOG = logging.getLogger(__name__)
-# From this standard deviation on, radians, a heading is unknown.
+# Queued keyframes of a driving robot beyond which further ones are not compared. Chosen.
+_MOST_WAITING = 5
+_NEAR_M = 1.0  # distance of keyframes that are compared as near ones; a turn by a radian counts as 1.5 m; chosen
+# External matches. Those with a lower score are more probably wrong than right; chosen.
+_LEAST_SCORE = 0.5
+_MOST_GAP_S = 0.2  # largest time between a match and its nearest pose; chosen
+_KEYFRAME_WAY_M = 1.0  # distance after which a keyframe is made without a match; chosen
+# Standard deviations per coordinate and axis of a relative pose whose file has none. Chosen.
+_POSE_SIGMA_M, _POSE_SIGMA_RAD = 0.1, 0.05
+# Standard deviation of each coordinate between two views of one place whose relative pose is unknown, and of the
+# heading, which then is unknown too. Estimated: place recognition accepts views some metres apart.
+_PLACE_SIGMA_M = 1.0
 _ANY_HEADING_RAD = 10.0
 
 
@@ -129,8 +140,8 @@ class LiveLoops:
     ) -> None:
         self._store, self._settings, self._waits = store, settings or LoopSettings(), waits
         recognizer = None if known is None else known.recognizer
-        self._watcher = PlaceWatcher(store, calibration, self._settings.seen, recognition, recognizer, detector)
-        self._graph = DriveGraph(self._settings, known)
+        self._watcher = PlaceWatcher(store, calibration, self._settings.apart_s, recognition, recognizer, detector)
+        self._graph = DriveGraph(known)
         self._lived: list[LivedKeyframe] = []
         self._waiting: deque[tuple[float, Future[Judged]]] = deque()
         self._thread: ThreadPoolExecutor | None = None
@@ -146,7 +157,7 @@ class LiveLoops:
         """Submit a keyframe to the thread, which looks for earlier views of the same place."""
         if self._thread is None:
             self._thread = ThreadPoolExecutor(1, "wheelsight-loops", yield_to_others)
-        has_time = self._waits or len(self._waiting) < self._settings.most_waiting
+        has_time = self._waits or len(self._waiting) < _MOST_WAITING
         self._unseen += not has_time
         self._lived.append(keyframe)
         self._waiting.append((keyframe.stamp_s, self._thread.submit(self._judge, keyframe, has_time)))
@@ -156,7 +167,7 @@ class LiveLoops:
         started = time.perf_counter()
         self._graph.add(keyframe)
         if has_time:
-            near = self._graph.near(self._settings.seen.near_m)
+            near = self._graph.near(_NEAR_M)
             loops = self._watcher.look(keyframe.number, near, self._graph.adrift)
         else:
             loops = self._watcher.pass_by(keyframe.number)
@@ -279,42 +290,35 @@ class Correction:
 def correct(
     lived: Trajectory,
     matches: Sequence[Match],
-    settings: LoopSettings | None = None,
     *,
     stated: SpeedVariances | None = None,
     graph: PoseGraph | None = None,
 ) -> Correction:
     """Return the trajectory corrected by all matches.
 
-    Keyframes are placed at the matches and every `keyframe_way_m`. The corrections of two neighbouring keyframes are
+    Keyframes are placed at the matches and every metre. The corrections of two neighbouring keyframes are
     interpolated for the poses between them.
 
     Args:
         lived: odometry trajectory, with covariances that grow along it.
         matches: matches to check.
-        settings: see `LoopSettings`.
         stated: odometry noise stated by the recording, used instead of the trajectory's covariances.
         graph: empty graph to use; None for GTSAM's, or for the built-in solver without GTSAM.
 
     Raises:
         ArgumentError: the trajectory has no poses, or neither it nor the recording has covariances.
     """
-    settings = settings or LoopSettings()
     C = _covariances(lived, stated)
-    placed, unused = _rows_of_matches(matches, lived, settings.matches)
-    _, first_each = np.unique(np.floor(lived.distances_m / settings.matches.keyframe_way_m), return_index=True)
+    placed, unused = _rows_of_matches(matches, lived)
+    _, first_each = np.unique(np.floor(lived.distances_m / _KEYFRAME_WAY_M), return_index=True)
     wanted = np.asarray([row for _, ends in placed for row in ends], np.int64)
     rows = np.unique(np.concatenate([first_each, wanted, [0, len(lived) - 1]])).astype(np.int64)
     ends_of = [(match, *np.searchsorted(rows, ends).tolist()) for match, ends in placed]
-    loops = [
-        _loop(match, KeyframeId(first), KeyframeId(second), settings.matches)
-        for match, first, second in ends_of
-        if first != second
-    ]
+    loops = [_loop(match, KeyframeId(first), KeyframeId(second)) for match, first, second in ends_of if first != second]
     unused[Unused.ONE_PLACE] += len(placed) - len(loops)
-    graph = graph if graph is not None else new_pose_graph(settings.cauchy_scale)
-    _add_odometry(graph, lived.T_frame_body[rows], C[rows], settings.matches)
-    report = LoopCloser(graph, settings).offer_all(loops) if loops else LoopReport(())
+    graph = graph if graph is not None else new_pose_graph()
+    _add_odometry(graph, lived.T_frame_body[rows], C[rows])
+    report = LoopCloser(graph).offer_all(loops) if loops else LoopReport(())
     counts = {str(reason): count for reason, count in unused.items() if count}
     T_map_odom = graph.poses @ se3.invert(lived.T_frame_body[rows])
     return Correction(carried(lived, lived.stamps_s[rows], T_map_odom), rows, graph.poses, report, counts)
@@ -339,7 +343,7 @@ def _covariances(lived: Trajectory, stated: SpeedVariances | None) -> FloatArray
 
 
 def _rows_of_matches(
-    matches: Sequence[Match], lived: Trajectory, settings: MatchSettings
+    matches: Sequence[Match], lived: Trajectory
 ) -> tuple[list[tuple[Match, tuple[int, int]]], Counter[Unused]]:
     """Return the matches with their two trajectory rows, and the number of unused ones by reason."""
     unused: Counter[Unused] = Counter()
@@ -347,32 +351,32 @@ def _rows_of_matches(
     for match in matches:
         rows = [_nearest(lived.stamps_s, stamp_s) for stamp_s in (match.stamp_a_s, match.stamp_b_s)]
         gaps_s = np.abs(lived.stamps_s[rows] - [match.stamp_a_s, match.stamp_b_s])
-        if match.score is not None and match.score < settings.least_score:
+        if match.score is not None and match.score < _LEAST_SCORE:
             unused[Unused.LOW_SCORE] += 1
-        elif (gaps_s > settings.most_gap_s).any():
+        elif (gaps_s > _MOST_GAP_S).any():
             unused[Unused.NO_POSE] += 1
         else:
             placed.append((match, (rows[0], rows[1])))
     return placed, unused
 
 
-def _add_odometry(graph: PoseGraph, T: FloatArray, C: FloatArray, settings: MatchSettings) -> None:
+def _add_odometry(graph: PoseGraph, T: FloatArray, C: FloatArray) -> None:
     """Add keyframe poses (K, 4, 4), the first one fixed, and odometry edges with covariances from (K, 6, 6)."""
     for pose in T:
         graph.add(pose)
     graph.add_prior(anchor(KeyframeId(0), T[0]))
     ways = [(T[k], C[k]) for k in range(len(T))]
     ends = [(KeyframeId(k - 1), KeyframeId(k)) for k in range(1, len(T))]
-    graph.add_edges([step_edge(pair, ways[pair[0]], ways[pair[1]], settings) for pair in ends])
+    graph.add_edges([step_edge(pair, ways[pair[0]], ways[pair[1]]) for pair in ends])
 
 
-def _loop(match: Match, first: KeyframeId, second: KeyframeId, settings: MatchSettings) -> RelativePose:
+def _loop(match: Match, first: KeyframeId, second: KeyframeId) -> RelativePose:
     if match.T_a_b is None:
-        sigmas = [settings.place_sigma_m] * 3 + [_ANY_HEADING_RAD] * 3
+        sigmas = [_PLACE_SIGMA_M] * 3 + [_ANY_HEADING_RAD] * 3
         return RelativePose(first, second, np.eye(4), np.diag(np.square(sigmas)), is_loop=True)
     C = match.covariance
     if C is None:
-        C = np.diag(np.square([settings.pose_sigma_m] * 3 + [settings.pose_sigma_rad] * 3))
+        C = np.diag(np.square([_POSE_SIGMA_M] * 3 + [_POSE_SIGMA_RAD] * 3))
     return RelativePose(first, second, match.T_a_b, C, is_loop=True)
 
 

@@ -13,8 +13,28 @@ from scipy.sparse.csgraph import connected_components
 
 from wheelsight.core.geometry import BoolArray, FloatArray, IntArray, chi_square, se3
 from wheelsight.core.geometry.motion_kernels import is_definite
-from wheelsight.slam.graph import PoseGraph, RelativePose, arrays_of, cauchy_loss, edge_errors, inverse_left_jacobian
-from wheelsight.slam.settings import LoopSettings
+from wheelsight.slam.graph import (
+    PoseGraph,
+    RelativePose,
+    arrays_of,
+    cauchy_loss,
+    edge_errors,
+    inverse_left_jacobian,
+)
+
+GATE_PROBABILITY = 0.999
+"""Share of true loops that pass the chi-square gate, with correct covariances. Chosen."""
+_REVIEW_AFTER = 10  # refused loops after which all loops are reviewed; chosen
+_CLUSTER_KEYFRAMES = 5  # largest distance, in keyframes at either end, of neighbouring loops in a cluster; chosen
+# Largest weight of loops that agree, in each stretch of _CLUSTER_KEYFRAMES: a repeated wrong match agrees with itself.
+# Found on synthetic graphs: docs/decisions/loops-and-graph.md.
+_CLUSTER_VOTES = 3.0
+# Refused clusters that become hypotheses in a review: their least size, chosen, and their largest number, the largest
+# first, which bounds its time.
+_LEAST_MEMBERS, _MOST_HYPOTHESES = 3, 4
+# Log-likelihood ratio by which another hypothesis must explain all measurements better: 150 to 1. Chosen.
+_LEAST_GAIN = 5.0
+_MOST_ROUNDS = 5  # largest number of rounds of gating and optimisation; chosen
 
 
 class Refusal(StrEnum):
@@ -107,11 +127,10 @@ class LoopCloser:
 
     Args:
         graph: graph with a prior. The caller adds keyframes and odometry, and calls `update` if there are no loops.
-        settings: see `LoopSettings`.
     """
 
-    def __init__(self, graph: PoseGraph, settings: LoopSettings | None = None) -> None:
-        self.graph, self.settings = graph, settings or LoopSettings()
+    def __init__(self, graph: PoseGraph) -> None:
+        self.graph = graph
         self._loops: list[RelativePose] = []
         self._kept: list[bool] = []
         self._chi2: list[float] = []
@@ -134,14 +153,14 @@ class LoopCloser:
 
         The loops that pass are added to the graph, and its poses are updated.
         """
-        before, limits = len(self._loops), limits_of(loops, self.settings.gate_probability)
+        before, limits = len(self._loops), _limits_of(loops)
         chi2 = [chi_squared(self.graph, loop) for loop in loops]
         kept = [found <= limit for found, limit in zip(chi2, limits, strict=True)]
         self.graph.add_edges([loop for loop, is_kept in zip(loops, kept, strict=True) if is_kept])
         self._record(loops, kept, chi2)
         self.graph.update()
         self._refused_since += kept.count(False)
-        if self._refused_since >= self.settings.review_after:
+        if self._refused_since >= _REVIEW_AFTER:
             self.review()
         return self._judged(before)
 
@@ -164,11 +183,11 @@ class LoopCloser:
     def review(self) -> bool:
         """Check all loops again and compare the alternative hypotheses; return whether one replaced the current one."""
         self._refused_since, self._reviews = 0, self._reviews + 1
-        T_start, settings = self.graph.poses, self.settings
-        self._clusters = clusters_of(self._loops, T_start, settings.cluster_keyframes, settings.gate_probability)
+        T_start = self.graph.poses
+        self._clusters = clusters_of(self._loops, T_start, _CLUSTER_KEYFRAMES, GATE_PROBABILITY)
         self._settle()
         T_now, kept_now = self.graph.poses, np.array(self._kept, bool)
-        best, gain = (T_now, kept_now), settings.least_gain
+        best, gain = (T_now, kept_now), _LEAST_GAIN
         for one in self._hypotheses(kept_now, T_start):
             self._keep(one.kept)
             self.graph.optimise(one.T_start)
@@ -190,8 +209,8 @@ class LoopCloser:
         if kept.all():
             return
         numbers, counts = np.unique(self._clusters[~kept], return_counts=True)
-        largest = np.argsort(-counts, kind="stable")[: self.settings.most_appeals]
-        for number in numbers[largest[counts[largest] >= self.settings.least_members]]:
+        largest = np.argsort(-counts, kind="stable")[:_MOST_HYPOTHESES]
+        for number in numbers[largest[counts[largest] >= _LEAST_MEMBERS]]:
             cluster = self._clusters == number
             yield self._replacement(cluster, kept, T) or _Hypothesis(int(number), kept | cluster, T)
 
@@ -216,13 +235,13 @@ class LoopCloser:
         chi2, of_loops = (
             ((of.whitening @ edge_errors(T, of)[..., None])[..., 0] ** 2).sum(axis=-1) for of in (edges, loops)
         )
-        loss = cauchy_loss(of_loops, self.settings.cauchy_scale)
+        loss = cauchy_loss(of_loops)
         counts = np.bincount(self._clusters)
         means = np.bincount(self._clusters, loss) / counts
         # A cluster has a limited number of votes for each stretch of keyframes that it covers.
-        along = loops.first // max(self.settings.cluster_keyframes, 1)
+        along = loops.first // _CLUSTER_KEYFRAMES
         stretches = np.bincount(np.unique(np.column_stack([self._clusters, along]), axis=0)[:, 0])
-        votes = np.minimum(counts, self.settings.cluster_votes * stretches)
+        votes = np.minimum(counts, _CLUSTER_VOTES * stretches)
         if own >= 0:
             votes[own] = 0
         return float(chi2.sum() / 2 + votes @ means)
@@ -232,7 +251,7 @@ class LoopCloser:
         self._loops.extend(loops)
         self._kept.extend(kept)
         self._chi2.extend(chi2)
-        self._limit.extend(limits_of(loops, self.settings.gate_probability))
+        self._limit.extend(_limits_of(loops))
 
     def _keep(self, kept: BoolArray) -> None:
         """Make the graph use exactly these loops (L,)."""
@@ -247,7 +266,7 @@ class LoopCloser:
     def _settle(self) -> None:
         """Gate each loop by the graph's poses and optimise, until no decision changes."""
         limits = np.array(self._limit)
-        for _ in range(self.settings.most_rounds):
+        for _ in range(_MOST_ROUNDS):
             self._chi2 = [chi_squared(self.graph, loop) for loop in self._loops]
             kept = self._passing(np.array(self._chi2) / limits)
             if (kept == np.array(self._kept)).all():
@@ -271,9 +290,9 @@ class LoopCloser:
         return kept
 
 
-def limits_of(loops: Sequence[RelativePose], gate_probability: float) -> list[float]:
+def _limits_of(loops: Sequence[RelativePose]) -> list[float]:
     """Return the chi-square limit of each loop."""
-    return [chi_square.quantile(gate_probability, loop.freedom) for loop in loops]
+    return [chi_square.quantile(GATE_PROBABILITY, loop.freedom) for loop in loops]
 
 
 def laid_by(loop: RelativePose, moving: BoolArray, T: FloatArray) -> FloatArray:

@@ -19,9 +19,13 @@ from wheelsight.core.settings import RecognitionSettings
 from wheelsight.places.recognition import Recognizer, SeenView, ViewMaker
 from wheelsight.places.verification import PlaceVerifier, VerifiedPlace
 from wheelsight.slam.graph import Prior, RelativePose
-from wheelsight.slam.settings import SeenSettings
 from wheelsight.vision.dense import DenseSettings
 
+# Largest number of candidates verified for each keyframe, and of further ones in the map while the pose in it is
+# unknown: docs/decisions/loops-and-graph.md. The latter are fewer than for a single view: each keyframe tries again.
+_CANDIDATES, _CANDIDATES_UNJOINED = 5, 24
+_NEAR_CANDIDATES = 2  # of these, keyframes near the current pose: under other light they may look different; chosen
+_MOST_PLACES = 5  # number of verified places that are enough for each keyframe; chosen
 _UNREAD = "the keyframe cannot be read"
 
 
@@ -37,8 +41,8 @@ class LoopDetector(Protocol):
 
         Called once for each keyframe, in the order of their numbers, in the loop-closing thread. Store here what later
         keyframes are compared with. Keyframes of a known map come first, and their results are ignored. Keyframes may
-        be skipped while the thread is busy. The first `loops.seen.candidates` are verified; keyframes of the last
-        `loops.seen.apart_s` seconds are ignored.
+        be skipped while the thread is busy. The first five are verified; keyframes of the last `loops.apart_s` seconds
+        are ignored.
 
         An exception ends the run by a `PartError`, and so does the number of a keyframe not passed in before.
 
@@ -57,7 +61,7 @@ class PlaceWatcher:
     Args:
         store: the keyframes, with keypoints.
         calibration: calibration of their camera.
-        settings: settings, or None for the defaults.
+        apart_s: least time between the two keyframes of a loop, seconds.
         recognition: recognition settings, or None for the defaults.
         recognizer: recognizer with the keyframes of an earlier drive; None for a new one.
         detector: source of candidates in place of the recognizer, which still learns all keyframes for the next drive.
@@ -70,12 +74,12 @@ class PlaceWatcher:
         self,
         store: KeyframeStore,
         calibration: Calibration,
-        settings: SeenSettings | None = None,
+        apart_s: float,
         recognition: RecognitionSettings | None = None,
         recognizer: Recognizer | None = None,
         detector: LoopDetector | None = None,
     ) -> None:
-        self._store, self._settings = store, settings or SeenSettings()
+        self._store, self._apart_s = store, apart_s
         self._views = ViewMaker(calibration, DenseSettings(threads=1))
         self.recognizer = recognizer or Recognizer(recognition)
         self._verifier = PlaceVerifier(calibration, recognition, self._views)
@@ -100,7 +104,7 @@ class PlaceWatcher:
         keyframes of its piece while that is not joined to the map; then more candidates of the map are verified.
         """
         keyframe = self._store[number]
-        recent = self._known[bisect.bisect_right(self._stamps_s, keyframe.stamp_s - self._settings.apart_s) :]
+        recent = self._known[bisect.bisect_right(self._stamps_s, keyframe.stamp_s - self._apart_s) :]
         found = self.recognised(number, recent, near, adrift)
         self._learn(number, keyframe)
         return found
@@ -127,9 +131,9 @@ class PlaceWatcher:
         named = None if self._detector is None else self._named(self._detector, number, keyframe, {*but})
         elsewhere: Sequence[KeyframeId] = ()
         if adrift and named is not None:
-            elsewhere = [one for one in named if one not in adrift][: self._settings.candidates_adrift]
+            elsewhere = [one for one in named if one not in adrift][:_CANDIDATES_UNJOINED]
         elif adrift:
-            alike = self.recognizer.candidates(view, self._settings.candidates_adrift, {*but, *adrift})
+            alike = self.recognizer.candidates(view, _CANDIDATES_UNJOINED, {*but, *adrift})
             elsewhere = [one.keyframe for one in alike]
         for candidate in dict.fromkeys((*elsewhere, *self._candidates(view, but, near, named))):
             try:
@@ -141,7 +145,7 @@ class PlaceWatcher:
             if isinstance(answer, VerifiedPlace):
                 motion = answer.T_keyframe_camera, answer.covariance
                 found.append(RelativePose(candidate, number, *motion, is_loop=True))
-                if len(found) == self._settings.most_places:
+                if len(found) == _MOST_PLACES:
                     break
         return tuple(found)
 
@@ -179,16 +183,15 @@ class PlaceWatcher:
         named: Sequence[KeyframeId] | None,
     ) -> tuple[KeyframeId, ...]:
         """Return keyframes that look like a view, and some near it, each once."""
-        s = self._settings
         alike = (
-            [one.keyframe for one in self.recognizer.candidates(view, s.candidates, but)]
+            [one.keyframe for one in self.recognizer.candidates(view, _CANDIDATES, but)]
             if named is None
-            else list(named[: s.candidates])
+            else list(named[:_CANDIDATES])
         )
         known = set(self.recognizer.keyframes)
         others = [one for one in near if one in known and one not in but and one not in alike]
-        left = max(s.candidates - min(s.near_candidates, len(others)), 0)
-        return (*alike[:left], *others[: s.candidates - min(left, len(alike))][: s.near_candidates])
+        left = max(_CANDIDATES - min(_NEAR_CANDIDATES, len(others)), 0)
+        return (*alike[:left], *others[: _CANDIDATES - min(left, len(alike))][:_NEAR_CANDIDATES])
 
     def _learn(self, number: KeyframeId, keyframe: Keyframe) -> None:
         self.recognizer.add(number, keyframe)

@@ -14,6 +14,7 @@ from wheelsight.core.geometry import FloatArray, IntArray, se3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.runtime import needed, why_missing
 from wheelsight.slam.graph import (
+    CAUCHY_SCALE,
     EdgeArrays,
     GraphContents,
     PoseGraph,
@@ -35,9 +36,9 @@ _MOST_STEPS, _STEPS_OF_UPDATE = 100, 2  # of optimise and update
 _LEAST_GAIN = 1e-7
 
 
-def new_pose_graph(cauchy_scale: float = 1.0) -> PoseGraph:
+def new_pose_graph() -> PoseGraph:
     """Return a GTSAM pose graph, or the built-in one if GTSAM is not installed."""
-    return OwnPoseGraph(cauchy_scale) if why_missing("gtsam") else GtsamPoseGraph(cauchy_scale)
+    return OwnPoseGraph() if why_missing("gtsam") else GtsamPoseGraph()
 
 
 class GtsamPoseGraph(GraphContents):
@@ -46,8 +47,8 @@ class GtsamPoseGraph(GraphContents):
     Raises ConfigError if GTSAM is not installed.
     """
 
-    def __init__(self, cauchy_scale: float = 1.0) -> None:
-        super().__init__(cauchy_scale)
+    def __init__(self) -> None:
+        super().__init__()
         self._gtsam = needed("gtsam")
         self._isam: Any = None
         self._held = (0, 0, 0)  # numbers of keyframes, edges and priors in iSAM2
@@ -121,7 +122,7 @@ class GtsamPoseGraph(GraphContents):
                 source = self._source()
                 if source is not None:
                     return self._covariance_of(source, keyframes)
-            self._own = OwnPoseGraph(self.cauchy_scale)
+            self._own = OwnPoseGraph()
             for T in self._T:
                 self._own.add(se3.nearest(T))
             for prior in self._priors:
@@ -156,7 +157,7 @@ class GtsamPoseGraph(GraphContents):
         for edge in self._edges[from_edge:]:
             noise = self._noise(edge.T_first_second, edge.covariance)
             if edge.is_loop:
-                kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(self.cauchy_scale)
+                kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(CAUCHY_SCALE)
                 noise = gtsam.noiseModel.Robust.Create(kernel, noise)
             measured = gtsam.Pose3(edge.T_first_second)
             graph.add(gtsam.BetweenFactorPose3(int(edge.first), int(edge.second), measured, noise))
@@ -188,7 +189,6 @@ _SIDE = np.arange(6)
 class _Problem(NamedTuple):
     edges: EdgeArrays
     priors: tuple[IntArray, FloatArray, FloatArray]
-    cauchy_scale: float
 
 
 class _Linear(NamedTuple):
@@ -202,8 +202,8 @@ class OwnPoseGraph(GraphContents):
     It is used where GTSAM has no wheel, and tests compare GTSAM's results with it.
     """
 
-    def __init__(self, cauchy_scale: float = 1.0) -> None:
-        super().__init__(cauchy_scale)
+    def __init__(self) -> None:
+        super().__init__()
         self._held_factor: tuple[SuperLU | None, IntArray] | None = None
         self._problem: _Problem | None = None
 
@@ -274,7 +274,7 @@ class OwnPoseGraph(GraphContents):
     def _as_arrays(self) -> _Problem:
         self._need_prior()
         if self._problem is None:
-            self._problem = _Problem(arrays_of(self._edges), arrays_of_priors(self._priors), self.cauchy_scale)
+            self._problem = _Problem(arrays_of(self._edges), arrays_of_priors(self._priors))
         return self._problem
 
     def _changed(self) -> None:
@@ -293,7 +293,7 @@ def _factor(information: sparse.csc_array) -> SuperLU | None:
 def _cost(T: FloatArray, problem: _Problem) -> float:
     edges, (at, T_inverse, W) = problem.edges, problem.priors
     chi2 = _squares(edge_errors(T, edges), edges.whitening)
-    loss = np.where(edges.is_loop, cauchy_loss(chi2, problem.cauchy_scale), chi2 / 2)
+    loss = np.where(edges.is_loop, cauchy_loss(chi2), chi2 / 2)
     return float(loss.sum() + _squares(se3.log(T[at] @ T_inverse), W).sum() / 2)
 
 
@@ -306,7 +306,7 @@ def _linearised(T: FloatArray, problem: _Problem) -> _Linear:
     edges, (at, T_inverse, W_prior), n = problem.edges, problem.priors, len(T)
     r = edge_errors(T, edges)
     chi2 = _squares(r, edges.whitening)
-    weight = np.where(edges.is_loop, 1 / (1 + chi2 / problem.cauchy_scale**2), 1.0)
+    weight = np.where(edges.is_loop, 1 / (1 + chi2 / CAUCHY_SCALE**2), 1.0)
     J = edges.whitening @ edge_jacobians(T, edges, r)
     B = weight[:, None, None] * (np.swapaxes(J, 1, 2) @ J)
     g = weight[:, None] * np.einsum("eij,ei->ej", J, (edges.whitening @ r[..., None])[..., 0])

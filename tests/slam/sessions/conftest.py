@@ -9,6 +9,12 @@ import pytest
 from sessions.kept_views import COUNT, write_map
 
 
+@pytest.fixture(autouse=True)
+def short_journals(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three keyframes in each."""
+    monkeypatch.setattr("wheelsight.slam.maps.folder._JOURNAL_KEYFRAMES", 3)
+
+
 @pytest.fixture(scope="session")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """To be read alone."""

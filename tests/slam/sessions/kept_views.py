@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.geometry import PinholeCamera, se3
@@ -15,7 +16,7 @@ from wheelsight.slam.maps import MapFolder, SessionSettings
 CAMERA = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
 CALIBRATION = Calibration.registered_camera(CAMERA, source="made up")
 COUNT = 7
-SETTINGS = SessionSettings(piece_keyframes=3)
+SETTINGS = SessionSettings()
 INTRINSICS = np.array([60.0, 60.0, 31.5, 23.5])
 
 
@@ -43,10 +44,12 @@ def edge(first: int, second: int, *, is_loop: bool = False) -> RelativePose:
 
 
 def write_map(path: Path, count: int = 7, settings: SessionSettings = SETTINGS) -> None:
-    """A map of so many keyframes in pieces, with an edge from each to the next."""
+    """A map of so many keyframes, three in each journal, with an edge from each to the next."""
     folder = MapFolder.create(path, CALIBRATION, settings, source="made up")
-    for number in range(count):
-        folder.append_keyframe(number, keyframe(number), pose(number), pose(number))
-        if number:
-            folder.append_edges([edge(number - 1, number)])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("wheelsight.slam.maps.folder._JOURNAL_KEYFRAMES", 3)
+        for number in range(count):
+            folder.append_keyframe(number, keyframe(number), pose(number), pose(number))
+            if number:
+                folder.append_edges([edge(number - 1, number)])
     folder.close()

@@ -12,9 +12,10 @@ from sessions.kept_views import CALIBRATION, keyframe, pose
 from wheelsight.core.estimates import Estimate, Status
 from wheelsight.core.geometry import se3
 from wheelsight.core.keyframes import KeyframeId, KeyframeStore
-from wheelsight.core.settings import FernSettings, RecognitionSettings
+from wheelsight.core.settings import RecognitionSettings
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.maps import MapFolder, MapWriter, SessionSettings
+from wheelsight.slam.maps import folder as folders
 
 # Two keyframes a second are what a drive makes at most; here a second takes less.
 KEYFRAMES_A_SECOND, SECONDS_A_SECOND = 2, 5
@@ -22,10 +23,8 @@ FRAMES_A_KEYFRAME = 3
 
 
 def main(path: Path) -> None:
-    settings, recognition = (
-        SessionSettings(flush_s=0.1, piece_keyframes=5),
-        RecognitionSettings(ferns=FernSettings(ferns=64)),
-    )
+    folders._JOURNAL_KEYFRAMES = 5  # noqa: SLF001 - as short as a test needs them
+    settings, recognition = SessionSettings(flush_s=0.1), RecognitionSettings()
     Recognizer(recognition).add(KeyframeId(0), keyframe(0))  # compiled or loaded, as before a run
     store = KeyframeStore()
     folder = MapFolder.create(path, CALIBRATION, settings)

@@ -11,29 +11,29 @@ import numpy as np
 import pytest
 
 from wheelsight.core.keyframes import Keyframe
-from wheelsight.slam.maps import MapFolder, SessionSettings, journal
-from wheelsight.slam.maps.keyframes import DepthSteps, grey_numbers, halved
+from wheelsight.slam.maps import MapFolder, journal
+from wheelsight.slam.maps.keyframes import GREY_STEP, DepthSteps, grey_numbers, halved
 from wheelsight.slam.maps.records import RecordKind
 
 
-def packed(keyframe: Keyframe, steps: DepthSteps, settings: SessionSettings) -> bytes:
-    level, features = halved(keyframe, settings.width_px), keyframe.features
+def packed(keyframe: Keyframe, steps: DepthSteps) -> bytes:
+    level, features = halved(keyframe), keyframe.features
     assert features is not None
     depth, grey = (
         cv2.imencode(".png", numbers)[1].tobytes()
-        for numbers in (steps.numbers(level.depth_m), grey_numbers(level.grey, settings.grey_step))
+        for numbers in (steps.numbers(level.depth_m), grey_numbers(level.grey, GREY_STEP))
     )
     kept = features.points[:, 2] > 0
     places = zlib.compress(np.hstack([features.px, features.points])[kept].astype("<f4").T.tobytes())
     sizes = len(depth), len(grey), 0, int(kept.sum()), len(places)
     head = struct.pack("<d4ddd5i4x", keyframe.stamp_s, *level.intrinsics, steps.step_m, steps.growth, *sizes)
     descriptors = features.descriptors[kept].astype("<u8").tobytes()
-    return b"".join([head, bytes([settings.grey_step]), depth, grey, places, descriptors])
+    return b"".join([head, bytes([GREY_STEP]), depth, grey, places, descriptors])
 
 
 def write_old(path: Path, like: MapFolder) -> None:
     """The first keyframes of a map, in its place, as they were written then."""
-    steps = DepthSteps.of_noise(like.calibration.depth_noise, like.settings.depth_sigmas)
+    steps = DepthSteps.of_noise(like.calibration.depth_noise)
     keyframes = {number: like.store[number] for number in like.store}
     for file in path.glob("keyframes-*"):
         file.unlink()
@@ -41,5 +41,5 @@ def write_old(path: Path, like: MapFolder) -> None:
         patch.setattr(journal, "VERSION", 1)
         writer = journal.JournalWriter(path / "keyframes-00000.journal")
         for number, keyframe in keyframes.items():
-            writer.append(RecordKind.FIRST_KEYFRAME, number, packed(keyframe, steps, like.settings))
+            writer.append(RecordKind.FIRST_KEYFRAME, number, packed(keyframe, steps))
         writer.close()

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.testing import assert_allclose
-from sessions.kept_views import SETTINGS, pose
+from sessions.kept_views import pose
 
 from wheelsight.core.estimates import Estimate, Status
 from wheelsight.core.geometry import se3
@@ -25,7 +25,7 @@ def test_an_edge_is_the_way_between_and_as_uncertain_as_the_way_made_it() -> Non
     C = 1e-3 * np.eye(6)
     step = np.diag([4e-4, 1e-4, 1e-5, 1e-6, 1e-6, 9e-5])
     Ad = se3.adjoint(pose(3))
-    edge = odometry_edge(seen(3, C), seen(4, C + Ad @ step @ Ad.T), SETTINGS)
+    edge = odometry_edge(seen(3, C), seen(4, C + Ad @ step @ Ad.T))
     assert edge is not None
     assert (edge.first, edge.second, edge.is_loop) == (3, 4, False)
     assert_allclose(edge.T_first_second, se3.invert(pose(3)) @ pose(4), atol=1e-12)
@@ -33,7 +33,7 @@ def test_an_edge_is_the_way_between_and_as_uncertain_as_the_way_made_it() -> Non
 
 
 def test_what_is_known_better_than_before_is_no_negative_way() -> None:
-    edge = odometry_edge(seen(3, 1e-3 * np.eye(6)), seen(4, 1e-6 * np.eye(6)), SETTINGS)
+    edge = odometry_edge(seen(3, 1e-3 * np.eye(6)), seen(4, 1e-6 * np.eye(6)))
     assert edge is not None
     assert np.linalg.eigvalsh(edge.covariance).min() > 0.99e-6
 
@@ -44,5 +44,5 @@ def test_an_estimate_of_another_keyframe_tells_no_edge() -> None:
     for estimate in (None, lost, other):
         after = SeenKeyframe.of(KeyframeId(4), estimate)
         assert after.T_odom_keyframe is None
-        assert odometry_edge(seen(3, np.eye(6)), after, SETTINGS) is None
-        assert odometry_edge(after, seen(5, np.eye(6)), SETTINGS) is None
+        assert odometry_edge(seen(3, np.eye(6)), after) is None
+        assert odometry_edge(after, seen(5, np.eye(6))) is None

@@ -17,15 +17,12 @@ from wheelsight.slam.maps.keyframes import DepthSteps, grey_numbers, grey_of
     depth_m=st.floats(0.001, 13.0),
     constant_m=st.floats(0, 0.1),
     quadratic_per_m=st.floats(1e-6, 0.1),
-    sigmas=st.floats(0.1, 2),
 )
-def test_steps_of_depth_are_a_share_of_its_noise(
-    depth_m: float, constant_m: float, quadratic_per_m: float, sigmas: float
-) -> None:
-    steps = DepthSteps.of_noise(DepthNoise(constant_m, quadratic_per_m), sigmas)
+def test_steps_of_depth_are_a_share_of_its_noise(depth_m: float, constant_m: float, quadratic_per_m: float) -> None:
+    steps = DepthSteps.of_noise(DepthNoise(constant_m, quadratic_per_m))
     (here,) = steps.numbers(np.array([depth_m], np.float32))
     below, at, above = steps.depth_m(np.array([max(here, 1) - 1, here, here + 1], np.uint16))
-    step_m = max(sigmas * constant_m, 0.0004) + sigmas * quadratic_per_m * float(at) ** 2
+    step_m = max(2 * constant_m, 0.0004) + 2 * quadratic_per_m * float(at) ** 2
     assert below <= depth_m * (1 + 1e-5)
     assert abs(float(at) - depth_m) <= max(float(above - at), step_m)
     if step_m < 0.02 * depth_m:  # elsewhere a step is no differential

@@ -67,7 +67,7 @@ def test_a_damaged_place_leaves_no_pose_that_looks_good(copied: Path) -> None:
 @pytest.mark.parametrize("is_old", [False, True])
 def test_images_larger_than_the_cameras_are_not_decoded(copied: Path, is_old: bool) -> None:
     """A keyframe of 300 bytes may say that it is of 16 million pixels, which take a second to read."""
-    folder = MapFolder.open(copied, read_only=False, settings=SessionSettings(width_px=4096))
+    folder = MapFolder.open(copied, read_only=False)
     folder.append_keyframe(COUNT, keyframe(3, size=(96, 128)), pose(COUNT))
     folder.close()
     if is_old:

@@ -16,7 +16,7 @@ from sessions.old_keyframes import write_old
 
 from wheelsight.core.errors import ArgumentError, MapError, OutputError
 from wheelsight.core.keyframes import KeyframeId
-from wheelsight.core.settings import FernSettings, RecognitionSettings
+from wheelsight.core.settings import RecognitionSettings
 from wheelsight.mapping import SurfelMap, Surfels
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.maps import MapFolder, discard_map, records
@@ -125,7 +125,7 @@ def test_a_full_disk_costs_what_comes_after(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_what_recognises_is_kept_completed_or_made_anew(copied: Path) -> None:
-    settings = RecognitionSettings(ferns=FernSettings(ferns=64))
+    settings = RecognitionSettings()
     made: list[tuple[int, int]] = []
     folder = MapFolder.open(copied, read_only=False)
     anew = folder.recognizer(settings, lambda done, total: made.append((done, total)))
@@ -146,7 +146,7 @@ def test_what_recognises_is_kept_completed_or_made_anew(copied: Path) -> None:
     made.clear()
     assert len(folder.recognizer(settings, lambda done, total: made.append((done, total)))) == COUNT
     assert made == []
-    assert len(folder.recognizer(RecognitionSettings(seed=3, ferns=FernSettings(ferns=64)))) == COUNT
+    assert len(folder.recognizer(RecognitionSettings(seed=3))) == COUNT
     (copied / "recognition.npz").write_bytes(b"damaged")
     assert len(folder.recognizer(settings)) == COUNT
     folder.close()
@@ -305,7 +305,7 @@ def test_a_long_graph_goes_into_several_journals(copied: Path, monkeypatch: pyte
 
 def test_a_recognition_that_unpacks_to_more_than_its_map_needs_is_made_again(copied: Path) -> None:
     """Each of its arrays in turn as zeros, which packed take a thousandth."""
-    path, settings = copied / "recognition.npz", RecognitionSettings(ferns=FernSettings(ferns=64))
+    path, settings = copied / "recognition.npz", RecognitionSettings()
     folder = MapFolder.open(copied, read_only=False)
     folder.save_recognition(folder.recognizer(settings))
     folder.close()

@@ -15,7 +15,7 @@ from sessions.seen_maps import RING, aside, step, write_seen
 
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeId, KeyframeStore
-from wheelsight.core.settings import FernSettings, RecognitionSettings
+from wheelsight.core.settings import RecognitionSettings
 from wheelsight.io.ros_map import FREE, OCCUPIED, read_ros_map
 from wheelsight.mapping import CellKind, EditKind, MapEdit, MapEdits, OccupancyMapper, OccupancySettings
 from wheelsight.slam.maps import (
@@ -32,7 +32,7 @@ from wheelsight.slam.maps import (
 )
 from wheelsight.slam.maps.journal import read_journal
 
-RECOGNITION = RecognitionSettings(ferns=FernSettings(ferns=64))
+RECOGNITION = RecognitionSettings()
 FILES = {"occupancy.pgm", "occupancy.yaml"}
 CORNER = np.array([[1.6, 0.6], [2.4, 0.6], [2.4, 1.4], [1.6, 1.4]])
 

@@ -12,10 +12,10 @@ from sessions.kept_views import CALIBRATION, INTRINSICS, SETTINGS, edge, write_m
 from wheelsight.core.errors import MapError
 from wheelsight.core.geometry import se3
 from wheelsight.core.keyframes import Keyframe, KeyframeId
-from wheelsight.core.settings import FernSettings, RecognitionSettings
+from wheelsight.core.settings import RecognitionSettings
 from wheelsight.slam.maps import MapFolder, fused_anew, rebuild
 
-RECOGNITION = RecognitionSettings(ferns=FernSettings(ferns=64))
+RECOGNITION = RecognitionSettings()
 WALL_M = 2.0
 
 

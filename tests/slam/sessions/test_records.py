@@ -7,22 +7,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from sessions.kept_views import CAMERA, INTRINSICS, SETTINGS, edge, keyframe, pose
+from sessions.kept_views import CAMERA, INTRINSICS, edge, keyframe, pose
 
 from wheelsight.core.calibration_parts import DepthNoise
 from wheelsight.core.errors import MapError
 from wheelsight.core.keyframes import Keyframe, KeyframeFeatures
-from wheelsight.slam.maps import SessionSettings, records
 from wheelsight.slam.maps import keyframes as keyframe_records
-from wheelsight.slam.maps.keyframes import DepthSteps
+from wheelsight.slam.maps import records
+from wheelsight.slam.maps.keyframes import DEPTH_SIGMAS, GREY_STEP, DepthSteps
 from wheelsight.slam.maps.records import Place
 
 NOISE = DepthNoise()
-STEPS = DepthSteps.of_noise(NOISE, SETTINGS.depth_sigmas)
+STEPS = DepthSteps.of_noise(NOISE)
 
 
-def there_and_back(given: Keyframe, settings: SessionSettings = SETTINGS) -> Keyframe:
-    return keyframe_records.unpack_keyframe(keyframe_records.pack_keyframe(given, STEPS, settings))
+def there_and_back(given: Keyframe, most_kb: int = 86) -> Keyframe:
+    return keyframe_records.unpack_keyframe(keyframe_records.pack_keyframe(given, STEPS, most_kb))
 
 
 def row_by_row(features: KeyframeFeatures) -> np.ndarray:
@@ -40,10 +40,10 @@ def test_a_keyframe_comes_back_within_its_noise() -> None:
     known = given.depth_m > 0
     assert_array_equal(back.depth_m > 0, known)
     # Half a step, and what the keyframe itself rounds.
-    limit = (0.5 * SETTINGS.depth_sigmas * NOISE.sigma_m(given.depth_m) + 0.0001 + 1e-6)[known]
+    limit = (0.5 * DEPTH_SIGMAS * NOISE.sigma_m(given.depth_m) + 0.0001 + 1e-6)[known]
     assert (np.abs(back.depth_m - given.depth_m)[known] <= 1.01 * limit).all()
     # What is darker than half a step must not become unknown.
-    limit = np.where(given.grey < SETTINGS.grey_step / 2, SETTINGS.grey_step, SETTINGS.grey_step / 2)
+    limit = np.where(given.grey < GREY_STEP / 2, GREY_STEP, GREY_STEP / 2)
     assert (np.abs(back.grey - given.grey) <= limit).all()
     assert_array_equal(back.grey > 0, given.grey > 0)
     assert given.features is not None
@@ -60,24 +60,24 @@ def test_what_came_back_once_stays_as_it_is() -> None:
     twice = there_and_back(once)
     assert_array_equal(twice.depth_m, once.depth_m)
     assert_array_equal(twice.grey, once.grey)
-    assert keyframe_records.pack_keyframe(twice, STEPS, SETTINGS) == keyframe_records.pack_keyframe(
-        once, STEPS, SETTINGS
-    )
+    assert keyframe_records.pack_keyframe(twice, STEPS, 86) == keyframe_records.pack_keyframe(once, STEPS, 86)
 
 
-def test_images_that_are_too_wide_are_halved() -> None:
+def test_images_that_are_too_wide_are_halved(monkeypatch: pytest.MonkeyPatch) -> None:
     given = keyframe(5, keypoints=None, size=(96, 128))
-    back = there_and_back(given, SessionSettings(width_px=64))
+    assert there_and_back(given).depth_m.shape == (96, 128)
+    monkeypatch.setattr(keyframe_records, "WIDTH_PX", 64)
+    back = there_and_back(given)
     assert back.depth_m.shape == (48, 64)
     assert_allclose(back.intrinsics, [30, 30, 15.5, 11.5])
     assert back.features is None
-    assert there_and_back(given, SessionSettings(width_px=128)).depth_m.shape == (96, 128)
     assert back.depth_m.shape == (CAMERA.height, CAMERA.width)
 
 
-def test_keypoints_are_left_out_evenly_where_there_is_no_room() -> None:
-    given, settings = keyframe(6, keypoints=2000), SessionSettings(most_kb=40, least_keypoints=10)
-    packed = keyframe_records.pack_keyframe(given, STEPS, settings)
+def test_keypoints_are_left_out_evenly_where_there_is_no_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(keyframe_records, "_LEAST_KEYPOINTS", 10)
+    given = keyframe(6, keypoints=2000)
+    packed = keyframe_records.pack_keyframe(given, STEPS, 40)
     back = keyframe_records.unpack_keyframe(packed)
     assert given.features is not None
     assert back.features is not None
@@ -87,9 +87,7 @@ def test_keypoints_are_left_out_evenly_where_there_is_no_room() -> None:
     steps = np.diff(rows)
     assert (rows[0], rows[-1]) == (0, len(kept) - 1)
     assert set(steps) <= {steps.min(), steps.min() + 1}
-    least = keyframe_records.unpack_keyframe(
-        keyframe_records.pack_keyframe(given, STEPS, SessionSettings(most_kb=1, least_keypoints=10))
-    )
+    least = there_and_back(given, most_kb=1)
     assert least.features is not None
     assert len(least.features.px) == 10
 
@@ -105,7 +103,7 @@ def test_a_code_comes_back() -> None:
 @given(cut=st.integers(0, 20_000), at=st.integers(0, 20_000), value=st.integers(0, 255))
 def test_bytes_that_are_no_keyframe_are_refused_or_one(cut: int, at: int, value: int) -> None:
     """Such bytes pass no checksum; a hostile file may bring them all the same."""
-    data = bytearray(keyframe_records.pack_keyframe(keyframe(2), STEPS, SETTINGS))
+    data = bytearray(keyframe_records.pack_keyframe(keyframe(2), STEPS, 86))
     cut, at = cut % len(data), at % len(data)
     with pytest.raises(MapError):
         keyframe_records.unpack_keyframe(bytes(data[:cut]))
@@ -118,7 +116,7 @@ def test_bytes_that_are_no_keyframe_are_refused_or_one(cut: int, at: int, value:
 
 
 def test_an_image_that_says_to_be_huge_is_refused() -> None:
-    data = keyframe_records.pack_keyframe(keyframe(2), STEPS, SETTINGS)
+    data = keyframe_records.pack_keyframe(keyframe(2), STEPS, 86)
     begin = data.index(b"VP8L") + 9
     huge = data[:begin] + ((1 << 28) - 1).to_bytes(4, "little") + data[begin + 4 :]
     with pytest.raises(MapError, match="an image of it cannot be read"):
@@ -173,14 +171,15 @@ def test_what_contradicts_itself_is_refused() -> None:
         records.unpack_place(b"short")
 
 
-def test_keypoints_that_fit_once_compressed_are_all_kept() -> None:
+def test_keypoints_that_fit_once_compressed_are_all_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """All at one place, they take little more than their descriptors."""
     given = keyframe(3, keypoints=400)
     assert given.features is not None
     points = np.tile([0.1, 0.2, 1.0], (400, 1))
     alike = replace(given, features=KeyframeFeatures(np.ones((400, 2)), points, given.features.descriptors))
-    size = len(keyframe_records.pack_keyframe(alike, STEPS, SETTINGS))
-    tight = SETTINGS.model_copy(update={"most_kb": -(-size // 1000), "least_keypoints": 1})
+    size = len(keyframe_records.pack_keyframe(alike, STEPS, 86))
+    monkeypatch.setattr(keyframe_records, "_LEAST_KEYPOINTS", 1)
+    tight = -(-size // 1000)
     back = there_and_back(alike, tight).features
     assert back is not None
     assert len(back.px) == 400

@@ -21,12 +21,12 @@ from sessions.mounted_maps import WAY, drive
 from sessions.seen_maps import RING, aside, write_seen
 
 from wheelsight.core.errors import MapError, OutputError
-from wheelsight.core.settings import FernSettings, RecognitionSettings
+from wheelsight.core.settings import RecognitionSettings
 from wheelsight.slam.maps import DRIVE, MapFolder, discard_map, find_map, info_of, merge, prune, rebuild
 from wheelsight.slam.maps.folder import MapLock
 from wheelsight.slam.maps.journal import MERGE, JournalWriter, Record, read_header
 
-RECOGNITION = RecognitionSettings(ferns=FernSettings(ferns=64))
+RECOGNITION = RecognitionSettings()
 EVENTS = ("open", "os.rename", "os.remove", "os.mkdir", "os.rmdir")
 _watchers: list[Callable[[], None]] = []
 

@@ -19,14 +19,14 @@ from sessions.killed_drive import KEYFRAMES_A_SECOND
 from wheelsight.core.estimates import Estimate, Status
 from wheelsight.core.geometry import se3
 from wheelsight.core.keyframes import KeyframeId, KeyframeStore
-from wheelsight.core.settings import FernSettings, RecognitionSettings
+from wheelsight.core.settings import RecognitionSettings
 from wheelsight.mapping import SurfelMap
-from wheelsight.slam.maps import MapFolder, MapWriter, SessionSettings
+from wheelsight.slam.maps import MapFolder, MapWriter
 from wheelsight.slam.maps.journal import read_journal
 from wheelsight.slam.maps.records import RecordKind, unpack_poses
 from wheelsight.slam.maps.writer import THREAD
 
-RECOGNITION = RecognitionSettings(ferns=FernSettings(ferns=64))
+RECOGNITION = RecognitionSettings()
 PROJECT = Path(__file__).resolve().parents[3]
 
 
@@ -71,7 +71,7 @@ def test_a_drive_leaves_its_map(tmp_path: Path) -> None:
 def test_a_keyframe_is_written_once_it_is_settled(tmp_path: Path) -> None:
     """The first is made anew at the second frame."""
     store = KeyframeStore()
-    folder = MapFolder.create(tmp_path / "map", CALIBRATION, SessionSettings(settled_frames=2))
+    folder = MapFolder.create(tmp_path / "map", CALIBRATION, SETTINGS)
     writer = MapWriter(folder, store)
     number = store.add(keyframe(0), pose(0))
     writer.look(answer(0))
@@ -101,9 +101,10 @@ def test_moved_keyframes_are_written_while_driving(tmp_path: Path) -> None:
     writer.close()
 
 
-def test_poses_that_move_all_the_time_do_not_fill_the_disk(tmp_path: Path) -> None:
+def test_poses_that_move_all_the_time_do_not_fill_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Those that moved most are written while driving, and all at the end."""
-    settings = SETTINGS.model_copy(update={"moved_poses": 2, "flush_s": 1e-6})
+    monkeypatch.setattr("wheelsight.slam.maps.writer._MOVED_POSES", 2)
+    settings = SETTINGS.model_copy(update={"flush_s": 1e-6})
     store = KeyframeStore()
     writer = MapWriter(MapFolder.create(tmp_path / "map", CALIBRATION, settings), store)
     drive(writer, store, 20)

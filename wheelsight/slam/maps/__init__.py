@@ -20,7 +20,7 @@ from wheelsight.slam.maps.keyframes import KeptKeyframes
 from wheelsight.slam.maps.rebuilding import MergedMap, PrunedMap, fused_anew, merge, prune, rebuild
 from wheelsight.slam.maps.records import Place
 from wheelsight.slam.maps.writer import MapWriter, SeenKeyframe, odometry_edge
-from wheelsight.slam.settings import PruneSettings, SessionSettings
+from wheelsight.slam.settings import SessionSettings
 
 __all__ = [
     "DRIVE",
@@ -35,7 +35,6 @@ __all__ = [
     "MapWriter",
     "MergedMap",
     "Place",
-    "PruneSettings",
     "PrunedMap",
     "SeenKeyframe",
     "SessionSettings",

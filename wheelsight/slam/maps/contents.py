@@ -27,9 +27,11 @@ from wheelsight.slam.maps.folder import OCCUPANCY_FILE, OCCUPANCY_IMAGE, RECOGNI
 from wheelsight.slam.maps.journal import GRAPH, HEADER_FILE, KEYFRAMES, Health, MapHeader, Record, journals_of
 from wheelsight.slam.maps.keyframes import KeptKeyframes, Size
 from wheelsight.slam.maps.records import Place
-from wheelsight.slam.settings import SessionSettings
 
 Progress = Callable[[str, int, int], None]
+
+# Standard deviations from which an edge does not connect its keyframes, as of a camera that was carried away. Chosen.
+_SURE_M, _SURE_RAD = 0.5, 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,13 +198,13 @@ def lie_together(folder: MapFolder) -> BoolArray:
     """Return (N,) which keyframes belong to the largest piece connected by certain edges."""
     there = are_there(folder)
     together = np.zeros(len(there), bool)
-    together[there] = pieces_of(MapParts.of(folder), folder.settings) == 0
+    together[there] = pieces_of(MapParts.of(folder)) == 0
     return together
 
 
-def pieces_of(parts: MapParts, settings: SessionSettings) -> IntArray:
+def pieces_of(parts: MapParts) -> IntArray:
     """Return the piece (N,) of each keyframe, connected by certain edges; the largest piece is 0."""
-    piece = connected([edge for edge in parts.edges if is_sure(edge, settings)], len(parts))
+    piece = connected([edge for edge in parts.edges if _is_sure(edge)], len(parts))
     order = np.argsort(-np.bincount(piece, minlength=1), kind="stable")
     return np.asarray(np.argsort(order)[piece], np.int64)
 
@@ -216,10 +218,10 @@ def connected(edges: Sequence[RelativePose], count: int) -> IntArray:
     return np.asarray(connected_components(graph, directed=False)[1], np.int64)
 
 
-def is_sure(edge: RelativePose, settings: SessionSettings) -> bool:
+def _is_sure(edge: RelativePose) -> bool:
     """Return whether an edge constrains its keyframes; that of a camera that was carried away does not."""
     sigmas: FloatArray = np.sqrt(np.diag(edge.covariance))
-    return bool((sigmas[:3] < settings.sure_m).all() and (sigmas[3:] < settings.sure_rad).all())
+    return bool((sigmas[:3] < _SURE_M).all() and (sigmas[3:] < _SURE_RAD).all())
 
 
 OccupancyProgress = Callable[[int, int], None]
@@ -296,11 +298,7 @@ def driven_way(folder: MapFolder) -> tuple[FloatArray, ...]:
     if folder.calibration.T_base_camera is not None:
         T = T @ np.linalg.inv(folder.calibration.T_base_camera)
     at = np.column_stack([T[:, :2, 3], np.arctan2(T[:, 1, 0], T[:, 0, 0])])
-    driven = {
-        (int(edge.first), int(edge.second))
-        for edge in folder.edges
-        if not edge.is_loop and is_sure(edge, folder.settings)
-    }
+    driven = {(int(edge.first), int(edge.second)) for edge in folder.edges if not edge.is_loop and _is_sure(edge)}
     is_step = np.array([ends in driven for ends in pairwise(numbers.tolist())], bool)  # empty for one keyframe
     is_step &= np.linalg.norm(np.diff(at[:, :2], axis=0), axis=1) <= _STRAIGHT_M
     return tuple(np.split(at, np.flatnonzero(~is_step) + 1))

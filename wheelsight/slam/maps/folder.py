@@ -51,6 +51,7 @@ PLACES_FILE = "places.json"
 _MADE = (RECOGNITION_FILE, SURFELS_FILE, OCCUPANCY_FILE, OCCUPANCY_IMAGE, EDITS_FILE, PLACES_FILE)
 _FILES = (HEADER_FILE, CALIBRATION_FILE, *_MADE)
 _TEMPORARY = re.compile(rf"\.({'|'.join(map(re.escape, _FILES))})\.[0-9a-f]{{8}}")
+_JOURNAL_KEYFRAMES = 64  # keyframes per journal: 4 MB
 _READ_ONLY = "open it with read_only=False"
 # Largest number of records in a graph journal that is written; readers accept three times as many.
 _GRAPH_RECORDS = 100_000
@@ -88,8 +89,8 @@ class MapFolder:
         self.store = KeptKeyframes(
             contents.where, contents.T_map_keyframe, settings.memory_keyframes, header.camera.size_px
         )
-        self._steps = DepthSteps.of_noise(calibration.depth_noise, settings.depth_sigmas)
-        self._pieces = _Journals(path, settings.piece_keyframes)
+        self._steps = DepthSteps.of_noise(calibration.depth_noise)
+        self._pieces = _Journals(path)
         self._edge_count = contents.edge_count
         self._where = dict(contents.where)
 
@@ -182,7 +183,7 @@ class MapFolder:
     def check_camera(self, calibration: Calibration, depth_factor: float | None = None) -> None:
         """Raise MapError with the difference if a calibration is of another camera than the map's."""
         camera = MapCamera.of(calibration, depth_factor)
-        why = self.header.camera.why_other(camera, self.settings.camera_share)
+        why = self.header.camera.why_other(camera)
         if why is not None:
             fix = "give the map of this camera, or --camera and --calibration as when it was made"
             raise MapError(f"is of another camera: {why}", path=self.path, fix=fix)
@@ -206,7 +207,7 @@ class MapFolder:
             if T is not None and not se3.is_valid(T):
                 raise ArgumentError(f"the pose of keyframe {number} is no rigid motion", fix="give SE(3), (4, 4)")
         self._need_lock()
-        content = pack_keyframe(keyframe, self._steps, self.settings)
+        content = pack_keyframe(keyframe, self._steps, self.settings.most_kb)
         journal = self._pieces.of_keyframes()
         record = journal.append(RecordKind.KEYFRAME, number, content)
         self._where[number] = journal.path, record
@@ -346,15 +347,15 @@ class MapFolder:
 class _Journals:
     """The journals of one writer, begun on demand, with a limited number of keyframes per journal."""
 
-    def __init__(self, folder: Path, most_keyframes: int) -> None:
-        self._folder, self._most = folder, most_keyframes
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
         self._keyframes: JournalWriter | None = None
         self._graph: JournalWriter | None = None
         self._count = self._graph_count = 0
 
     def of_keyframes(self) -> JournalWriter:
         """Return the journal for the next keyframe."""
-        if self._keyframes is not None and self._count >= self._most:
+        if self._keyframes is not None and self._count >= _JOURNAL_KEYFRAMES:
             full, self._keyframes = self._keyframes, None
             full.close()
         if self._keyframes is None:

@@ -420,6 +420,9 @@ DRIVE, REBUILD, MERGE, PRUNE, REMOVAL = MAKERS = ("drive", "rebuild", "merge", "
 """Long operations that write or remove a map."""
 _NO_MAP = "give a folder that `wheelsight run` left as its map"
 _FILE = Kind("what a map says of itself", most_mb=1, fix=_NO_MAP, missing="is no map: map.json is missing")
+# Largest difference of focal lengths, and of the principal point relative to the image size, between cameras that count
+# as the same. Estimated: two calibrations of one Kinect differ by 1 %.
+_CAMERA_SHARE = 0.02
 _LENS = ("fx", "fy", "cx", "cy")
 _SIZE = ("width", "height")
 
@@ -456,14 +459,14 @@ class MapCamera:
         fx, fy, cx, cy = (float(getattr(depth, name)) for name in _LENS)
         return cls(int(depth.width), int(depth.height), fx, fy, cx, cy, calibration.is_registered, depth_factor)
 
-    def why_other(self, other: MapCamera, share: float) -> str | None:
-        """Return how another camera differs by more than a share of the values; None if it does not."""
+    def why_other(self, other: MapCamera) -> str | None:
+        """Return how another camera differs by more than `_CAMERA_SHARE`; None if it does not."""
         if (self.width, self.height) != (other.width, other.height):
             return f"its images are {self.width}×{self.height}, these {other.width}×{other.height}"
         limits = {"fx": self.fx, "fy": self.fy, "cx": self.width, "cy": self.height}
         for name, size in limits.items():
             mine, theirs = getattr(self, name), getattr(other, name)
-            if abs(mine - theirs) > share * size:
+            if abs(mine - theirs) > _CAMERA_SHARE * size:
                 return f"its {name} is {mine:.1f} px, here {theirs:.1f}"
         if self.is_registered != other.is_registered:
             return (
@@ -472,7 +475,7 @@ class MapCamera:
                 else ("its depth is not registered to colour, here it is")
             )
         factors = self.depth_factor, other.depth_factor
-        if factors[0] is not None and factors[1] is not None and abs(factors[0] / factors[1] - 1) > share:
+        if factors[0] is not None and factors[1] is not None and abs(factors[0] / factors[1] - 1) > _CAMERA_SHARE:
             return f"its depth factor is {factors[0]:g}, here {factors[1]:g}"
         return None
 

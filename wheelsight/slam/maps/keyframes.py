@@ -28,7 +28,6 @@ from wheelsight.mapping import columns
 from wheelsight.places.recognition import known_grey
 from wheelsight.slam.maps.journal import Record, read_record
 from wheelsight.slam.maps.records import RecordKind
-from wheelsight.slam.settings import SessionSettings
 from wheelsight.vision.dense.pyramid import Level, coarser
 from wheelsight.vision.dense.settings import DenseSettings
 
@@ -101,31 +100,36 @@ _DAMAGED = "use another copy of the map"
 # Keyframes store depth no finer than this, metres. Without the quadratic term, the closed form below does not exist.
 _FINEST_M, _LEAST_QUADRATIC = 0.0004, 1e-9
 _BRIGHTEST = 255
+WIDTH_PX = 320  # largest width of stored images; larger ones are halved, as in recognition
+# Steps of depth, in standard deviations of its noise, and of grey, in levels of 255: two real recordings of Kinects,
+# docs/decisions/maps-in-memory-and-on-disk.md.
+DEPTH_SIGMAS, GREY_STEP = 2.0, 8
+_LEAST_KEYPOINTS = 300  # stored even if images leave no room for them; as many as become words
 _HALVED, _ROWS = DenseSettings(levels=1), Rows(1)
-# As `SessionSettings.width_px` allows.
+# Of maps from before 2026-11-29, whose width could be set.
 LARGEST_PX = 4096, 4096
-# Above 100, WebP is lossless: 22 to 27 % smaller than PNG (docs/decisions/0102).
+# Above 100, WebP is lossless: 22 to 27 % smaller than PNG (docs/decisions/maps-in-memory-and-on-disk.md).
 _LOSSLESS = (cv2.IMWRITE_WEBP_QUALITY, 101)
 Size = tuple[int, int]
 """Width and height of an image, pixels."""
 
 
-def pack_keyframe(keyframe: Keyframe, steps: DepthSteps, settings: SessionSettings) -> bytes:
-    """Return the record of a keyframe.
+def pack_keyframe(keyframe: Keyframe, steps: DepthSteps, most_kb: int) -> bytes:
+    """Return the record of a keyframe, of at most so many kilobytes.
 
     `unpack_keyframe` restores it up to quantisation, image width, and surplus keypoints.
     """
-    level = halved(keyframe, settings.width_px)
+    level = halved(keyframe)
     depth = packed_depth(steps.numbers(level.depth_m))
-    grey = packed_grey(grey_numbers(level.grey, settings.grey_step))
+    grey = packed_grey(grey_numbers(level.grey, GREY_STEP))
     code = b"" if keyframe.code is None else np.ascontiguousarray(keyframe.code, "<f8").tobytes()
-    room = 1000 * settings.most_kb - _HEAD.size - len(depth) - len(grey) - len(code)
+    room = 1000 * most_kb - _HEAD.size - len(depth) - len(grey) - len(code)
     count, places, descriptors = _packed_features(keyframe.features, _MOST_KEYPOINTS)
-    while (taken := len(places) + len(descriptors)) > room and count > settings.least_keypoints:
-        most = max(min(room * count // taken, count - 1), settings.least_keypoints)
+    while (taken := len(places) + len(descriptors)) > room and count > _LEAST_KEYPOINTS:
+        most = max(min(room * count // taken, count - 1), _LEAST_KEYPOINTS)
         count, places, descriptors = _packed_features(keyframe.features, most)
     sizes = (len(depth), len(grey), len(code), count, len(places))
-    head = _HEAD.pack(keyframe.stamp_s, *level.intrinsics, steps.step_m, steps.growth, *sizes, settings.grey_step)
+    head = _HEAD.pack(keyframe.stamp_s, *level.intrinsics, steps.step_m, steps.growth, *sizes, GREY_STEP)
     return b"".join([head, depth, grey, code, places, descriptors])
 
 
@@ -200,9 +204,9 @@ class DepthSteps:
     growth: float
 
     @classmethod
-    def of_noise(cls, noise: DepthNoise, sigmas: float) -> DepthSteps:
-        """Return steps of a number of standard deviations."""
-        step_m, growth = sigmas * noise.constant_m, sigmas * noise.quadratic_per_m
+    def of_noise(cls, noise: DepthNoise) -> DepthSteps:
+        """Return steps of `DEPTH_SIGMAS` standard deviations."""
+        step_m, growth = DEPTH_SIGMAS * noise.constant_m, DEPTH_SIGMAS * noise.quadratic_per_m
         return cls(max(step_m, _FINEST_M), max(growth, _LEAST_QUADRATIC))
 
     def numbers(self, depth_m: Float32Array) -> NDArray[np.uint16]:
@@ -232,10 +236,10 @@ def grey_of(numbers: NDArray[np.uint8], step: int) -> Float32Array:
     return np.asarray(np.minimum(numbers.astype(np.float32) * step, _BRIGHTEST), np.float32)
 
 
-def halved(keyframe: Keyframe, width_px: int) -> Level:
-    """Return the keyframe's images, halved until they are at most `width_px` wide."""
+def halved(keyframe: Keyframe) -> Level:
+    """Return the keyframe's images, halved until they are at most `WIDTH_PX` wide."""
     level = Level(keyframe.intrinsics, keyframe.depth_m, known_grey(keyframe))
-    while level.depth_m.shape[1] > width_px:
+    while level.depth_m.shape[1] > WIDTH_PX:
         level = coarser(level, _HALVED, _ROWS)[1]
     return level
 

@@ -13,7 +13,7 @@ from wheelsight.core.errors import MapError
 from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import IntArray, se3, so3
 from wheelsight.core.keyframes import KeyframeId, KeyframeStore, Surface
-from wheelsight.core.settings import PlaceVerificationSettings, RecognitionSettings
+from wheelsight.core.settings import RecognitionSettings
 from wheelsight.core.threads import Rows
 from wheelsight.mapping import SurfelMap, SurfelSettings
 from wheelsight.places.recognition import Recognizer, ViewMaker, known_grey
@@ -37,10 +37,14 @@ from wheelsight.slam.maps.contents import (
 from wheelsight.slam.maps.folder import MapFolder, make_room, map_being_made
 from wheelsight.slam.maps.journal import MERGE, PRUNE, REBUILD
 from wheelsight.slam.place_recognition import PlaceWatcher
-from wheelsight.slam.settings import LoopSettings
 from wheelsight.vision.dense.pyramid import Level, ReferenceMaker
 from wheelsight.vision.dense.settings import DenseSettings
 
+# Pruning removes a keyframe if another one at most this far, metres and radians, shows this share of its surfaces. From
+# another direction, keypoints differ. Chosen; the share is from docs/decisions/recognition-and-sessions.md.
+_NEAR_M, _NEAR_RAD, _COVERED = 0.2, 0.25, 0.7
+# Frames that a keyframe counts as when surfels are fused from keyframes alone: two keyframes make a surfel stable.
+_REBUILD_FRAMES = 6
 _FIX = "give maps that show a place in common, from two views at least"
 
 
@@ -66,7 +70,6 @@ def merge(
     second: MapFolder,
     out: StrPath,
     *,
-    loops: LoopSettings | None = None,
     recognition: RecognitionSettings | None = None,
     surfels: SurfelSettings | None = None,
     on_keyframe: Progress = lambda doing, done, total: None,
@@ -80,7 +83,7 @@ def merge(
     Args:
         first, second: open maps of one camera.
         out: folder that is empty, missing, or left by an interrupted merge, rebuild or prune.
-        loops, recognition, surfels: settings, or None for the defaults.
+        recognition, surfels: settings, or None for the defaults.
         on_keyframe: called with the current task, the number of finished keyframes, and their total.
 
     Raises:
@@ -90,15 +93,15 @@ def merge(
     """
     _refuse_unlike(first, second)
     make_room(out)
-    pair, settings = _Pair(MapParts.of(first), MapParts.of(second)), loops or LoopSettings()
+    pair = _Pair(MapParts.of(first), MapParts.of(second))
     if len(pair.first) == len(first.store):
         known = first.recognizer(recognition, lambda done, total: on_keyframe("recognition", done, total))
     else:
         known = recognizer_of(pair.first, recognition, on_keyframe)
     store = pair.both.store(first.settings.memory_keyframes)
-    watcher = PlaceWatcher(store, first.calibration, settings.seen, recognition, known)
-    pieces = pair.pieces(first)
-    graph = _graph_of(pair, pieces, settings)
+    watcher = PlaceWatcher(store, first.calibration, 0.0, recognition, known)
+    pieces = pair.pieces()
+    graph = _graph_of(pair, pieces)
     _close_loops(pair, watcher, graph, on_keyframe)
     kept = np.flatnonzero(graph.pieces == 0)
     if kept.max() < len(pair.first):
@@ -127,7 +130,7 @@ def merge(
 
 def _refuse_unlike(first: MapFolder, second: MapFolder) -> None:
     """Raise MapError for different cameras and for a map without keyframes."""
-    why = first.header.camera.why_other(second.header.camera, first.settings.camera_share)
+    why = first.header.camera.why_other(second.header.camera)
     if why is not None:
         problem = f"is of another camera than {second.path}: {why}"
         raise MapError(problem, path=first.path, fix="give two maps of one camera")
@@ -147,18 +150,18 @@ class _Pair:
         """Return whether an edge connects the two maps."""
         return (edge.first < len(self.first)) != (edge.second < len(self.first))
 
-    def pieces(self, folder: MapFolder) -> IntArray:
+    def pieces(self) -> IntArray:
         """Return the piece (N,) of each keyframe of both maps; those of the second map have higher numbers."""
-        of_first, of_second = (pieces_of(parts, folder.settings) for parts in (self.first, self.second))
+        of_first, of_second = (pieces_of(parts) for parts in (self.first, self.second))
         return np.concatenate([of_first, of_second + of_first.max(initial=-1) + 1])
 
 
-def _graph_of(pair: _Pair, pieces: IntArray, settings: LoopSettings) -> PieceGraph:
+def _graph_of(pair: _Pair, pieces: IntArray) -> PieceGraph:
     """Return a graph of both maps with a prior on each piece's first keyframe.
 
     The prior of the first map's largest piece is permanent, the others last until loops join their pieces.
     """
-    graph = PieceGraph(settings)
+    graph = PieceGraph()
     for T_map_keyframe, piece in zip(pair.both.T_map_keyframe, pieces.tolist(), strict=True):
         graph.add(T_map_keyframe, piece)
     for piece, number in zip(*np.unique(pieces, return_index=True), strict=True):
@@ -214,7 +217,7 @@ def prune(
     recognition: RecognitionSettings | None = None,
     on_keyframe: Progress = lambda doing, done, total: None,
 ) -> PrunedMap:
-    """Write a map into another folder without keyframes whose view another one shows; see `PruneSettings`.
+    """Write a map into another folder without keyframes whose view another one shows.
 
     The remaining keyframes get new numbers and keep their poses. Edges of a removed keyframe move to a neighbour, see
     `without`. Its surfels move to the keyframe that shows the same view.
@@ -249,21 +252,21 @@ def prune(
 
 def _shown_by(parts: MapParts, folder: MapFolder, on_keyframe: Callable[[int, int], None]) -> IntArray:
     """Return (N,) the keyframe that covers each one: itself, or an earlier one of the same piece that is kept."""
-    views, store, settings = ViewMaker(folder.calibration), parts.store(1), folder.settings.prune
-    pieces, noise, free = pieces_of(parts, folder.settings), folder.calibration.depth_noise, PlaceVerificationSettings()
+    views, store = ViewMaker(folder.calibration), parts.store(1)
+    pieces, noise = pieces_of(parts), folder.calibration.depth_noise
     T, shown_by = parts.T_map_keyframe, np.arange(len(parts))
     levels: list[Level] = []
-    nearby = cKDTree(T[:, :3, 3]).query_ball_point(T[:, :3, 3], settings.near_m, return_sorted=True)
+    nearby = cKDTree(T[:, :3, 3]).query_ball_point(T[:, :3, 3], _NEAR_M, return_sorted=True)
     for number in range(len(parts)):
         levels.append(views.of_keyframe(store[KeyframeId(number)]).grid.levels[-1])
         earlier = [k for k in nearby[number] if k < number and shown_by[k] == k and pieces[k] == pieces[number]]
         found = 0.0
         for other in earlier:
             T_other_this = se3.invert(T[other]) @ T[number]
-            if so3.angle(T_other_this[:3, :3]) > settings.near_rad:
+            if so3.angle(T_other_this[:3, :3]) > _NEAR_RAD:
                 continue
-            share = shown_share(levels[number], levels[other], T_other_this, noise, free)
-            if share >= settings.covered and share > found:
+            share = shown_share(levels[number], levels[other], T_other_this, noise)
+            if share >= _COVERED and share > found:
                 found, shown_by[number] = share, other
         on_keyframe(number + 1, len(parts))
     return shown_by
@@ -368,7 +371,7 @@ def _fused(
     maker = ReferenceMaker(noise, dense, Rows(dense.threads))
     for done, number in enumerate(numbers, start=1):
         keyframe = store[number]
-        how = (keyframe.stamp_s, noise, like.settings.rebuild_frames, number)
+        how = (keyframe.stamp_s, noise, _REBUILD_FRAMES, number)
         level = Level(keyframe.intrinsics, keyframe.depth_m, known_grey(keyframe))
         surface = Surface(level.depth_m, maker.normals(level), level.grey)
         surfel_map.fuse(surface, keyframe.intrinsics, store.pose(number), *how)

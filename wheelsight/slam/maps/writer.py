@@ -26,8 +26,7 @@ from wheelsight.slam.graph import RelativePose, step_edge
 from wheelsight.slam.maps.contents import save_occupancy
 from wheelsight.slam.maps.folder import MapFolder
 from wheelsight.slam.maps.journal import DRIVE, Record
-from wheelsight.slam.maps.keyframes import DepthSteps, pack_keyframe, read_keyframe
-from wheelsight.slam.settings import SessionSettings
+from wheelsight.slam.maps.keyframes import WIDTH_PX, DepthSteps, pack_keyframe, read_keyframe
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,17 +54,20 @@ class SeenKeyframe:
         return cls(number, T_odom_keyframe, estimate.filter_covariance)
 
 
-def odometry_edge(before: SeenKeyframe, now: SeenKeyframe, settings: SessionSettings) -> RelativePose | None:
+def odometry_edge(before: SeenKeyframe, now: SeenKeyframe) -> RelativePose | None:
     """Return the odometry edge between successive keyframes; None if either has no odometry."""
     T_before, C_before, T_now, C_now = before.T_odom_keyframe, before.covariance, now.T_odom_keyframe, now.covariance
     if T_before is None or C_before is None or T_now is None or C_now is None:
         return None
-    return step_edge((before.number, now.number), (T_before, C_before), (T_now, C_now), settings)
+    return step_edge((before.number, now.number), (T_before, C_before), (T_now, C_now))
 
 
+# Frames after which a keyframe is written: the first one is undistorted once the second shows the camera's speed.
+_SETTLED_FRAMES = 2
+# Changed poses written while driving, for each new keyframe, 104 bytes each; the largest changes first, and all at the
+# end. A hundredth of a keyframe's 100 kB: docs/decisions/maps-in-memory-and-on-disk.md.
+_MOVED_POSES = 8
 THREAD = "wheelsight-map-writer"
-# Width in pixels of the warm-up images: they are halved as those of most cameras are.
-_REHEARSED_PX = 320
 _MOUNTED = Calibration(T_base_camera=np.eye(4))
 
 
@@ -150,7 +152,7 @@ class MapWriter:
         for number in range(self._taken, len(self._store)):
             self._unsettled.append((self._frames, SeenKeyframe.of(KeyframeId(number), estimate)))
         self._taken = len(self._store)
-        self._queue_settled(self._frames - self._folder.settings.settled_frames)
+        self._queue_settled(self._frames - _SETTLED_FRAMES)
         if self._store.revision != self._revision and self._now_s() - self._sent_s >= self._folder.settings.flush_s:
             self._queue_poses()
 
@@ -215,11 +217,11 @@ class MapWriter:
 
 def _load_kernels(folder: MapFolder, recognition: RecognitionSettings | None) -> None:
     """Load compiled kernels before the drive, since loading blocks all threads."""
-    width_px = 2 * min(folder.settings.width_px, _REHEARSED_PX)
+    width_px = 2 * WIDTH_PX  # halved as images of most cameras are
     images = np.ones((width_px // 2, width_px), np.float32), np.ones((width_px // 2, width_px), np.float32)
     features = KeyframeFeatures(np.ones((1, 2)), np.ones((1, 3)), np.zeros((1, 4), np.uint64))
     keyframe = Keyframe.of_images(0.0, np.array([width_px, width_px, width_px / 2, width_px / 4]), *images, features)
-    pack_keyframe(keyframe, DepthSteps.of_noise(folder.calibration.depth_noise, 1.0), folder.settings)
+    pack_keyframe(keyframe, DepthSteps.of_noise(folder.calibration.depth_noise), folder.settings.most_kb)
     if recognition is not None:
         Recognizer(recognition).add(KeyframeId(0), keyframe)
     OccupancyMapper(_MOUNTED).add(KeyframeId(0), keyframe, np.eye(4))
@@ -309,7 +311,7 @@ class _Written:
             return
         where = self._folder.append_keyframe(number, keyframe, new.T_map_keyframe, new.seen.T_odom_keyframe)
         self._unflushed.append((number, where))
-        edge = None if before is None else odometry_edge(before, new.seen, self._folder.settings)
+        edge = None if before is None else odometry_edge(before, new.seen)
         if edge is not None and number not in self._stepped:
             self._folder.append_edges([edge])
             self._stepped.add(number)
@@ -342,7 +344,7 @@ class _Written:
         off = np.abs(known - T_map_keyframe).max(axis=(1, 2))  # metres, and about radians for rotations
         moved = np.flatnonzero(off > 0)
         if not is_last:
-            room = self._folder.settings.moved_poses * self.keyframes - self._moved
+            room = _MOVED_POSES * self.keyframes - self._moved
             moved = moved[np.argsort(-off[moved], kind="stable")[: max(room, 0)]]
         self._folder.append_poses(moved, T_map_keyframe[moved])
         known[moved] = T_map_keyframe[moved]

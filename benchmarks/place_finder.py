@@ -10,10 +10,12 @@ import numpy as np
 from wheelsight.core.estimates import DEGENERATE_SCALE
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
-from wheelsight.core.settings import PlaceVerificationSettings, RecognitionSettings
 from wheelsight.places.recognition import Recognizer, SeenView
 from wheelsight.places.verification import PlaceVerifier, RefusedPlace, VerifiedPlace
 
+_APART_M = 0.05  # between two keyframes that count as two, a turn by a radian as 1.5 m
+_AGREE_CHI2 = 22.5  # up to which two answers agree: χ² of 6, 99.9 %
+_UNSEEN_SIGMA_M = 10.0  # as places are verified
 _CERTAIN = np.zeros((6, 6))
 
 
@@ -40,14 +42,10 @@ class PlaceFinder:
     Args:
         recognizer: recognizer with the keyframes.
         verifier: compares the view with a keyframe.
-        settings: settings, or None for the defaults.
     """
 
-    def __init__(
-        self, recognizer: Recognizer, verifier: PlaceVerifier, settings: RecognitionSettings | None = None
-    ) -> None:
+    def __init__(self, recognizer: Recognizer, verifier: PlaceVerifier) -> None:
         self._recognizer, self._verifier = recognizer, verifier
-        self._settings = settings or RecognitionSettings()
 
     def find(
         self,
@@ -74,10 +72,10 @@ class PlaceFinder:
             for earlier in verified:
                 # Two places with unobserved directions would agree on whatever the other one does not observe.
                 T_first_second = se3.invert(T_map_keyframe[earlier.keyframe]) @ T_map_keyframe[answer.keyframe]
-                is_apart = not se3.view_shift_m(T_first_second) < self._settings.apart_m
+                is_apart = not se3.view_shift_m(T_first_second) < _APART_M
                 if not (earlier.shows_all and answer.shows_all and is_apart):
                     continue
-                both = joined(earlier, answer, T_first_second, _CERTAIN, self._settings.verification)
+                both = joined(earlier, answer, T_first_second, _CERTAIN)
                 if both is not None:
                     return Search(both, True, (*verified, answer), tuple(refused))
             verified.append(answer)
@@ -94,7 +92,7 @@ class PlaceFinder:
         best = max(answers, key=lambda answer: answer.inliers)
         for other in answers:
             T_best_other = se3.invert(T_map_keyframe[best.keyframe]) @ T_map_keyframe[other.keyframe]
-            if joined(best, other, T_best_other, _CERTAIN, self._settings.verification) is None:
+            if joined(best, other, T_best_other, _CERTAIN) is None:
                 return None
         return best
 
@@ -119,7 +117,6 @@ def joined(
     second: VerifiedPlace,
     T_first_second: FloatArray,
     covariance: FloatArray,
-    settings: PlaceVerificationSettings,
 ) -> VerifiedPlace | None:
     """Return both places combined, relative to the first keyframe; None if they contradict; see `distance_chi2`.
 
@@ -127,14 +124,14 @@ def joined(
     """
     off, (own, others) = _apart(first, second, T_first_second, covariance)
     total = own + others
-    if off @ np.linalg.solve(total, off) > settings.agree_chi2:
+    if off @ np.linalg.solve(total, off) > _AGREE_CHI2:
         return None
     T = se3.exp(own @ np.linalg.solve(total, off)) @ first.T_keyframe_camera
     spread = own - own @ np.linalg.solve(total, own)
     together = 0.5 * (spread + spread.T) + first.shared
     # Directions with about the variance of unobserved ones.
     variances, directions = np.linalg.eigh(together * np.outer(DEGENERATE_SCALE, DEGENERATE_SCALE))
-    is_unseen = variances > (0.5 * settings.unseen_sigma_m) ** 2
+    is_unseen = variances > (0.5 * _UNSEEN_SIGMA_M) ** 2
     return replace(
         first,
         T_keyframe_camera=T,
