@@ -1,4 +1,4 @@
-"""docs/configuration.md, made of the settings themselves. Write it anew: python tests/configuration_page.py"""
+"""docs/configuration.md, made from the settings. Update it: python tests/configuration_page.py"""
 
 from __future__ import annotations
 
@@ -15,23 +15,26 @@ from wheelsight.config import Config
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "configuration.md"
 HEAD = """# Configuration
 
-Every setting of a run, with its default. A run takes them from a file, `wheelsight run RECORDING --config
-settings.yaml`, which names what it changes and nothing else:
+All settings of a run, with their defaults. `wheelsight run RECORDING --config settings.yaml` reads them from a file,
+which names only what it changes:
 
 ```yaml
 clocks: {followers: 5}
-localizer:
-  base_check: {sure_m: 1.0}
+report:
+  pictures: 8
 ```
 
-What a run went by, defaults included, stands in the `config.yaml` beside its results; that file can be given to
-`--config` again. A name that is unknown, or a value out of its range, is refused with file, line and what would be
-right. In Python it is `wheelsight.config.load_config(path)`.
+A run writes its settings, defaults included, to `config.yaml` beside its results. `--config` accepts that file again. An
+unknown name, or a value out of range, is refused with file, line and fix. In Python, use
+`wheelsight.config.load_config(path)`.
 
-The last column says where a default comes from: "found on the simulator alone" means that no real drive has confirmed
-it.
+Settings of earlier versions that are constants now are refused with their value. To use the file of an old run, write
+the rest to a new file: `wheelsight config --config OLD.yaml --drop-removed --changed > NEW.yaml`. wheelsight itself
+ignores such names in old results and maps.
 
-This page is made of the settings themselves, by `python tests/configuration_page.py`.
+The last column is the source of the default. No real drive has confirmed those "found on the simulator alone".
+
+This page is made from the settings by `python tests/configuration_page.py`.
 """
 
 

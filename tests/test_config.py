@@ -224,7 +224,7 @@ def test_what_is_written_of_places_is_what_was_used(tmp_path: Path) -> None:
     start = {"places.start": "1.5,-2,90"}
     for extra, expected in (
         ({}, ("probabilistic", None, None)),
-        ({"places.rectify": "paper"}, ("paper", "increment", {"told": [0, 0.9, 0.1], "untold": [0, 1]})),
+        ({"places.rectify": "paper"}, ("paper", "increment", {"with_area": [0, 0.9, 0.1], "without_area": [0, 1]})),
     ):
         config = load_config(overrides={**WITH_PLACES, **start, **extra})
         save_config(config, tmp_path / "out.yaml")
@@ -237,10 +237,10 @@ def test_what_is_written_of_places_is_what_was_used(tmp_path: Path) -> None:
 def test_weights_share_out_what_gamma_leaves_where_areas_tell_nothing() -> None:
     config = load_config(overrides={**WITH_PLACES, "places.rectify": "paper", "places.weights": "0.2,0.6,0.2"})
     assert config.places.weights is not None
-    assert config.places.weights.untold == pytest.approx((0.25, 0.75))
+    assert config.places.weights.without_area == pytest.approx((0.25, 0.75))
     only_areas = load_config(overrides={**WITH_PLACES, "places.rectify": "paper", "places.weights": "0,0,1"})
     assert only_areas.places.weights is not None
-    assert only_areas.places.weights.untold == (0, 1)
+    assert only_areas.places.weights.without_area == (0, 1)
 
 
 @pytest.mark.parametrize(

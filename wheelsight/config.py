@@ -1,4 +1,4 @@
-"""Config: every setting of a run, read from YAML, overridden by name, written out resolved beside the results."""
+"""`Config`, all settings of a run. `load_config` reads it from YAML, and `save_config` writes it beside the results."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from wheelsight.core.settings import (
     conflict,
     setting,
 )
-from wheelsight.core.settings.base import Fault, RemovedSetting, over_profile, split_removed
+from wheelsight.core.settings.base import RemovedSetting, SettingFault, over_profile, split_removed
 from wheelsight.core.settings.fusion import AxisWeights, FusionSettings, OdometryTerm, Weights
 from wheelsight.io.recordings.recording import OpenOptions
 from wheelsight.mapping import SurfelSettings
@@ -44,11 +44,11 @@ from wheelsight.wheels import WheelSettings
 OdometryName = Literal["features", "dense", "wheels", "own"]
 TrackName = Literal["features", "dense", "wheels", "own", "rectified", "joined"]
 OWN: OdometryName = "own"
-"""Names a visual odometry of a user's own, which Python code alone can give: `Localizer(visual_odometry=...)`."""
+"""Name of a user's own visual odometry, which only Python code can pass: `Localizer(visual_odometry=...)`."""
 
 
 def _numbers(text: str, names: tuple[str, ...]) -> list[float]:
-    """Numbers as a user writes them, "1.5,2,90"."""
+    """The numbers of a text such as "1.5,2,90"."""
     try:
         numbers = [float(word) for word in text.split(",")]
     except ValueError:
@@ -59,11 +59,11 @@ def _numbers(text: str, names: tuple[str, ...]) -> list[float]:
 
 
 class StartSettings(Settings):
-    """Where the base stands in the map at the first wheel reading."""
+    """Pose of the base in the map at the first wheel reading."""
 
-    x_m: float = setting(..., "where it stands, metres", ASKED, ge=-1e6, le=1e6)
+    x_m: float = setting(..., "position, metres", ASKED, ge=-1e6, le=1e6)
     y_m: float = setting(..., "likewise", ASKED, ge=-1e6, le=1e6)
-    yaw_deg: float = setting(..., "where it looks, degrees from x to y", ASKED, ge=-3600, le=3600)
+    yaw_deg: float = setting(..., "heading, degrees from x to y", ASKED, ge=-3600, le=3600)
 
     @model_validator(mode="before")
     @classmethod
@@ -80,39 +80,36 @@ class StartSettings(Settings):
 
 
 class KnownMapSettings(Settings):
-    """A map of before, in which a drive finds itself; see docs/sessions.md."""
+    """The map of an earlier drive, in which a drive localizes itself; see docs/sessions.md."""
 
-    path: str | None = setting(None, "folder of the map, or of the run that left it", ASKED)
-    extend: bool = setting(False, "whether what this drive sees is added to it; else it stays as it is", ASKED)
-    start: StartSettings | None = setting(None, "where the drive begins; of None, the place is recognised", ASKED)
-    start_sigma_m: float = setting(0.5, "how far off that may be, metres a coordinate", CHOSEN, gt=0, le=100)
-    start_sigma_rad: float = setting(0.25, "likewise, of the heading, radians", CHOSEN, gt=0, le=3)
-    level_sigma: float = setting(
-        0.02, "likewise, of height, roll and pitch, metres and radians: bases stand on a floor", CHOSEN, gt=0, le=3
-    )
+    path: str | None = setting(None, "folder of the map, or of the run that wrote it", ASKED)
+    extend: bool = setting(False, "whether the drive extends the map; else the map does not change", ASKED)
+    start: StartSettings | None = setting(None, "where the drive begins; None: the place is recognised", ASKED)
+    start_sigma_m: float = setting(0.5, "σ of each coordinate of `start`, metres", CHOSEN, gt=0, le=100)
+    start_sigma_rad: float = setting(0.25, "σ of the heading of `start`, radians", CHOSEN, gt=0, le=3)
 
 
 _Weight = Annotated[float, bounds(ge=0, le=1)]
 
 
 class WeightSettings(Settings):
-    """Eq. 5's weights, alpha of the last coordinate, beta of odometry, gamma of the area."""
+    """Weights of Trinh's eq. 5: alpha of the last coordinate, beta of odometry, gamma of the area."""
 
-    told: tuple[_Weight, _Weight, _Weight] = setting(
-        ..., "where the area tells the coordinate; sum to 1", "Trinh, eq. 5"
+    with_area: tuple[_Weight, _Weight, _Weight] = setting(
+        ..., "where the area determines the coordinate; sum to 1", "Trinh, eq. 5"
     )
-    untold: tuple[_Weight, _Weight] = setting(..., "alpha and beta where it does not; sum to 1", "Trinh, eq. 5")
+    without_area: tuple[_Weight, _Weight] = setting(..., "alpha and beta elsewhere; sum to 1", "Trinh, eq. 5")
 
     @model_validator(mode="before")
     @classmethod
     def _read(cls, given: Any) -> Any:
-        """Of text, what gamma leaves is shared alike in both cases."""
+        """Of text, both cases have the same ratio of alpha and beta."""
         if not isinstance(given, str):
             return given
         alpha, beta, gamma = _numbers(given, ("ALPHA", "BETA", "GAMMA"))
         left = alpha + beta
-        untold = (alpha / left, beta / left) if left > 0 else (0.0, 1.0)
-        return {"told": (alpha, beta, gamma), "untold": untold}
+        without = (alpha / left, beta / left) if left > 0 else (0.0, 1.0)
+        return {"with_area": (alpha, beta, gamma), "without_area": without}
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -123,71 +120,66 @@ class WeightSettings(Settings):
         return self
 
     def as_weights(self) -> Weights:
-        """The same, as rectifiers take them."""
-        return Weights(AxisWeights(*self.told), AxisWeights(*self.untold))
+        """The weights as rectifiers take them."""
+        return Weights(AxisWeights(*self.with_area), AxisWeights(*self.without_area))
 
 
 class PlaceSettings(Settings):
-    """Areas that rectify the wheels. Without a model nothing does, and all else is None; with one, defaults are set."""
+    """Areas that rectify the wheels. Without a model all is None; with one, the defaults are set."""
 
     model: str | None = setting(None, "model that names areas, from wheelsight places train", ASKED)
-    areas: str | None = setting(None, "areas.yaml; of None, the one in the recording's folder", ASKED)
+    areas: str | None = setting(None, "areas.yaml; None: the one in the recording's folder", ASKED)
     rectify: Literal["probabilistic", "paper"] | None = setting(
-        None, "by a filter with covariance, which is the default, or by Trinh's eq. 5", ASKED
+        None, "probabilistic: by a filter with covariance, the default; paper: by Trinh's eq. 5", ASKED
     )
-    start: StartSettings | None = setting(None, "of None, from the recording's ground truth", ASKED)
+    start: StartSettings | None = setting(None, "None: from the recording's ground truth", ASKED)
     odometry_term: OdometryTerm | None = setting(
-        None, "what eq. 5 takes for odometry: its own coordinate, or the last one and the way since", ASKED
+        None, "odometry in eq. 5: its own coordinate, or the last one and the motion since", ASKED
     )
     weights: WeightSettings | None = setting(None, "of eq. 5", ASKED)
 
     @model_validator(mode="before")
     @classmethod
     def _resolve(cls, given: Any) -> Any:
-        """Defaults are those of a run with a model; without one, a setting that was given stays seen as such."""
+        """Set the defaults of a run with a model; without one, settings that are given are refused later."""
         if not isinstance(given, dict) or given.get("model") is None:
             return given
         defaults: dict[str, Any] = {"rectify": "probabilistic"}
         if given.get("rectify") == "paper":
-            told, untold = (weights.as_array().tolist() for weights in (Weights().told, Weights().untold))
-            defaults = {"odometry_term": "increment", "weights": {"told": told, "untold": untold[:2]}}
+            usual = (weights.as_array().tolist() for weights in (Weights().told, Weights().untold))
+            with_area, without_area = usual
+            weights = {"with_area": with_area, "without_area": without_area[:2]}
+            defaults = {"odometry_term": "increment", "weights": weights}
         return defaults | {name: value for name, value in given.items() if value is not None}
 
 
 class EvaluationSettings(Settings):
-    """How an estimate is compared with the ground truth."""
+    """Comparison of an estimate with the ground truth."""
 
-    with_scale: bool = setting(False, "estimate a scale too when aligning; hides errors of scale", ASKED)
+    with_scale: bool = setting(False, "estimate a scale too when aligning, which hides errors of scale", ASKED)
     max_gap_s: float = setting(
-        0.02, "largest distance in time between an estimated and a true pose", CHOSEN, ge=0, le=3600
+        0.02, "largest time between an estimated and a true pose, seconds", CHOSEN, ge=0, le=3600
     )
-
-
-# docs/decisions/0089
-_CLOUD_SOURCE = "each costs the page 12 bytes; with 60 000 pages stay under 3 MB"
 
 
 class ReportSettings(Settings):
-    """What report.html shows beside the curves."""
+    """Contents of report.html beside the curves."""
 
     pictures: int = setting(4, "frames drawn with their matches", CHOSEN, ge=0, le=100)
-    cloud_points: int = setting(
-        50_000, "most points of the map that can be turned on the page; 0: none", _CLOUD_SOURCE, ge=0, le=60_000
-    )
 
 
 def _is_given(given: Mapping[str, Any], section: str, name: str) -> bool:
-    """Whether a file or an option says anything of a setting."""
+    """Whether a file or an option has a setting."""
     below = given.get(section)
     return below is not None and (not isinstance(below, dict) or below.get(name) is not None)
 
 
-# In files and options: all sensors that there are, joined. In a Config it is an empty tuple.
+# All available sensors, joined: the name in files and options. In a Config it is an empty tuple.
 AUTOMATIC = "auto"
 
 
 def _split(names: Any) -> Any:
-    """Names as a user writes them, "wheels,features", one by one; none of "auto"."""
+    """The names of a text such as "wheels,features"; none for "auto"."""
     if names == AUTOMATIC:
         return ()
     if isinstance(names, tuple | list) and not names:
@@ -213,23 +205,23 @@ def _joined(names: tuple[OdometryName, ...]) -> str | list[str]:
 
 
 class Config(Settings):
-    """Every setting of a run; the defaults are what `wheelsight run` and `Localizer` use.
+    """All settings of a run, with the defaults of `wheelsight run` and `Localizer`.
 
-    Without names, `odometry` is an empty tuple, in files `auto`: all sensors that there are, joined. `Localizer`, `run`
-    and the command line resolve it by one rule, `localizer.choose_odometry`; `with_odometry` names what it chose.
+    Without names, `odometry` is an empty tuple, in files `auto`: all available sensors, joined. `Localizer`, `run` and
+    the command line resolve it by one rule, `estimation.choose_odometry`; `with_odometry` sets its choice.
     """
 
     profile: Literal["pi"] | None = setting(
-        None, "settings for one kind of computer, which take the place of defaults: docs/small-computers.md", ASKED
+        None, "other defaults for one kind of computer: docs/small-computers.md", ASKED
     )
     odometry: Annotated[
         tuple[OdometryName, ...], BeforeValidator(_split), AfterValidator(_each_once), PlainSerializer(_joined)
-    ] = setting((), "one name or several, in the order of the report; auto: all sensors that there are, joined", ASKED)
+    ] = setting((), "one name or several, in the order of the report; auto: all available sensors, joined", ASKED)
     recording: OpenOptions = OpenOptions()
     features: FeatureSettings = FeatureSettings()
     dense: DenseSettings = DenseSettings()
     fusion: FusionSettings = FusionSettings()
-    map: Literal["surfels"] | None = setting(None, "what dense odometry builds on the way and tracks against", ASKED)
+    map: Literal["surfels"] | None = setting(None, "map that dense odometry builds and tracks against", ASKED)
     surfels: SurfelSettings = SurfelSettings()
     wheels: WheelSettings = WheelSettings()
     extrinsics: ExtrinsicsSettings = ExtrinsicsSettings()
@@ -253,7 +245,7 @@ class Config(Settings):
     @model_validator(mode="before")
     @classmethod
     def _resolve(cls, given: Any) -> Any:
-        """A profile lies under all; wheels and a camera are joined if not told otherwise; loops find a known map."""
+        """Apply the profile below all; join wheels and a camera by default; close loops for a known map."""
         if not isinstance(given, dict):
             return given
         _, removed = split_removed(given)
@@ -313,7 +305,7 @@ class Config(Settings):
 
     @property
     def tracks(self) -> tuple[TrackName, ...]:
-        """What a run follows and reports: every named odometry alone, wheels that places rectify, and the joined ones.
+        """Tracks of a run: each named odometry alone, wheels rectified by places, and joined sensors.
 
         Empty until the odometry is named.
         """
@@ -323,10 +315,10 @@ class Config(Settings):
         return (*self.odometry, *rectified, *(() if self.fusion.filter == "none" else ("joined",)))
 
     def with_odometry(self, names: tuple[OdometryName, ...]) -> Config:
-        """The same settings with these odometries, which an automatic configuration joins where they can be.
+        """Return these settings with named odometries. An automatic configuration joins them if possible.
 
         Raises:
-            ConfigError: other settings do not go with them, such as a map with wheels alone.
+            ConfigError: they conflict with other settings, such as a map with wheels alone.
         """
         fusion = self.to_dict()["fusion"]
         if not self.odometry and self.fusion.filter == "default" and not _can_join(names):
@@ -334,20 +326,20 @@ class Config(Settings):
         try:
             return Config.model_validate(self.to_dict() | {"odometry": names, "fusion": fusion})
         except ValidationError as invalid:
-            fault = Fault.of(invalid, Config)
-            problem, fix = fault.told(".".join(fault.location))
+            fault = SettingFault.of(invalid, Config)
+            problem, fix = fault.message(".".join(fault.location))
             raise ConfigError(problem, fix=fix) from None
 
     def without_known_map(self) -> Config:
-        """The same settings for what knows no map of before."""
+        """Return these settings without a known map."""
         return self if self.known_map.path is None else self.model_copy(update={"known_map": KnownMapSettings()})
 
     def to_dict(self) -> dict[str, Any]:
-        """All settings as plain nested values, as YAML and JSON take them."""
+        """Return all settings as plain nested values for YAML and JSON."""
         return self.model_dump(mode="json")
 
     def alone(self, track: TrackName) -> Config:
-        """The same settings for one of `tracks` by itself; where sensors are joined, that track alone has the map."""
+        """Return the settings of one of `tracks` by itself. If sensors are joined, only their track has the map."""
         if track == "joined":
             return self
         has_map = track == "dense" and self.fusion.filter == "none"
@@ -365,16 +357,16 @@ def load_config(
     *,
     drop_removed: bool = False,
 ) -> Config:
-    """Read settings from a YAML file; those it does not name keep their defaults.
+    """Read settings from a YAML file; all others keep their defaults.
 
     Args:
         path: the file, or None for defaults only.
         overrides: values by dotted name, such as {"features.seed": 3}; they win over the file.
-        called: what the user knows an override as, such as {"features.seed": "--seed"}, for messages.
+        called: names of overrides in messages, such as {"features.seed": "--seed"}.
         drop_removed: ignore names in the file that only earlier versions have, as in the config.yaml of an old run.
 
     Raises:
-        ConfigError: naming file, line, setting and what would be right.
+        ConfigError: with file, line, setting and fix.
     """
     path = None if path is None else Path(path)
     settings = {} if path is None else _read(path)
@@ -385,12 +377,12 @@ def load_config(
     try:
         return Config.model_validate(settings)
     except ValidationError as invalid:
-        fault = Fault.of(invalid, Config)
+        fault = SettingFault.of(invalid, Config)
         name = ".".join(fault.location)
         option = next((option for option in overrides or {} if f"{name}.".startswith(f"{option}.")), None)
         if option is not None:
             name = (called or {}).get(option, option) + name.removeprefix(option).replace(".", " ")
-        problem, fix = fault.told(name)
+        problem, fix = fault.message(name)
         if option is not None or path is None:
             raise ConfigError(problem, fix=fix) from None
         raise ConfigError(problem, path=path, line=line_of(path, fault.location, ConfigError), fix=fix) from None
@@ -402,7 +394,7 @@ def removed_settings(path: StrPath) -> list[RemovedSetting]:
 
 
 def save_config(config: Config, path: StrPath) -> None:
-    """Write all settings, defaults included, as YAML that `load_config` reads back. Raises OutputError."""
+    """Write all settings, defaults included, as YAML for `load_config`. Raises OutputError."""
     path = Path(path)
     write_text(path, settings_text(config.to_dict()))
 
@@ -417,7 +409,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _with(settings: Mapping[str, Any], name: list[str], value: Any) -> dict[str, Any]:
-    """A copy of nested `settings` in which the setting of that dotted name has `value`."""
+    """Return a copy of nested `settings` with another value of a dotted name."""
     head, *rest = name
     below = settings.get(head)
     inner = _with(below if isinstance(below, Mapping) else {}, rest, value) if rest else value

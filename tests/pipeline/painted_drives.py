@@ -66,7 +66,7 @@ def _known(start: Pose | None) -> KnownMap:
     for keyframe, T_map_keyframe in _seen():
         recognizer.add(store.add(keyframe, T_map_keyframe), keyframe)
     s = KnownMapSettings()
-    xy, level = [s.start_sigma_m] * 2, [s.level_sigma] * 3
+    xy, level = [s.start_sigma_m] * 2, [0.02] * 3
     C = np.diag(np.square([*xy, *level, s.start_sigma_rad]))
     said = () if start is None else (se3.from_plane(*start) @ MOUNT, C)
     return KnownMap(store, recognizer, (), *said)

@@ -36,6 +36,8 @@ _FAR_M = 100.0
 # A plan is cut so far above the camera: lamps and shelves that hang there would hide the floor.
 _ABOVE_CAMERA_M = 0.3
 _WHITE = 255.0
+_CLOUD_POINTS = 50_000  # of the page, 12 bytes each: with 60 000, pages stay under 3 MB
+_LEVEL_SIGMA = 0.02  # of height, roll and pitch at a known start, metres and radians: bases stand on a floor (chosen)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +126,7 @@ def map_record_of(
     stops: Sequence[Stop],
     T_map_body: FloatArray,
     calibration: Calibration,
-    cloud_points: int = 0,
+    cloud_points: int = _CLOUD_POINTS,
 ) -> MapRecord:
     """The record of a run's map.
 
@@ -243,7 +245,7 @@ def _start(calibration: Calibration, config: Config) -> tuple[FloatArray | None,
         problem = "--start says where the base is, and the calibration does not say where the camera sits on it"
         raise ConfigError(problem, fix="wheelsight calibrate base, or no --start")
     T_map_base = given.start.T_odom_base
-    xy, level = given.start_sigma_m, given.level_sigma
+    xy, level = given.start_sigma_m, _LEVEL_SIGMA
     Ad = se3.adjoint(T_map_base)
     C = Ad @ np.diag(np.square([xy, xy, level, level, level, given.start_sigma_rad])) @ Ad.T
     return se3.nearest(T_map_base @ calibration.T_base_camera), C

@@ -74,7 +74,7 @@ def _record_of(track: RunTrack, passage: Passage, source: EventSource, config: C
     evaluation = None
     if truth is not None:
         evaluation, problem = _compare(estimate, truth, config, track)
-    surfels, kept = _maps(track, passage, source, config)
+    surfels, kept = _maps(track, passage, source)
     return RunRecord(
         recording=source.name,
         format=format_of(source),
@@ -147,9 +147,7 @@ def _known_map(track: RunTrack, passage: Passage, config: Config) -> KnownMapRec
     )
 
 
-def _maps(
-    track: RunTrack, passage: Passage, source: EventSource, config: Config
-) -> tuple[MapRecord | None, KeptMapRecord | None]:
+def _maps(track: RunTrack, passage: Passage, source: EventSource) -> tuple[MapRecord | None, KeptMapRecord | None]:
     """The records of the track's surfel map and of its map folder."""
     if track.localizer.map is None or passage.is_torn:
         surfels = None
@@ -160,7 +158,7 @@ def _maps(
         else:
             track.stops.follow(track.localizer.loops.finish())
         way = (track.stops.found, np.array(track.stops.T_map_body, float).reshape(-1, 4, 4))
-        surfels = map_record_of(track.localizer.map, *way, source.calibration, config.report.cloud_points)
+        surfels = map_record_of(track.localizer.map, *way, source.calibration)
     kept = finish_map(track, passage)  # after the map was laid where the trajectory has it
     at = kept_surfels(track)
     if surfels is not None and at is not None:

@@ -26,7 +26,7 @@ from wheelsight.core.errors import InputError
 ON_SIMULATOR = "found on the simulator alone"
 CHOSEN = "chosen; no measurement"
 # Of what only a user knows.
-ASKED = "what nobody has asked for otherwise"
+ASKED = "for the user to say"
 
 
 class Settings(BaseModel):
@@ -70,7 +70,7 @@ _Settings = TypeVar("_Settings", bound=BaseModel)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fault:
+class SettingFault:
     """The first wrong setting of a model.
 
     Attributes:
@@ -84,7 +84,7 @@ class Fault:
     details: dict[str, Any]
 
     @classmethod
-    def of(cls, invalid: ValidationError, model: type[BaseModel]) -> Fault:
+    def of(cls, invalid: ValidationError, model: type[BaseModel]) -> SettingFault:
         """The first fault of a validation by `model`."""
         details: dict[str, Any] = dict(invalid.errors(include_url=False)[0])
         location = tuple(part for part in details["loc"] if isinstance(part, str))  # a setting, not its place in a list
@@ -92,7 +92,7 @@ class Fault:
             location += tuple(details["ctx"]["setting"].split("."))
         return cls(location, tuple(_known_settings(model, location[:-1])), details)
 
-    def told(self, name: str | None = None) -> tuple[str, str | None]:
+    def message(self, name: str | None = None) -> tuple[str, str | None]:
         """The problem of the setting, called `name` in the message, and its fix or None."""
         details, name = self.details, ".".join(self.location) if name is None else name
         if details["type"] == _CONFLICT:
@@ -123,7 +123,7 @@ def checked_settings(
     try:
         return model.model_validate(values)
     except ValidationError as invalid:
-        problem, right = Fault.of(invalid, model).told()
+        problem, right = SettingFault.of(invalid, model).message()
         raise error(f"{whose}{problem}", fix=fix or right) from invalid
 
 
