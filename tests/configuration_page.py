@@ -24,8 +24,8 @@ report:
   pictures: 8
 ```
 
-A run writes its settings, defaults included, to `config.yaml` beside its results. `--config` accepts that file again. An
-unknown name, or a value out of range, is refused with file, line and fix. In Python, use
+A run writes its settings, defaults included, to `config.yaml` beside its results. `--config` accepts that file again.
+An unknown name, or a value out of range, is refused with file, line and fix. In Python, use
 `wheelsight.config.load_config(path)`.
 
 Settings of earlier versions that are constants now are refused with their value. To use the file of an old run, write
