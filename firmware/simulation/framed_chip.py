@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
-from wheelsight.io.devices.wire_formats import Ack, Command, Counts, FrameDecoder, Message, Version, encode_command
+from wheelsight.io.devices.wire_formats import Ack, Counts, FrameDecoder, LinkCommand, Message, Version, encode_command
 
 
 class FramedChip(ABC):
@@ -47,7 +47,7 @@ class FramedChip(ABC):
     def version(self) -> Version:
         """Ask for the version."""
         self.messages()
-        self.command(Command.GET_VERSION)
+        self.command(LinkCommand.GET_VERSION)
         self.run(0.01)
         (version,) = (message for message in self.messages() if isinstance(message, Version))
         return version

@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import NamedTuple
 
 from firmware.simulation.framed_chip import FramedChip
-from wheelsight.io.devices.wire_formats import Command, drive_body
+from wheelsight.io.devices.wire_formats import LinkCommand, drive_body
 
 FIRMWARE = Path(__file__).resolve().parents[1]
 CHIP_HZ = 14_745_600
@@ -136,7 +136,7 @@ def is_exact_at(simulator: Path, program: Path, pulses_per_s: float) -> bool:
             chip.turn("left", round(direction * 2 * pulses_per_s), pulses_per_s)
             chip.turn("right", round(-direction * 2 * pulses_per_s), 1.00137 * pulses_per_s)
         for _ in range(75):
-            chip.command(Command.DRIVE, drive_body(1, -1))
+            chip.command(LinkCommand.DRIVE, drive_body(1, -1))
             chip.run(0.02)
         chip.rest()
         return chip.counts()[-1][2:] == chip.pulses()

@@ -26,7 +26,7 @@ from wheelsight.core.settings import LiveCameraSettings
 from wheelsight.core.trajectory import read_tum
 from wheelsight.io.devices.cameras import ANY, LIVE_CAMERAS, open_robot_camera
 from wheelsight.io.devices.simulated_controller import SimulatedController
-from wheelsight.io.devices.wire_formats import Command as Commanded
+from wheelsight.io.devices.wire_formats import LinkCommand as Commanded
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

@@ -21,7 +21,7 @@ from wheelsight.core.runtime import ENDING
 from wheelsight.core.trajectory import read_tum
 from wheelsight.io.devices import open_wheels
 from wheelsight.io.devices.simulated_controller import SimulatedController
-from wheelsight.io.devices.wire_formats import Command
+from wheelsight.io.devices.wire_formats import LinkCommand
 from wheelsight.io.recordings import open_recording
 
 # A command whose localizer takes a tenth of a second for each event, and writes into a file how many it has got.
@@ -273,7 +273,7 @@ def test_a_real_robot_stands_once_the_terminal_of_its_program_is_closed(
     terminal.close()
     assert process.wait(600) == 128 + signal.SIGHUP
     after = controller.commands[before:]
-    stopped = [kind for kind, _ in after].index(Command.STOP)
+    stopped = [kind for kind, _ in after].index(LinkCommand.STOP)
     assert stopped <= 20  # a period of the drive's loop is 50 ms, and a reply is waited for
-    assert not any(int.from_bytes(body, "little") for kind, body in after[stopped:] if kind == Command.DRIVE)
+    assert not any(int.from_bytes(body, "little") for kind, body in after[stopped:] if kind == LinkCommand.DRIVE)
     assert json.loads((out / "drive.json").read_text())["interrupted"] is True

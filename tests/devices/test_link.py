@@ -18,7 +18,7 @@ from wheelsight.core.errors import DeviceError
 from wheelsight.core.messages import WheelTicks
 from wheelsight.io.devices import Format, LinkStatus, WheelLink
 from wheelsight.io.devices.simulated_controller import SimulatedController
-from wheelsight.io.devices.wire_formats import Command, Counts, drive_body, encode_message
+from wheelsight.io.devices.wire_formats import Counts, LinkCommand, drive_body, encode_message
 
 
 @pytest.fixture
@@ -200,7 +200,7 @@ def test_the_papers_format_end_to_end(controller: SimulatedController, port: str
         wait(lambda: link.report().format is Format.FRAMED)
         time.sleep(0.1)
         catch_up(link, controller)
-    assert controller.commands[1][0] == Command.STOP
+    assert controller.commands[1][0] == LinkCommand.STOP
 
 
 @pytest.mark.parametrize("is_known", [True, False])
@@ -224,20 +224,20 @@ def test_drive_is_kept_up_and_ends_with_stop(controller: SimulatedController, po
         wait(lambda: controller.duties == (300, -250))
         before = len(controller.commands)
         wait(lambda: len(controller.commands) >= before + 10)
-        assert set(controller.commands) == {(Command.DRIVE, drive_body(0.3, -0.25))}
+        assert set(controller.commands) == {(LinkCommand.DRIVE, drive_body(0.3, -0.25))}
         assert controller.duties == (300, -250)
         link.stop()
         assert controller.duties == (0, 0)
         link.drive(1, 1)
         wait(lambda: controller.duties == (1000, 1000))
     wait(lambda: controller.duties == (0, 0))
-    assert controller.commands[-1][0] == Command.STOP
+    assert controller.commands[-1][0] == LinkCommand.STOP
 
 
 def test_drive_with_a_limit_stops_a_program_that_hangs(controller: SimulatedController, port: str) -> None:
     with WheelLink(port) as link:
         link.drive(0.5, 0.5, hold_s=0.2)
-        wait(lambda: controller.commands[-1:] == [(Command.STOP, b"")])
+        wait(lambda: controller.commands[-1:] == [(LinkCommand.STOP, b"")])
         assert link.status is not LinkStatus.CLOSED
 
 
@@ -249,7 +249,7 @@ def test_an_exception_stops_the_motors(controller: SimulatedController, port: st
 
     with pytest.raises(ZeroDivisionError):
         broken()
-    wait(lambda: controller.commands[-1:] == [(Command.STOP, b"")])
+    wait(lambda: controller.commands[-1:] == [(LinkCommand.STOP, b"")])
 
 
 @pytest.mark.parametrize("ending", ["", "raise SystemExit(3)", "1 / 0", "os.kill(os.getpid(), 9)"])
@@ -273,7 +273,7 @@ def test_a_program_that_ends_in_any_way_stops_the_motors(
         wait(lambda: controller.duties == (500, 500))
         process.communicate(b"\n", timeout=30)
     wait(lambda: controller.duties == (0, 0))
-    is_told = controller.commands[-1][0] == Command.STOP
+    is_told = controller.commands[-1][0] == LinkCommand.STOP
     assert is_told != ("kill" in ending)  # only the watchdog is left to stop for a program that was killed
 
 

@@ -119,13 +119,13 @@ def test_a_missing_library_is_told_with_the_package(monkeypatch: pytest.MonkeyPa
 def test_a_frame_whose_bytes_do_not_fill_it_has_no_pixels() -> None:
     mode = openni2_library.VideoMode(openni2_library.RGB888, 4, 2, 30)
     data = ctypes.create_string_buffer(bytes(range(24)), 24)
-    frame = openni2_library.RawFrame(24, ctypes.addressof(data), 2, 33_000, 7, 4, 2, mode, 0, 0, 0, 12)
+    frame = openni2_library.OniFrame(24, ctypes.addressof(data), 2, 33_000, 7, 4, 2, mode, 0, 0, 0, 12)
     taken = openni2_library.copied_frame(frame)
     assert taken.pixels.tolist() == np.arange(24).reshape(2, 4, 3).tolist()
     assert taken.stamp_s == pytest.approx(0.033)
     assert taken.index == 7
     for wrong in ({"size": 23}, {"stride": 11}, {"data": None}):
-        broken = openni2_library.RawFrame.from_buffer_copy(frame)
+        broken = openni2_library.OniFrame.from_buffer_copy(frame)
         for name, value in wrong.items():
             setattr(broken, name, value)
         assert openni2_library.copied_frame(broken).pixels.size == 0
@@ -134,7 +134,7 @@ def test_a_frame_whose_bytes_do_not_fill_it_has_no_pixels() -> None:
 def test_padded_rows_are_read_without_their_padding() -> None:
     mode = openni2_library.VideoMode(openni2_library.DEPTH_1_MM, 2, 2, 30)
     data = ctypes.create_string_buffer(np.array([1, 2, 99, 3, 4, 99], np.uint16).tobytes(), 12)
-    frame = openni2_library.RawFrame(12, ctypes.addressof(data), 3, 0, 1, 2, 2, mode, 0, 0, 0, 6)
+    frame = openni2_library.OniFrame(12, ctypes.addressof(data), 3, 0, 1, 2, 2, mode, 0, 0, 0, 6)
     assert openni2_library.copied_frame(frame).pixels.tolist() == [[1, 2], [3, 4]]
 
 

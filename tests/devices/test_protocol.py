@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from wheelsight.io.devices.wire_formats import (
     Ack,
-    Command,
     Counts,
     FrameDecoder,
+    LinkCommand,
     Message,
     Version,
     drive_body,
@@ -55,7 +55,7 @@ def test_the_checksum_is_the_catalogues() -> None:
 def test_commands() -> None:
     assert drive_body(1, -1) == bytes.fromhex("e8 03 18 fc")
     assert drive_body(0.0004, -0.0006) == bytes.fromhex("00 00 ff ff")
-    stop = encode_command(Command.STOP, 256 + 7)
+    stop = encode_command(LinkCommand.STOP, 256 + 7)
     assert stop == b"\0" + encode_frame(0x82, 7)
 
 

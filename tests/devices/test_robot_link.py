@@ -18,7 +18,7 @@ from wheelsight.core.messages import STOP, AngularVelocity, Event, RgbdFrame, Ve
 from wheelsight.core.robots import Robot, WheelControlSettings
 from wheelsight.io.devices import Format, LinkRobot, LinkStatus, WheelLink
 from wheelsight.io.devices.simulated_controller import SimulatedController
-from wheelsight.io.devices.wire_formats import Command, drive_body
+from wheelsight.io.devices.wire_formats import LinkCommand, drive_body
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200)
 CALIBRATION = Calibration(wheels=WHEELS)
@@ -110,7 +110,7 @@ def test_weak_motors_reach_the_speed_told(robot: LinkRobot, motors: Motors) -> N
 def test_motors_that_are_too_weak_are_told(robot: LinkRobot, motors: Motors, controller: SimulatedController) -> None:
     motors.strength = 0.3
     wait(robot, lambda: "is blocked" in robot.stop_reason, VelocityCommand(1.0))
-    duties = [body for kind, body in controller.commands if kind == Command.DRIVE]
+    duties = [body for kind, body in controller.commands if kind == LinkCommand.DRIVE]
     told = np.array([np.frombuffer(body, "<i2") for body in duties])
     assert 100 < told.max() <= 585  # a metre a second takes 385; 200 more may be corrected
     assert told.min() >= 0
@@ -158,7 +158,7 @@ def test_ticks_that_waited_are_no_sign_of_life(robot: LinkRobot, controller: Sim
     before = len(controller.commands)
     events = run(robot, AHEAD, 0.3)
     assert len(events) > 5
-    assert all(body == drive_body(0, 0) for kind, body in controller.commands[before:] if kind == Command.DRIVE)
+    assert all(body == drive_body(0, 0) for kind, body in controller.commands[before:] if kind == LinkCommand.DRIVE)
     assert robot.stop_reason == "no wheel readings come"
 
 
@@ -169,7 +169,7 @@ def test_without_steps_the_link_stops_the_motors(robot: LinkRobot, controller: S
     while controller.duties != (0, 0):
         assert time.monotonic() < ends_s
         time.sleep(0.01)
-    assert (int(Command.STOP), b"") in controller.commands[before:]
+    assert (int(LinkCommand.STOP), b"") in controller.commands[before:]
     robot.step(AHEAD)  # and it begins from a stand
     assert controller.duties[0] < 50
 
@@ -181,7 +181,7 @@ def test_a_vanished_port_stops(robot: LinkRobot, controller: SimulatedController
     controller.plug()
     before = len(controller.commands)
     run(robot, AHEAD, 1.5)
-    assert all(body == drive_body(0, 0) for kind, body in controller.commands[before:] if kind == Command.DRIVE)
+    assert all(body == drive_body(0, 0) for kind, body in controller.commands[before:] if kind == LinkCommand.DRIVE)
     wait(robot, lambda: not robot.stop_reason)
 
 
@@ -198,7 +198,7 @@ def test_closed_it_has_stopped_first(controller: SimulatedController) -> None:
     with LinkRobot(link, CALIBRATION, frames=camera) as robot:
         wait(robot, lambda: link.status is LinkStatus.CONNECTED)
         wait(robot, lambda: controller.duties[0] > 50, AHEAD)
-    assert controller.commands[-1][0] == Command.STOP
+    assert controller.commands[-1][0] == LinkCommand.STOP
     assert controller.duties == (0, 0)
     assert link.status is LinkStatus.CLOSED
     assert camera.is_closed
@@ -295,7 +295,7 @@ def test_a_firmware_that_stops_too_late_is_not_driven(robot: LinkRobot, controll
     assert "make -C firmware/atmega8 flash" in robot.stop_reason
     run(robot, STOP, 0.2)
     run(robot, AHEAD, 0.3)
-    assert {kind for kind, _ in controller.commands} == {Command.GET_VERSION}
+    assert {kind for kind, _ in controller.commands} == {LinkCommand.GET_VERSION}
     controller.version = (1, 1, 1, 0)
     run(robot, STOP, 0.2)
     wait(robot, lambda: controller.duties[0] > 50, AHEAD)
@@ -305,7 +305,7 @@ def test_a_controller_that_answers_nothing_is_not_driven(robot: LinkRobot, contr
     controller.answers = False
     wait(robot, lambda: bool(robot.stop_reason), AHEAD)
     assert robot.stop_reason == "the controller does not answer GET_VERSION (check the wire to it)"
-    assert Command.DRIVE not in {kind for kind, _ in controller.commands}
+    assert LinkCommand.DRIVE not in {kind for kind, _ in controller.commands}
 
 
 def test_in_the_papers_format_nobody_is_asked(controller: SimulatedController) -> None:
@@ -314,7 +314,7 @@ def test_in_the_papers_format_nobody_is_asked(controller: SimulatedController) -
     with LinkRobot(link, CALIBRATION, control=PATIENT) as robot:
         wait(robot, lambda: link.report().format is Format.PAPER)
         wait(robot, lambda: controller.duties[0] > 50, AHEAD)
-    assert Command.GET_VERSION not in {kind for kind, _ in controller.commands}
+    assert LinkCommand.GET_VERSION not in {kind for kind, _ in controller.commands}
 
 
 def test_a_calibration_without_wheels_is_refused(controller: SimulatedController) -> None:

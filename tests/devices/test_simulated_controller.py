@@ -16,9 +16,9 @@ from wheelsight.io.devices import Version, WheelLink
 from wheelsight.io.devices.simulated_controller import Leg, Practice, SimulatedController, lap, turns
 from wheelsight.io.devices.wire_formats import (
     Ack,
-    Command,
     Format,
     FrameDecoder,
+    LinkCommand,
     Message,
     PlainReading,
     PlainText,
@@ -81,20 +81,20 @@ def test_commands_are_answered_as_the_firmware_answers(tmp_path: Path) -> None:
         try:
             for number, (command, body, status) in enumerate(
                 (
-                    (Command.DRIVE, drive_body(0.5, -0.5), 0),
-                    (Command.DRIVE, drive_body(0.5, -0.5)[:3], 2),
-                    (Command.DRIVE, b"\xff\x7f\x00\x00", 3),
-                    (Command.STOP, b"x", 2),
-                    (Command.SET_FORMAT, b"\x02", 3),
+                    (LinkCommand.DRIVE, drive_body(0.5, -0.5), 0),
+                    (LinkCommand.DRIVE, drive_body(0.5, -0.5)[:3], 2),
+                    (LinkCommand.DRIVE, b"\xff\x7f\x00\x00", 3),
+                    (LinkCommand.STOP, b"x", 2),
+                    (LinkCommand.SET_FORMAT, b"\x02", 3),
                     (0x99, b"", 1),
-                    (Command.GET_VERSION, b"", 0),
+                    (LinkCommand.GET_VERSION, b"", 0),
                 )
             ):
                 answers = answer_to(port, encode_command(command, number, body), decoder)  # type: ignore[arg-type]
                 assert answers[-1][1:] == (command, number, status)
             assert isinstance(answers[0], Version)
             os.write(port, b"\0noise\0" + 3000 * b"n")
-            answer_to(port, encode_command(Command.STOP, 9), decoder)
+            answer_to(port, encode_command(LinkCommand.STOP, 9), decoder)
             assert controller.duties == (0, 0)
         finally:
             os.close(port)
@@ -106,7 +106,7 @@ def test_plain_text_is_recognised_and_takes_no_commands(tmp_path: Path) -> None:
         port, reader = os.open(controller.port, os.O_RDWR | os.O_NOCTTY), PlainText()
         readings: list[PlainReading] = []
         try:
-            os.write(port, encode_command(Command.DRIVE, 0, drive_body(1, 1)))
+            os.write(port, encode_command(LinkCommand.DRIVE, 0, drive_body(1, 1)))
             while len(readings) < 40:
                 assert select.select([port], [], [], 30.0)[0]
                 readings += reader.feed(os.read(port, 4096), time.monotonic())

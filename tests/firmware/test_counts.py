@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from firmware.simulation.simulated_chip import FASTEST_PULSES_PER_S, Chip, is_exact_at
-from wheelsight.io.devices.wire_formats import Command, drive_body
+from wheelsight.io.devices.wire_formats import LinkCommand, drive_body
 
 
 def last(chip: Chip) -> tuple[int, int]:
@@ -34,7 +34,7 @@ def test_both_wheels_at_full_speed_with_direction_changes(chip: Chip, rng: np.ra
         for turn in [4 * FASTEST_PULSES_PER_S, *quarters.tolist(), -8 * FASTEST_PULSES_PER_S]:
             chip.turn(wheel, turn, rate)
     for _ in range(200):
-        chip.command(Command.DRIVE, drive_body(1, -1))
+        chip.command(LinkCommand.DRIVE, drive_body(1, -1))
         chip.run(0.02)
     chip.rest()
     assert last(chip) == chip.pulses()
@@ -96,7 +96,7 @@ def test_reset_begins_anew_in_the_middle_of_a_turn(chip: Chip) -> None:
     chip.turn("left", 4000, 4000)
     chip.turn("right", -4000, 4000)
     chip.run(0.1)
-    chip.command(Command.RESET_COUNTS)
+    chip.command(LinkCommand.RESET_COUNTS)
     chip.run(0.005)
     left, right = chip.pulses()
     chip.rest()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from firmware.simulation.simulated_chip import CHIP_HZ, WATCHDOG_RESET, Chip
-from wheelsight.io.devices.wire_formats import Ack, Command, Counts, drive_body
+from wheelsight.io.devices.wire_formats import Ack, Counts, LinkCommand, drive_body
 
 UBRRL, UCSRA, UCSRC = 0x29, 0x2B, 0x40
 U2X, TWO_STOP_BITS, PARITY, EIGHT_BITS = 1 << 1, 1 << 3, 3 << 4, 3 << 1
@@ -58,20 +58,20 @@ def test_version(chip: Chip) -> None:
 @pytest.mark.parametrize(
     ("command", "body", "status"),
     [
-        (Command.DRIVE, drive_body(0.1, -0.1), DONE),
-        (Command.DRIVE, drive_body(1, -1), DONE),
-        (Command.DRIVE, b"\0\0\0", BAD_LENGTH),
-        (Command.DRIVE, b"\0\0\0\0\0", BAD_LENGTH),
-        (Command.DRIVE, (1001).to_bytes(2, "little", signed=True) + bytes(2), OUT_OF_RANGE),
-        (Command.DRIVE, bytes(2) + (-1001).to_bytes(2, "little", signed=True), OUT_OF_RANGE),
-        (Command.STOP, b"", DONE),
-        (Command.STOP, b"\1", BAD_LENGTH),
-        (Command.GET_VERSION, b"", DONE),
-        (Command.RESET_COUNTS, b"", DONE),
-        (Command.RESET_COUNTS, b"\0", BAD_LENGTH),
-        (Command.SET_FORMAT, b"\0", DONE),
-        (Command.SET_FORMAT, b"\2", OUT_OF_RANGE),
-        (Command.SET_FORMAT, b"", BAD_LENGTH),
+        (LinkCommand.DRIVE, drive_body(0.1, -0.1), DONE),
+        (LinkCommand.DRIVE, drive_body(1, -1), DONE),
+        (LinkCommand.DRIVE, b"\0\0\0", BAD_LENGTH),
+        (LinkCommand.DRIVE, b"\0\0\0\0\0", BAD_LENGTH),
+        (LinkCommand.DRIVE, (1001).to_bytes(2, "little", signed=True) + bytes(2), OUT_OF_RANGE),
+        (LinkCommand.DRIVE, bytes(2) + (-1001).to_bytes(2, "little", signed=True), OUT_OF_RANGE),
+        (LinkCommand.STOP, b"", DONE),
+        (LinkCommand.STOP, b"\1", BAD_LENGTH),
+        (LinkCommand.GET_VERSION, b"", DONE),
+        (LinkCommand.RESET_COUNTS, b"", DONE),
+        (LinkCommand.RESET_COUNTS, b"\0", BAD_LENGTH),
+        (LinkCommand.SET_FORMAT, b"\0", DONE),
+        (LinkCommand.SET_FORMAT, b"\2", OUT_OF_RANGE),
+        (LinkCommand.SET_FORMAT, b"", BAD_LENGTH),
         (0x80, b"", UNKNOWN),
         (0x86, b"\1\2", UNKNOWN),
         (0xFF, b"", UNKNOWN),
@@ -87,7 +87,7 @@ def test_each_command_is_answered(chip: Chip, command: int, body: bytes, status:
 
 def test_frames_count_on_through_answers(chip: Chip) -> None:
     for _ in range(300):
-        chip.command(Command.STOP)
+        chip.command(LinkCommand.STOP)
         chip.run(0.002)
     messages = chip.messages()
     assert sum(isinstance(message, Ack) for message in messages) == 300
@@ -98,7 +98,7 @@ def test_frames_count_on_through_answers(chip: Chip) -> None:
 def test_a_line_that_is_behind_loses_whole_frames_and_says_so(chip: Chip) -> None:
     # 12 bytes of GET_VERSION make 19 of answers: faster than the line takes them.
     for _ in range(200):
-        chip.command(Command.GET_VERSION)
+        chip.command(LinkCommand.GET_VERSION)
     chip.run(0.3)
     messages = chip.messages()
     assert chip.lost_frames > 0

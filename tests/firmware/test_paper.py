@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 
 from firmware.simulation.simulated_chip import CHIP_HZ, FASTEST_PULSES_PER_S, Chip
-from wheelsight.io.devices.wire_formats import Ack, Command, Counts, FrameDecoder, drive_body
+from wheelsight.io.devices.wire_formats import Ack, Counts, FrameDecoder, LinkCommand, drive_body
 
 
 @pytest.fixture
 def paper_chip(chip: Chip) -> Chip:
     """A chip told to use the paper's format; its answer, the last frame, has been read."""
-    chip.command(Command.SET_FORMAT, b"\1")
+    chip.command(LinkCommand.SET_FORMAT, b"\1")
     chip.run(0.005)
     answer = chip.messages()[-1]
     assert isinstance(answer, Ack)
-    assert (answer.command, answer.status) == (Command.SET_FORMAT, 0)
+    assert (answer.command, answer.status) == (LinkCommand.SET_FORMAT, 0)
     return chip
 
 
@@ -68,8 +68,8 @@ def test_speeds_beyond_the_papers_lose_nothing_either(paper_chip: Chip) -> None:
 
 
 def test_commands_are_obeyed_and_not_answered(paper_chip: Chip) -> None:
-    paper_chip.command(Command.DRIVE, drive_body(0.5, -0.5))
-    paper_chip.command(Command.GET_VERSION)
+    paper_chip.command(LinkCommand.DRIVE, drive_body(0.5, -0.5))
+    paper_chip.command(LinkCommand.GET_VERSION)
     paper_chip.command(0x99)
     paper_chip.run(0.02)
     assert paper_chip.duties() == pytest.approx((500, -500), abs=1)
@@ -80,13 +80,13 @@ def test_commands_are_obeyed_and_not_answered(paper_chip: Chip) -> None:
 def test_back_to_frames(paper_chip: Chip) -> None:
     paper_chip.turn("left", 400, 1000)
     paper_chip.rest()
-    paper_chip.command(Command.SET_FORMAT, b"\0")
+    paper_chip.command(LinkCommand.SET_FORMAT, b"\0")
     paper_chip.run(0.1)
     messages = paper_chip.messages()
     first, answer, counts = messages[0], messages[1], messages[-1]
     assert first[2:] == counts[2:]
     assert isinstance(answer, Ack)
-    assert (answer.command, answer.status) == (Command.SET_FORMAT, 0)
+    assert (answer.command, answer.status) == (LinkCommand.SET_FORMAT, 0)
     assert counts[2:] == (100, 0)  # the whole count: pulses told in pairs are not forgotten
     assert len(messages) == pytest.approx(7, abs=1)
 
@@ -94,7 +94,7 @@ def test_back_to_frames(paper_chip: Chip) -> None:
 def test_the_last_pair_and_the_first_frame_are_of_one_instant(paper_chip: Chip) -> None:
     paper_chip.turn("left", 4 * FASTEST_PULSES_PER_S, FASTEST_PULSES_PER_S)
     paper_chip.run(0.317)
-    paper_chip.command(Command.SET_FORMAT, b"\0")
+    paper_chip.command(LinkCommand.SET_FORMAT, b"\0")
     paper_chip.run(0.004)
     sent = bytes(byte for _, byte in paper_chip.sent())
     decoder = FrameDecoder()
@@ -109,7 +109,7 @@ def test_the_last_pair_and_the_first_frame_are_of_one_instant(paper_chip: Chip) 
 def test_pulses_since_the_last_frame_are_in_the_first_pairs(chip: Chip) -> None:
     chip.turn("left", 4 * FASTEST_PULSES_PER_S, FASTEST_PULSES_PER_S)
     chip.run(0.113)
-    chip.command(Command.SET_FORMAT, b"\1")
+    chip.command(LinkCommand.SET_FORMAT, b"\1")
     chip.rest()
     sent = bytes(byte for _, byte in chip.sent())
     decoder = FrameDecoder()
@@ -124,7 +124,7 @@ def test_pulses_since_the_last_frame_are_in_the_first_pairs(chip: Chip) -> None:
 def test_asked_for_again_it_goes_on(paper_chip: Chip) -> None:
     paper_chip.turn("left", 4000, 5000)
     for _ in range(15):
-        paper_chip.command(Command.SET_FORMAT, b"\1")
+        paper_chip.command(LinkCommand.SET_FORMAT, b"\1")
         paper_chip.run(0.011)
     paper_chip.rest()
     seconds, pulses = pairs(paper_chip)
@@ -135,7 +135,7 @@ def test_asked_for_again_it_goes_on(paper_chip: Chip) -> None:
 def test_what_was_counted_before_the_change_is_not_told_again(chip: Chip) -> None:
     chip.turn("left", 4000, 5000)
     chip.rest()
-    chip.command(Command.SET_FORMAT, b"\1")
+    chip.command(LinkCommand.SET_FORMAT, b"\1")
     chip.run(0.005)
     chip.messages()
     chip.run(0.1)
@@ -146,7 +146,7 @@ def test_what_was_counted_before_the_change_is_not_told_again(chip: Chip) -> Non
 def test_reset_loses_no_pair(paper_chip: Chip) -> None:
     paper_chip.turn("left", 400, 1000)
     paper_chip.rest()
-    paper_chip.command(Command.RESET_COUNTS)
+    paper_chip.command(LinkCommand.RESET_COUNTS)
     paper_chip.turn("left", 400, 1000)
     paper_chip.rest()
     _, pulses = pairs(paper_chip)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from firmware.simulation.simulated_chip import FASTEST_PULSES_PER_S, Chip
-from wheelsight.io.devices.wire_formats import Command, drive_body
+from wheelsight.io.devices.wire_formats import LinkCommand, drive_body
 
 FLASH, RAM = 8192, 1024
 
@@ -23,7 +23,7 @@ def test_the_stack_stays_far_from_the_data(chip: Chip, rng: np.random.Generator)
     for wheel in ("left", "right"):
         chip.turn(wheel, 4 * FASTEST_PULSES_PER_S, FASTEST_PULSES_PER_S)
     for _ in range(50):
-        chip.command(Command.DRIVE, drive_body(0.5, -0.5))
+        chip.command(LinkCommand.DRIVE, drive_body(0.5, -0.5))
         chip.send(rng.bytes(20))
         chip.run(0.02)
     (untouched,) = map(int, chip.ask("memory"))

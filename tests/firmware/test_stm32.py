@@ -18,7 +18,7 @@ from firmware.simulation.simulated_stm32 import DATA_SIZE, RAM_SIZE, Stm32
 from wheelsight.core.messages import WheelTicks
 from wheelsight.io.devices.tick_tracking import TickTracker
 from wheelsight.io.devices.wheel_link import LinkStatus, WheelLink
-from wheelsight.io.devices.wire_formats import Command, Format, drive_body, encode_frame
+from wheelsight.io.devices.wire_formats import Format, LinkCommand, drive_body, encode_frame
 
 FASTEST_COUNTS_PER_S = 400_000  # 5000 lines, four counts a line, twenty turns a second
 DONE, UNKNOWN, BAD_LENGTH, OUT_OF_RANGE = range(4)
@@ -43,7 +43,7 @@ def test_the_build_prints_a_size_that_leaves_room(built_stm32: Path, board: Stm3
     text, data, bss = map(int, told[-1])
     assert 0 < text < 32 << 10
     assert 0 < data + bss < DATA_SIZE
-    board.command(Command.DRIVE, drive_body(0.1, 0.1))
+    board.command(LinkCommand.DRIVE, drive_body(0.1, 0.1))
     board.run(0.1)
     assert 0 < board.stack_used() < RAM_SIZE // 64
 
@@ -65,7 +65,7 @@ def test_no_count_is_lost_at_twice_400_khz(board: Stm32, rng: np.random.Generato
         for counts in [300_000, *back_and_forth, -500_000]:
             board.turn(wheel, sign * counts, rate)
     for _ in range(60):
-        board.command(Command.DRIVE, drive_body(1, -1))
+        board.command(LinkCommand.DRIVE, drive_body(1, -1))
         board.run(0.02)
     board.rest()
     assert last(board) == board.positions()
@@ -77,7 +77,7 @@ def test_sixteen_bits_are_looked_at_long_before_they_are_full(board: Stm32, rng:
     """On a processor that does 2.5 million instructions a second, of the real one's 168; noise and commands besides."""
     board.turn("right", 200_000, FASTEST_COUNTS_PER_S)
     for _ in range(20):
-        board.command(Command.GET_VERSION)
+        board.command(LinkCommand.GET_VERSION)
         board.send(rng.bytes(30))
         board.run(0.02)
     longest_s = board.peripherals.longest_unread_s
@@ -177,14 +177,14 @@ def test_version(board: Stm32) -> None:
 @pytest.mark.parametrize(
     ("command", "body", "status"),
     [
-        (Command.DRIVE, drive_body(1, -1), DONE),
-        (Command.DRIVE, b"\0\0\0", BAD_LENGTH),
-        (Command.DRIVE, (1001).to_bytes(2, "little", signed=True) + bytes(2), OUT_OF_RANGE),
-        (Command.STOP, b"", DONE),
-        (Command.STOP, b"\1", BAD_LENGTH),
-        (Command.RESET_COUNTS, b"", DONE),
-        (Command.SET_FORMAT, b"\0", DONE),
-        (Command.SET_FORMAT, b"\1", OUT_OF_RANGE),  # the paper's bytes are too small for these encoders
+        (LinkCommand.DRIVE, drive_body(1, -1), DONE),
+        (LinkCommand.DRIVE, b"\0\0\0", BAD_LENGTH),
+        (LinkCommand.DRIVE, (1001).to_bytes(2, "little", signed=True) + bytes(2), OUT_OF_RANGE),
+        (LinkCommand.STOP, b"", DONE),
+        (LinkCommand.STOP, b"\1", BAD_LENGTH),
+        (LinkCommand.RESET_COUNTS, b"", DONE),
+        (LinkCommand.SET_FORMAT, b"\0", DONE),
+        (LinkCommand.SET_FORMAT, b"\1", OUT_OF_RANGE),  # the paper's bytes are too small for these encoders
         (0x86, b"\1\2", UNKNOWN),
     ],
 )
@@ -198,7 +198,7 @@ def test_each_command_is_answered(board: Stm32, command: int, body: bytes, statu
 def test_reset_counts_begins_at_zero(board: Stm32) -> None:
     board.turn("right", 5000, 100_000)
     board.rest()
-    board.command(Command.RESET_COUNTS)
+    board.command(LinkCommand.RESET_COUNTS)
     board.run(0.05)
     assert last(board) == (0, 0)
     board.turn("right", -70_000, 300_000)
@@ -213,7 +213,7 @@ def test_noise_on_the_line_does_nothing_and_the_next_command_is_obeyed(board: St
     assert board.duties() == NEUTRAL
     board.run(0.05)
     board.messages()
-    sequence = board.command(Command.DRIVE, drive_body(0.25, -0.5))
+    sequence = board.command(LinkCommand.DRIVE, drive_body(0.25, -0.5))
     board.run(0.01)
     assert [ack.command_sequence for ack in board.acks()] == [sequence]
     assert board.duties() == pytest.approx((250, -500), abs=0.1)
@@ -221,7 +221,7 @@ def test_noise_on_the_line_does_nothing_and_the_next_command_is_obeyed(board: St
 
 
 def test_a_damaged_command_is_not_obeyed(board: Stm32) -> None:
-    whole = encode_frame(Command.DRIVE, 1, drive_body(0.9, 0.9))
+    whole = encode_frame(LinkCommand.DRIVE, 1, drive_body(0.9, 0.9))
     for bit in range(8 * (len(whole) - 1)):
         damaged = bytearray(whole)
         damaged[bit // 8] ^= 1 << bit % 8
@@ -245,7 +245,7 @@ def test_motors_rest_when_power_comes_on(built_stm32: Path) -> None:
 
 @pytest.mark.parametrize("left", [0, 1, -1, 250, -500, 999, 1000, -1000])
 def test_duty_on_the_pins_is_what_was_commanded(board: Stm32, left: int) -> None:
-    board.command(Command.DRIVE, drive_body(left / 1000, -left // 3 / 1000))
+    board.command(LinkCommand.DRIVE, drive_body(left / 1000, -left // 3 / 1000))
     board.run(0.01)
     assert board.duties() == pytest.approx((left, -left // 3), abs=0.1)
 
@@ -259,7 +259,7 @@ def seconds_until_neutral(board: Stm32) -> float:
 
 
 def test_motors_rest_a_quarter_second_after_the_last_command(board: Stm32) -> None:
-    board.command(Command.DRIVE, drive_body(0.6, 0.6))
+    board.command(LinkCommand.DRIVE, drive_body(0.6, 0.6))
     board.run(0.002)
     assert board.duties() != NEUTRAL
     assert seconds_until_neutral(board) == pytest.approx(0.25, abs=0.01)
@@ -267,17 +267,17 @@ def test_motors_rest_a_quarter_second_after_the_last_command(board: Stm32) -> No
 
 def test_ten_commands_a_second_keep_them_turning_and_others_do_not(board: Stm32) -> None:
     for _ in range(5):
-        board.command(Command.DRIVE, drive_body(0.6, 0.6))
+        board.command(LinkCommand.DRIVE, drive_body(0.6, 0.6))
         board.run(0.1)
         assert board.duties() == pytest.approx((600, 600), abs=0.1)
     for _ in range(4):
-        board.command(Command.GET_VERSION)
+        board.command(LinkCommand.GET_VERSION)
         board.run(0.1)
     assert board.duties() == NEUTRAL
 
 
 def test_a_program_that_hangs_is_started_anew_with_motors_at_rest(board: Stm32) -> None:
-    board.command(Command.DRIVE, drive_body(0.9, 0.9))
+    board.command(LinkCommand.DRIVE, drive_body(0.9, 0.9))
     board.run(0.01)
     assert board.duties() != NEUTRAL
     board.hang()

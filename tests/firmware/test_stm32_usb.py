@@ -10,7 +10,15 @@ import pytest
 
 from firmware.simulation.simulated_stm32 import SERIAL_NUMBER, Stm32
 from firmware.simulation.stm32_usb import UsbError, UsbHost
-from wheelsight.io.devices.wire_formats import Ack, Command, Counts, FrameDecoder, Message, drive_body, encode_command
+from wheelsight.io.devices.wire_formats import (
+    Ack,
+    Counts,
+    FrameDecoder,
+    LinkCommand,
+    Message,
+    drive_body,
+    encode_command,
+)
 
 VENDOR, PRODUCT = 0x1209, 0x0001
 
@@ -100,13 +108,13 @@ def test_no_count_is_lost_over_usb_at_twice_400_khz(board: Stm32, host: UsbHost,
 
 def test_commands_are_obeyed_and_answered_on_both_lines(board: Stm32, host: UsbHost, decoder: FrameDecoder) -> None:
     host.open_port()
-    host.write(encode_command(Command.DRIVE, 77, drive_body(0.5, -0.25)))
+    host.write(encode_command(LinkCommand.DRIVE, 77, drive_body(0.5, -0.25)))
     told = heard(board, host, decoder, 0.04)
-    assert [(ack.command, ack.command_sequence) for ack in told if isinstance(ack, Ack)] == [(Command.DRIVE, 77)]
+    assert [(ack.command, ack.command_sequence) for ack in told if isinstance(ack, Ack)] == [(LinkCommand.DRIVE, 77)]
     assert board.duties() == pytest.approx((500, -250), abs=0.1)
     assert [ack.command_sequence for ack in board.acks()] == [77]
     # Halves of commands that come over both lines at once are not mixed.
-    first, second = encode_command(Command.STOP, 78), encode_command(Command.DRIVE, 79, drive_body(0.1, 0.1))
+    first, second = encode_command(LinkCommand.STOP, 78), encode_command(LinkCommand.DRIVE, 79, drive_body(0.1, 0.1))
     host.write(first[:4])
     board.send(second)
     board.run(0.01)
@@ -121,7 +129,7 @@ def test_a_host_that_writes_without_end_waits_and_loses_nothing(
     host.open_port()
     acks: list[Ack] = []
     for n in range(0, 180, 30):  # 390 bytes at a time, of which the board keeps 255
-        host.write(b"".join(encode_command(Command.DRIVE, n + k, drive_body(0.1, 0.1)) for k in range(30)))
+        host.write(b"".join(encode_command(LinkCommand.DRIVE, n + k, drive_body(0.1, 0.1)) for k in range(30)))
         acks += [told for told in heard(board, host, decoder, 0.02) if isinstance(told, Ack)]
     acks += [told for told in heard(board, host, decoder, 0.1) if isinstance(told, Ack)]
     assert [ack.command_sequence for ack in acks] == list(range(180))
@@ -135,7 +143,7 @@ def test_noise_on_usb_does_nothing(
         host.write(rng.bytes(int(rng.integers(1, 200))))
         board.run(0.005)
     assert board.duties() == pytest.approx((0, 0), abs=0.1)
-    host.write(encode_command(Command.STOP, 5))
+    host.write(encode_command(LinkCommand.STOP, 5))
     acks = [told.command_sequence for told in heard(board, host, decoder, 0.1) if isinstance(told, Ack)]
     assert acks == [5]
 

@@ -17,13 +17,13 @@ from wheelsight.core.errors import CalibrationError, InputError, RecordingError
 from wheelsight.core.geometry import PinholeCamera
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.io.recordings import OpenOptions, open_recording
-from wheelsight.io.recordings.azure_kinect import Lens, Registration, read_lenses
+from wheelsight.io.recordings.azure_kinect import KinectLens, KinectRegistration, read_lenses
 from wheelsight.io.recordings.inspection import OffsetMeter
 
 
-def lens(camera: PinholeCamera, coefficients: Any = (0.0,) * 8, T: Any = None) -> Lens:
+def lens(camera: PinholeCamera, coefficients: Any = (0.0,) * 8, T: Any = None) -> KinectLens:
     place = np.eye(4) if T is None else T
-    return Lens(camera.K, np.array(coefficients, float), (camera.width, camera.height), 2.0, place)
+    return KinectLens(camera.K, np.array(coefficients, float), (camera.width, camera.height), 2.0, place)
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def test_depth_falls_where_opencv_projects_it(rng: np.random.Generator) -> None:
     T = np.eye(4)
     T[:3, :3] = cv2.Rodrigues(np.array([0.09, 0.01, -0.02]))[0]
     T[:3, 3] = (-0.032, -0.002, 0.004)
-    subject = Registration(lens(color_camera, (0.1, 0, 0, 0, 0, 0, 0, 0), T), lens(depth_camera, coefficients))
+    subject = KinectRegistration(lens(color_camera, (0.1, 0, 0, 0, 0, 0, 0, 0), T), lens(depth_camera, coefficients))
     rows, columns = rng.integers(120, 230, 40), rng.integers(60, 260, 40)
     for row, column in zip(rows, columns, strict=True):
         depth_mm = np.zeros((288, 320), np.uint16)
@@ -83,7 +83,7 @@ def test_a_wall_has_no_holes_and_the_nearer_hides_the_farther() -> None:
     color_camera = PinholeCamera(400, 300, 306.0, 306.0, 199.5, 149.5)
     T = np.eye(4)
     T[0, 3] = -0.032
-    subject = Registration(lens(color_camera, T=T), lens(depth_camera))
+    subject = KinectRegistration(lens(color_camera, T=T), lens(depth_camera))
     depth_mm = np.full((288, 320), 2000, np.uint16)
     depth_mm[:, 100:140] = 500
     seen = subject.registered(depth_mm)

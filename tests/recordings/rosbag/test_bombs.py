@@ -21,7 +21,7 @@ from wheelsight.io.recordings import open_recording
 from wheelsight.io.recordings.bags import chunks
 from wheelsight.io.recordings.bags import recording as order
 from wheelsight.io.recordings.bags.chunks import Allowance, store_of
-from wheelsight.io.recordings.bags.recording import EventQueue, MessageQueue, Pairing, RawFrame
+from wheelsight.io.recordings.bags.recording import EventQueue, ImagePair, MessageQueue, Pairing
 from wheelsight.io.recordings.bags.storage import Message
 from wheelsight.io.recordings.bags.storage_formats import MAGIC
 
@@ -327,7 +327,7 @@ def test_frames_that_wait_for_older_events_are_bounded(monkeypatch: pytest.Monke
     monkeypatch.setattr(order, "_MOST_BYTES", 8 * MEGABYTE)
     queue, stamps_s = EventQueue(), []
     for number, message in enumerate(messages_of_one_receipt(20)):
-        queue.add(RawFrame(float(number), message, message, 0.0))
+        queue.add(ImagePair(float(number), message, message, 0.0))
         stamps_s += [item.stamp_s for item in queue.until(-float("inf"))]
         assert number + 1 - len(stamps_s) <= 4
     assert [*stamps_s, *(item.stamp_s for item in queue.until(float("inf")))] == list(range(20))

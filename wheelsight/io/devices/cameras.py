@@ -9,7 +9,9 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Self
 
@@ -19,6 +21,7 @@ from wheelsight.core.files import StrPath
 from wheelsight.core.messages import AngularVelocity, RgbdFrame, SkippedFrame
 from wheelsight.core.settings import LiveCameraSettings
 from wheelsight.io.devices import host_clock
+from wheelsight.io.devices.camera_driver import CameraDriver
 from wheelsight.io.devices.live_camera import CameraReport, CameraStatus, LiveCamera, LiveFrame, StreamingCamera
 from wheelsight.io.devices.plugged_in import why_not
 
@@ -26,37 +29,31 @@ Opener = Callable[[str | None, LiveCameraSettings, Calibration | None], LiveCame
 """Opens a camera, given its serial number or file (None for the first one), settings, and a calibration or None."""
 
 
-def _openni2(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
-    from wheelsight.io.devices.openni2 import OpenNI2Driver, is_file
+def _open(kind: str, where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
+    """A camera of a kind. Loads its driver at the first use."""
+    if kind == "recording":
+        return PlayedCamera.opened(where, settings, calibration)
+    driver: CameraDriver
+    if kind == "realsense":
+        from wheelsight.io.devices.realsense import RealSenseDriver
 
-    if where is not None and is_file(where):
+        driver = RealSenseDriver(where, settings)
+    elif kind == "freenect":
+        from wheelsight.io.devices.freenect import FreenectDriver
+
+        driver = FreenectDriver(where, settings)
+    else:
         from wheelsight.io.devices.oni_player import OniPlayer
+        from wheelsight.io.devices.openni2 import OpenNI2Driver, is_file
 
-        return StreamingCamera(OniPlayer(where, settings), settings, calibration)
-    return StreamingCamera(OpenNI2Driver(where, settings), settings, calibration)
-
-
-def _realsense(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
-    from wheelsight.io.devices.realsense import RealSenseDriver
-
-    return StreamingCamera(RealSenseDriver(where, settings), settings, calibration)
-
-
-def _freenect(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
-    from wheelsight.io.devices.freenect import FreenectDriver
-
-    return StreamingCamera(FreenectDriver(where, settings), settings, calibration)
-
-
-def _recording(where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> LiveCamera:
-    return PlayedCamera.opened(where, settings, calibration)
+        driver = OpenNI2Driver(where, settings)
+        if where is not None and is_file(where):
+            driver = OniPlayer(where, settings)
+    return StreamingCamera(driver, settings, calibration)
 
 
 LIVE_CAMERAS: dict[str, Opener] = {
-    "realsense": _realsense,
-    "freenect": _freenect,
-    "openni2": _openni2,
-    "recording": _recording,
+    kind: partial(_open, kind) for kind in ("realsense", "freenect", "openni2", "recording")
 }
 """The openers of each kind of camera."""
 
@@ -109,7 +106,13 @@ def open_robot_camera(
         DeviceError: as `open_live_camera`.
         CalibrationError: a file is not a calibration, or is incomplete.
     """
-    asked = known if known is not None or not files else _of_camera(files)
+    asked = known
+    if known is None and files:
+        with suppress(
+            CalibrationError
+        ):  # the camera's own calibration may complete the files; else loading both raises
+            found = load_calibration(*files)
+            asked = None if found.color is None else found
     camera = open_live_camera(None if which == ANY else which, settings, asked)
     try:
         if known is not None:
@@ -118,15 +121,6 @@ def open_robot_camera(
     except BaseException:
         camera.close()
         raise
-
-
-def _of_camera(files: Sequence[StrPath]) -> Calibration | None:
-    """The calibration of the files, if it has a camera; None where they are complete only with the camera's own."""
-    try:
-        found = load_calibration(*files)
-    except CalibrationError:
-        return None  # the camera's own may complete them; else loading both raises it
-    return None if found.color is None else found
 
 
 THREAD = "wheelsight-played-camera"
@@ -217,12 +211,17 @@ class PlayedCamera:
         ends_s = time.monotonic() + timeout_s
         self._asked_s = host_clock.now_s()
         with self._changed:
-            while (found := self._fetch()) is None:
+            while True:
+                now_s = host_clock.now_s()
+                while self._kept:
+                    live = self._kept.popleft()
+                    if live.age_s(now_s) <= self._settings.oldest_s:
+                        return live
+                    self._report = replace(self._report, stale=self._report.stale + 1)
                 left_s = ends_s - time.monotonic()
                 if left_s <= 0 or self._report.status in (CameraStatus.ENDED, CameraStatus.CLOSED):
                     return None
                 self._changed.wait(left_s)
-        return found
 
     def take(self) -> list[RgbdFrame | SkippedFrame]:
         """As `LiveCamera` has it."""
@@ -256,16 +255,6 @@ class PlayedCamera:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _fetch(self) -> LiveFrame | None:
-        """The next frame that is not too old, or None. The caller holds `_changed`."""
-        now_s = host_clock.now_s()
-        while self._kept:
-            live = self._kept.popleft()
-            if live.age_s(now_s) <= self._settings.oldest_s:
-                return live
-            self._report = replace(self._report, stale=self._report.stale + 1)
-        return None
-
     def _play(self, frames: Iterable[RgbdFrame | SkippedFrame]) -> None:
         """The thread: give each frame at its time."""
         behind_s: float | None = None
@@ -274,7 +263,11 @@ class PlayedCamera:
             for index, frame in enumerate(frames):
                 if isinstance(frame, SkippedFrame):
                     continue
-                paused_s = self._pause_unused()
+                # Wait while no frames are fetched.
+                began_s = host_clock.now_s()
+                while host_clock.now_s() - self._asked_s > _UNASKED_S and not self._is_over.is_set():
+                    self._is_over.wait(_WAIT_S)
+                paused_s = host_clock.now_s() - began_s
                 behind_s = host_clock.now_s() - frame.stamp_s if behind_s is None else behind_s + paused_s
                 behind_s = max(behind_s, host_clock.now_s() - frame.stamp_s - _LATEST_S)
                 due_s = frame.stamp_s + behind_s
@@ -290,13 +283,6 @@ class PlayedCamera:
         except RecordingError as error:
             self._report = replace(self._report, detail=error.problem)
         self._set_status(CameraStatus.ENDED)
-
-    def _pause_unused(self) -> float:
-        """Wait while no frames are fetched. Returns the duration, seconds."""
-        began_s = host_clock.now_s()
-        while host_clock.now_s() - self._asked_s > _UNASKED_S and not self._is_over.is_set():
-            self._is_over.wait(_WAIT_S)
-        return host_clock.now_s() - began_s
 
     def _give(self, frame: RgbdFrame, device_s: float) -> None:
         """Keep a frame for `read`, and drop the oldest where too many are kept."""

@@ -6,9 +6,9 @@ Its calibration is nominal: the library has no lens parameters.
 from __future__ import annotations
 
 import ctypes as c
+import math
 import time
-from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ _VENDOR = 0x045E
 _DENIED, _BUSY = -3, -6
 
 
-class _Mode(c.Structure):
+class _FrameMode(c.Structure):
     _fields_ = (
         ("reserved", c.c_uint32),
         ("resolution", c.c_int),
@@ -65,7 +65,7 @@ def library() -> Any:
     """The library. Raises DeviceError where it is missing."""
     found = c_library("libfreenect", _NAMES, "libfreenect0.5")
     for finder in (found.freenect_find_video_mode, found.freenect_find_depth_mode):
-        finder.restype = _Mode
+        finder.restype = _FrameMode
     return found
 
 
@@ -93,8 +93,24 @@ class FreenectDriver:
         if lib.freenect_init(c.byref(self._context), None) < 0:
             raise DeviceError("libfreenect does not start: no USB?")
         try:
-            serial = self._opened_device(lib)
-            self._start(lib)
+            lib.freenect_set_log_level(self._context, _FATAL)
+            # Leave motor and microphones to other programs.
+            lib.freenect_select_subdevices(self._context, _CAMERA)
+            if lib.freenect_num_devices(self._context) < 1:
+                raise DeviceError(
+                    "no Kinect v1 is there", fix="plug it in, its power supply too; see: wheelsight devices"
+                )
+            if self._where is not None:
+                opened = lib.freenect_open_device_by_camera_serial(
+                    self._context, c.byref(self._device), self._where.encode()
+                )
+            else:
+                opened = lib.freenect_open_device(self._context, c.byref(self._device), 0)
+            if opened < 0:
+                self._device = c.c_void_p()
+                raise _why_closed(opened, self._where)
+            serial = self._where or _first_serial(lib, self._context)
+            self._start_streams(lib)
         except DeviceError:
             self.close()
             raise
@@ -111,7 +127,8 @@ class FreenectDriver:
         while not self._found:
             left_s = ends_s - time.monotonic()
             if left_s <= 0:
-                self._check_presence(lib)
+                if lib.freenect_num_devices(self._context) < 1:
+                    raise DeviceError("the camera was unplugged", fix="plug it in again")
                 return None
             wait = _Wait(int(left_s), int(1e6 * (left_s % 1)))
             if lib.freenect_process_events_timeout(self._context, c.byref(wait)) < 0:
@@ -129,61 +146,32 @@ class FreenectDriver:
         if context:
             library().freenect_shutdown(context)
 
-    def _opened_device(self, lib: Any) -> str:
-        """Open the device. Returns its serial number."""
-        lib.freenect_set_log_level(self._context, _FATAL)
-        # Leave motor and microphones to other programs.
-        lib.freenect_select_subdevices(self._context, _CAMERA)
-        if lib.freenect_num_devices(self._context) < 1:
-            raise DeviceError("no Kinect v1 is there", fix="plug it in, its power supply too; see: wheelsight devices")
-        if self._where is not None:
-            opened = lib.freenect_open_device_by_camera_serial(
-                self._context, c.byref(self._device), self._where.encode()
-            )
-        else:
-            opened = lib.freenect_open_device(self._context, c.byref(self._device), 0)
-        if opened < 0:
-            self._device = c.c_void_p()
-            raise _why_closed(opened, self._where)
-        return self._where or _first_serial(lib, self._context)
-
-    def _start(self, lib: Any) -> None:
-        depth = _REGISTERED if self._settings.registered else _MM
+    def _start_streams(self, lib: Any) -> None:
+        unit = _REGISTERED if self._settings.registered else _MM
         lib.freenect_set_video_mode(self._device, lib.freenect_find_video_mode(_VGA, _RGB))
-        lib.freenect_set_depth_mode(self._device, lib.freenect_find_depth_mode(_VGA, depth))
+        lib.freenect_set_depth_mode(self._device, lib.freenect_find_depth_mode(_VGA, unit))
         self._pairs, self._found, self._ticks = FramePairs(), [], None
         # Keep references while the library may call them.
-        self._callbacks = [_Callback(self._take_color), _Callback(self._take_depth)]
+        color = partial(self._take, self._pairs.add_color, (_HEIGHT, _WIDTH, 3), np.uint8)
+        depth = partial(self._take, self._pairs.add_depth, (_HEIGHT, _WIDTH), np.uint16)
+        self._callbacks = [_Callback(color), _Callback(depth)]
         lib.freenect_set_video_callback(self._device, self._callbacks[0])
         lib.freenect_set_depth_callback(self._device, self._callbacks[1])
         for name, start in (("depth", lib.freenect_start_depth), ("colour", lib.freenect_start_video)):
             if start(self._device) < 0:
                 raise DeviceError(f"the {name} stream does not start", fix="use a USB port of its own for the Kinect")
 
-    def _take_color(self, _: Any, data: int, ticks: int) -> None:
-        pixels = np.frombuffer(c.string_at(data, _WIDTH * _HEIGHT * 3), np.uint8).reshape(_HEIGHT, _WIDTH, 3)
-        self._pair(self._pairs.add_color, pixels, ticks)
-
-    def _take_depth(self, _: Any, data: int, ticks: int) -> None:
-        raw = np.frombuffer(c.string_at(data, _WIDTH * _HEIGHT * 2), np.uint16).reshape(_HEIGHT, _WIDTH)
-        self._pair(self._pairs.add_depth, raw, ticks)
-
-    def _pair(self, add: Callable[..., Any], image: ByteArray | UInt16Array, ticks: int) -> None:
-        pair: tuple[Stamped[Any], Stamped[Any]] | None = add(self._seconds(ticks), image)
+    def _take(self, add: Any, shape: tuple[int, ...], dtype: Any, _: Any, data: int, ticks: int) -> None:
+        """Called by the library with an image in its memory."""
+        image = np.frombuffer(c.string_at(data, math.prod(shape) * np.dtype(dtype).itemsize), dtype).reshape(shape)
+        # The clock wraps around; both streams share it.
+        self._ticks = ticks if self._ticks is None else self._ticks + least_step(ticks - self._ticks, _CLOCK_SPAN)
+        pair: tuple[Stamped[Any], Stamped[Any]] | None = add(self._ticks / _CLOCK_HZ, image)
         if pair is None:
             return
         color, depth = pair
         depth_m = np.multiply(depth.what, np.float32(1e-3), dtype=np.float32)
         self._found.append(DeviceImages(color.what, depth_m, color.stamp_s, depth.stamp_s, None))
-
-    def _seconds(self, ticks: int) -> float:
-        """The unwrapped time of the device's clock, which both streams share."""
-        self._ticks = ticks if self._ticks is None else self._ticks + least_step(ticks - self._ticks, _CLOCK_SPAN)
-        return self._ticks / _CLOCK_HZ
-
-    def _check_presence(self, lib: Any) -> None:
-        if lib.freenect_num_devices(self._context) < 1:
-            raise DeviceError("the camera was unplugged", fix="plug it in again")
 
 
 def _why_closed(error: int, where: str | None) -> DeviceError:

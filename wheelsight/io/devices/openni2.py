@@ -88,7 +88,7 @@ class _DeviceInfo(ctypes.Structure):
     )
 
 
-class RawFrame(ctypes.Structure):
+class OniFrame(ctypes.Structure):
     """A frame in the library's memory."""
 
     _fields_ = (
@@ -276,7 +276,7 @@ class OniDevice:
             return
         if got != 0:
             raise DeviceError(f"OpenNI2 waits in vain: {_last_error(self._lib)}")
-        frame = ctypes.POINTER(RawFrame)()
+        frame = ctypes.POINTER(OniFrame)()
         if self._lib.oniStreamReadFrame(self._streams[sensors[which.value]], ctypes.byref(frame)) != 0:
             raise DeviceError(f"OpenNI2 reads no frame: {_last_error(self._lib)}")
         try:
@@ -293,7 +293,7 @@ def _copied(mode: VideoMode) -> VideoMode:
     return VideoMode(mode.format, mode.width, mode.height, mode.fps)
 
 
-def copied_frame(frame: RawFrame) -> StreamFrame:
+def copied_frame(frame: OniFrame) -> StreamFrame:
     """A copy of a frame; of a size that its bytes do not fill, an image of no pixels, which is then refused."""
     channels, dtype = (3, np.uint8) if frame.mode.format == RGB888 else (1, np.uint16)
     row = frame.width * channels * np.dtype(dtype).itemsize

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 
 from serial.tools.list_ports import comports
@@ -59,6 +60,10 @@ class _Model:
     needs_usb_3: bool
     lacks: Callable[[], tuple[str, str] | None]
 
+    def is_of(self, device: UsbDevice) -> bool:
+        """Whether a device is of this model."""
+        return self.vendor == device.vendor and (not self.products or device.product in self.products)
+
 
 def plugged_in(devices: Sequence[UsbDevice] | None = None) -> list[PluggedIn]:
     """Depth cameras, then serial ports. Nothing is opened.
@@ -66,13 +71,15 @@ def plugged_in(devices: Sequence[UsbDevice] | None = None) -> list[PluggedIn]:
     Args:
         devices: on USB; None for those that the kernel lists.
     """
-    return [*cameras_plugged_in(devices), *_ports()]
+    # A PC always lists eight ports that are not there, without a name.
+    ports = [port for port in sorted(comports()) if port.hwid not in ("", "n/a")]
+    return [*cameras_plugged_in(devices), *(_port(port.device, port.description or "") for port in ports)]
 
 
 def cameras_plugged_in(devices: Sequence[UsbDevice] | None = None) -> list[PluggedIn]:
     """Depth cameras, as `plugged_in` has them."""
     listed = usb_devices() if devices is None else devices
-    known = [(device, model) for device in listed if (model := _model_of(device)) is not None]
+    known = [(device, model) for device in listed for model in _MODELS if model.is_of(device)]
     found = [_camera(device, model) for device, model in known]
     has_motor = any((device.vendor, device.product) == _KINECT_V1_MOTOR for device in listed)
     if has_motor and not any(model.name == _KINECT_V1 for _, model in known):
@@ -81,30 +88,20 @@ def cameras_plugged_in(devices: Sequence[UsbDevice] | None = None) -> list[Plugg
     return found
 
 
-def _model_of(device: UsbDevice) -> _Model | None:
-    return next(
-        (m for m in _MODELS if m.vendor == device.vendor and (not m.products or device.product in m.products)), None
-    )
-
-
 def _camera(device: UsbDevice, model: _Model) -> PluggedIn:
     name = " ".join(word for word in (model.name, f"({device.name})" if device.name else "", device.serial) if word)
     use = f"--camera {model.opener}" + (f":{device.serial}" if model.opener in _BY_SERIAL and device.serial else "")
-    problem, fix = _problem(device, model) or ("", "")
-    return PluggedIn("camera", name, use if model.opener else "", problem, fix, model.opener)
-
-
-def _problem(device: UsbDevice, model: _Model) -> tuple[str, str] | None:
-    """The first problem of a device, with its fix; None without one."""
+    problem, fix = "", ""
     if (missing := model.lacks()) is not None:
-        return missing
-    if not device.is_usable:
-        return "no permission to open it", udev_rule(device.vendor)
-    if users := users_of(device.node):
-        return f"in use by {', '.join(users)}", "end that one first"
-    if model.needs_usb_3 and 0 < device.speed_mbit < USB_3_MBIT:
-        return f"on USB 2 ({device.speed_mbit:g} Mbit/s), which loses frames", "use a USB 3 port and a USB 3 cable"
-    return None
+        problem, fix = missing
+    elif not device.is_usable:
+        problem, fix = "no permission to open it", udev_rule(device.vendor)
+    elif users := users_of(device.node):
+        problem, fix = f"in use by {', '.join(users)}", "end that one first"
+    elif model.needs_usb_3 and 0 < device.speed_mbit < USB_3_MBIT:
+        problem = f"on USB 2 ({device.speed_mbit:g} Mbit/s), which loses frames"
+        fix = "use a USB 3 port and a USB 3 cable"
+    return PluggedIn("camera", name, use if model.opener else "", problem, fix, model.opener)
 
 
 def _lacks_realsense() -> tuple[str, str] | None:
@@ -113,10 +110,10 @@ def _lacks_realsense() -> tuple[str, str] | None:
     return "its library is missing", "pip install pyrealsense2"
 
 
-def _lacks_openni2() -> tuple[str, str] | None:
+def _lacks_openni2(driver: str) -> tuple[str, str] | None:
     from wheelsight.io.devices.openni2 import why_unusable
 
-    return why_unusable("PS1080")
+    return why_unusable(driver)
 
 
 def _lacks_freenect() -> tuple[str, str] | None:
@@ -129,38 +126,25 @@ def _lacks_freenect() -> tuple[str, str] | None:
     return None
 
 
-def _lacks_freenect2() -> tuple[str, str] | None:
-    from wheelsight.io.devices.openni2 import why_unusable
-
-    return why_unusable("freenect2")
-
-
-def _lacks_orbbec() -> tuple[str, str] | None:
-    from wheelsight.io.devices.openni2 import why_unusable
-
-    return why_unusable("rbbec")
-
-
-def _never_live() -> tuple[str, str] | None:
-    return "cannot be read live", "record with k4arecorder, and give its .mkv as the recording"
-
-
 _KINECT_V1 = "Kinect v1"
 _BY_SERIAL = ("realsense",)
 _REALSENSE = (0x0AD3, 0x0AD4, 0x0AD5, 0x0AF6, 0x0B07, 0x0B3A, 0x0B5B, 0x0B5C, 0x0ABF, 0xABCD, 0x1155)
+_NEVER_LIVE = "cannot be read live", "record with k4arecorder, and give its .mkv as the recording"
 _MODELS = (
     _Model(0x8086, _REALSENSE, "RealSense D400", "realsense", True, _lacks_realsense),
-    _Model(0x1D27, (0x0500, 0x0600, 0x0601, 0x0609), "PrimeSense or Xtion", "openni2", False, _lacks_openni2),
+    _Model(
+        0x1D27,
+        (0x0500, 0x0600, 0x0601, 0x0609),
+        "PrimeSense or Xtion",
+        "openni2",
+        False,
+        partial(_lacks_openni2, "PS1080"),
+    ),
     _Model(_MICROSOFT, (0x02AE, 0x02BF), _KINECT_V1, "freenect", False, _lacks_freenect),
-    _Model(_MICROSOFT, (0x02C4, 0x02D8), "Kinect v2", "openni2", True, _lacks_freenect2),
-    _Model(_MICROSOFT, (0x097C,), "Azure Kinect", "", True, _never_live),
-    _Model(0x2BC5, (), "Orbbec", "openni2", False, _lacks_orbbec),
+    _Model(_MICROSOFT, (0x02C4, 0x02D8), "Kinect v2", "openni2", True, partial(_lacks_openni2, "freenect2")),
+    _Model(_MICROSOFT, (0x097C,), "Azure Kinect", "", True, lambda: _NEVER_LIVE),
+    _Model(0x2BC5, (), "Orbbec", "openni2", False, partial(_lacks_openni2, "rbbec")),
 )
-
-
-def _ports() -> list[PluggedIn]:
-    """Serial ports on USB or with a name, without the eight that a PC always lists."""
-    return [_port(port.device, port.description or "") for port in sorted(comports()) if port.hwid not in ("", "n/a")]
 
 
 def _port(path: str, description: str) -> PluggedIn:

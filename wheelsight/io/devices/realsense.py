@@ -29,18 +29,13 @@ from wheelsight.io.devices.camera_driver import (
     udev_rule,
 )
 
-# RealSense cameras through pyrealsense2, and files of its recorder, with the calibration of the device.
-
-
 _VENDOR = 0x8086
 RECORDINGS = (".bag", ".db3")
-# Of frames that the library keeps while we are away: a third of a second of two streams.
-_QUEUED = 20
-# Disparities are good to this share of a pixel on textured walls: the maker's white paper on tuning D400 depth cameras.
+_QUEUED = 20  # frames that the library keeps: a third of a second of two streams
+# The error of disparities on textured walls, pixels: the maker's white paper on tuning D400 depth cameras.
 _SUBPIXEL = 0.08
 _NEAR_M, _FAR_M = 0.2, 10.0
-# Pixels between the device's lens model and ours beyond which a warning is given.
-_LENS_OFF_PX = 0.3
+_LENS_OFF_PX = 0.3  # error of the fitted lens model that gives a warning
 
 
 class _Chosen(NamedTuple):
@@ -53,8 +48,8 @@ class _Chosen(NamedTuple):
 class RealSenseDriver:
     """A `CameraDriver`.
 
-    Depth comes as it was measured, on its own pixels: what the library registers it loses at outlines, and the
-    device's own extrinsics join the images.
+    Depth stays on its own pixels, as measured: registration by the library loses depth at outlines. The device's
+    extrinsics connect both images.
 
     Args:
         where: a serial number, or the file of a recording; None for the first connected device.
@@ -99,7 +94,11 @@ class RealSenseDriver:
                 is_there, frame = self._queue.try_wait_for_frame(max(1, int(1e3 * left_s)))
                 if is_there and (found := self._paired(frame)) is not None:
                     return found
-            self._check_presence()
+            if self._is_file:
+                if self._device.current_status() == self._rs.playback_status.stopped:
+                    raise PlaybackEndedError("the file is over", path=self._where)
+            elif self._serial(self._device) not in map(self._serial, self._plugged_in()):
+                raise DeviceError("the camera was unplugged", fix="plug it in again")
         except RuntimeError as error:
             raise _device_error(error, self._where) from error
         return None
@@ -164,40 +163,29 @@ class RealSenseDriver:
         self._depth_scale_m = chosen["depth"].sensor.as_depth_sensor().get_depth_scale()
         self._pairs, self._infrared = FramePairs(), None
         self._queue = self._rs.frame_queue(_QUEUED, True)
-        self._start_gyro(chosen["depth"].profile)
-        for sensor in self._sensors_of(chosen):
+        gyro = gyro_of(self._rs, self._device, chosen["depth"].profile) if self._settings.gyro else None
+        if gyro is not None:
+            self._use_device_clock(gyro.sensor)
+            self._running.append(gyro.sensor)
+            gyro.start()
+            self._gyro = gyro
+        name = self._rs.camera_info.name
+        for sensor in {one.sensor.get_info(name): one.sensor for one in chosen.values()}.values():
             self._use_device_clock(sensor)
-            sensor.open([one.profile for one in chosen.values() if self._is_same(one.sensor, sensor)])
+            sensor.open([one.profile for one in chosen.values() if one.sensor.get_info(name) == sensor.get_info(name)])
             self._running.append(sensor)
             sensor.start(self._queue)
         if self._is_file:
             self._device.resume()
         if self._info(self._device, "usb_type_descriptor").startswith("2"):
             warnings.append("The camera is on USB 2, which loses frames: use a USB 3 port and cable.")
-        name = Path(str(self._where)).name if self._is_file else self._serial(self._device)
-        return OpenedDevice(f"{self._info(self._device, 'name')} {name}".strip(), calibration, tuple(warnings))
-
-    def _start_gyro(self, depth_profile: Any) -> None:
-        """Start the gyroscope, if there is one and the settings ask for it."""
-        gyro = gyro_of(self._rs, self._device, depth_profile) if self._settings.gyro else None
-        if gyro is None:
-            return
-        self._use_device_clock(gyro.sensor)
-        self._running.append(gyro.sensor)
-        gyro.start()
-        self._gyro = gyro
+        which = Path(str(self._where)).name if self._is_file else self._serial(self._device)
+        return OpenedDevice(f"{self._info(self._device, 'name')} {which}".strip(), calibration, tuple(warnings))
 
     def _use_device_clock(self, sensor: Any) -> None:
         """Stamp frames by the device's clock: the uncertainty of the library's mapping to host time is unknown."""
         if sensor.supports(self._rs.option.global_time_enabled):
             sensor.set_option(self._rs.option.global_time_enabled, 0)
-
-    def _is_same(self, one: Any, other: Any) -> bool:
-        name = self._rs.camera_info.name
-        return bool(one.get_info(name) == other.get_info(name))
-
-    def _sensors_of(self, chosen: dict[str, _Chosen]) -> list[Any]:
-        return list({one.sensor.get_info(self._rs.camera_info.name): one.sensor for one in chosen.values()}.values())
 
     def _choose(self, name: str, stream: Any, form: Any) -> _Chosen:
         """The requested profile, or that of a file. Raises DeviceError naming the available ones."""
@@ -228,8 +216,12 @@ class RealSenseDriver:
         T_color_depth[:3, :3] = np.reshape(extrinsics.rotation, (3, 3)).T  # column-major in the library
         T_color_depth[:3, 3] = extrinsics.translation
         serial = self._serial(self._device)
-        noise = self._depth_noise(chosen["depth"].sensor, depth)
-        source = f"what the RealSense {serial} tells of itself".replace("  ", " ")
+        noise = DepthNoise(near_m=_NEAR_M, far_m=_FAR_M)
+        sensor, baseline = chosen["depth"].sensor, self._rs.option.stereo_baseline
+        if sensor.supports(baseline):
+            baseline_m = 1e-3 * abs(sensor.get_option(baseline))
+            noise = DepthNoise(0.001, _SUBPIXEL / (depth.fx * baseline_m), _NEAR_M, _FAR_M)
+        source = f"the calibration stored in the RealSense {serial}".strip()
         return Calibration(color, depth, T_color_depth, noise, source=source), warnings
 
     def _camera(self, profile: Any, name: str, warnings: list[str]) -> PinholeCamera:
@@ -248,14 +240,6 @@ class RealSenseDriver:
             off = f"{fit.median * own.fx:.2f} px in the median, and by {fit.worst * own.fx:.1f} px at worst"
             warnings.append(f"Five coefficients miss the {name} lens by {off}.")
         return _with_lens(camera, fit.distortion)
-
-    def _depth_noise(self, sensor: Any, depth: PinholeCamera) -> DepthNoise:
-        """The noise of stereo by the device's baseline; the default where the baseline is unknown."""
-        baseline = self._rs.option.stereo_baseline
-        if not sensor.supports(baseline):
-            return DepthNoise(near_m=_NEAR_M, far_m=_FAR_M)
-        baseline_m = 1e-3 * abs(sensor.get_option(baseline))
-        return DepthNoise(0.001, _SUBPIXEL / (depth.fx * baseline_m), _NEAR_M, _FAR_M)
 
     def _paired(self, frame: Any) -> DeviceImages | None:
         kind = frame.get_profile().stream_type()
@@ -278,16 +262,6 @@ class RealSenseDriver:
             sequence=int(color.what.get_frame_number()),
             infrared=infrared,
         )
-
-    def _check_presence(self) -> None:
-        """Raise PlaybackEndedError at the end of a file, DeviceError where the device was unplugged."""
-        if self._is_file:
-            if self._device.current_status() == self._rs.playback_status.stopped:
-                raise PlaybackEndedError("the file is over", path=self._where)
-            return
-        serial = self._serial(self._device)
-        if not any(self._serial(device) == serial for device in self._plugged_in()):
-            raise DeviceError("the camera was unplugged", fix="plug it in again")
 
 
 def _mode(chosen: _Chosen) -> tuple[int, int, int]:
@@ -316,8 +290,7 @@ def _device_error(error: RuntimeError, where: str | None) -> DeviceError:
 
 # The gyroscope of a RealSense camera (D435i, D455)
 
-# Readings that the library keeps: half a second of the fastest.
-_REALSENSE_GYRO_QUEUED = 200
+_GYRO_QUEUED = 200  # readings that the library keeps: half a second at the highest rate
 
 
 class RealSenseGyro:
@@ -332,7 +305,7 @@ class RealSenseGyro:
 
     def __init__(self, rs: Any, sensor: Any, profile: Any, R_camera_gyro: FloatArray) -> None:
         self.sensor, self.profile = sensor, profile
-        self._R, self._queue = R_camera_gyro, rs.frame_queue(_REALSENSE_GYRO_QUEUED, True)
+        self._R, self._queue = R_camera_gyro, rs.frame_queue(_GYRO_QUEUED, True)
 
     def start(self) -> None:
         """Start streaming. Raises RuntimeError of the library."""

@@ -123,26 +123,23 @@ class LinkRobot:
             self._control.stop("two programs drive it at once")
             raise DeviceError("another program drives the robot", path=self._link.port, fix="let one drive")
         try:
-            return self._step(command)
+            ends_s = time.monotonic() + self._period_s
+            events: list[Event] = []
+            while (backlog := self._link.read(0)) is not None:
+                events.append(backlog)
+            restarts = self._link.report().restarts
+            if restarts != self._restarts:
+                self._restarts = restarts
+                self._control.stop("the wheel controller restarted")
+            self._obey(events[-1] if events and isinstance(events[-1], WheelTicks) else None, command)
+            while (left_s := ends_s - time.monotonic()) > 0:
+                ticks = self._link.read(left_s)
+                self._obey(ticks, command)
+                events += [] if ticks is None else [ticks]
+                if ticks is None and (left_s := ends_s - time.monotonic()) > 0:
+                    time.sleep(left_s)  # a closed link returns at once
         finally:
             self._stepping.release()
-
-    def _step(self, command: VelocityCommand) -> list[Event]:
-        ends_s = time.monotonic() + self._period_s
-        events: list[Event] = []
-        while (backlog := self._link.read(0)) is not None:
-            events.append(backlog)
-        restarts = self._link.report().restarts
-        if restarts != self._restarts:
-            self._restarts = restarts
-            self._control.stop("the wheel controller restarted")
-        self._obey(events[-1] if events and isinstance(events[-1], WheelTicks) else None, command)
-        while (left_s := ends_s - time.monotonic()) > 0:
-            ticks = self._link.read(left_s)
-            self._obey(ticks, command)
-            events += [] if ticks is None else [ticks]
-            if ticks is None and (left_s := ends_s - time.monotonic()) > 0:
-                time.sleep(left_s)  # a closed link returns at once
         events += [] if self._frames is None else self._frames.take()
         turns, mount = take_angular_velocities(self._frames), self._calibration.T_base_camera
         events += [] if mount is None else [turn.yaw_rate(mount) for turn in turns]
@@ -190,19 +187,14 @@ class LinkRobot:
         duties = self._control.update(now_s, ticks, command)
         if not self._has_driven and duties.left == duties.right == 0:
             return
-        if not (self._has_driven or self._is_firmware_good()):
+        try:
+            if not self._has_driven:
+                self.check_firmware()
+        except DeviceError as error:
+            self._control.stop(f"{error.problem} ({error.fix})" if error.fix else error.problem)
             return
         self._has_driven = True
         try:
             self._link.drive(duties.left, duties.right, self._control.settings.hold_s)
         except DeviceError as error:
             self._control.stop(error.problem)
-
-    def _is_firmware_good(self) -> bool:
-        """Whether the firmware is new enough to drive; if not, `stop_reason` says what to do."""
-        try:
-            self.check_firmware()
-        except DeviceError as error:
-            self._control.stop(f"{error.problem} ({error.fix})" if error.fix else error.problem)
-            return False
-        return True

@@ -21,7 +21,15 @@ from cobs import cobs
 
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import DeviceError
-from wheelsight.io.devices.wire_formats import FULL_DUTY, Ack, Command, Counts, Version, encode_frame, encode_message
+from wheelsight.io.devices.wire_formats import (
+    FULL_DUTY,
+    Ack,
+    Counts,
+    LinkCommand,
+    Version,
+    encode_frame,
+    encode_message,
+)
 
 Motors = Callable[[tuple[int, int], float], tuple[int, int]]
 
@@ -29,8 +37,8 @@ PERIOD_S = 0.02
 WATCHDOG_S = 0.25
 PORT_NAME = "ttyWHEELS"
 
-_BODY_BYTES = {Command.DRIVE: 4, Command.STOP: 0, Command.GET_VERSION: 0, Command.RESET_COUNTS: 0}
-_BODY_BYTES |= {Command.SET_FORMAT: 1}
+_BODY_BYTES = {LinkCommand.DRIVE: 4, LinkCommand.STOP: 0, LinkCommand.GET_VERSION: 0, LinkCommand.RESET_COUNTS: 0}
+_BODY_BYTES |= {LinkCommand.SET_FORMAT: 1}
 _DONE, _UNKNOWN, _WRONG_LENGTH, _OUT_OF_RANGE = range(4)
 _LONGEST_COMMAND = 64  # bytes that wait for their zero; more is noise
 # A wheelchair's motors: they reach 63 % of a commanded speed within this time.
@@ -293,22 +301,22 @@ class SimulatedController:
             was_framed = not self.is_paper
             status = _status(kind, body)
             if status == _DONE:
-                self._execute(Command(kind), body)
+                self._execute(LinkCommand(kind), body)
             if not self.answers or not (was_framed or not self.is_paper):
                 return
-            if kind == Command.GET_VERSION and status == _DONE:
+            if kind == LinkCommand.GET_VERSION and status == _DONE:
                 self.send(encode_message(Version(self._next(), *self.version)))
             self.send(encode_message(Ack(self._next(), kind, sequence, status)))
 
-    def _execute(self, command: Command, body: bytes) -> None:
-        if command == Command.DRIVE:
+    def _execute(self, command: LinkCommand, body: bytes) -> None:
+        if command == LinkCommand.DRIVE:
             self.duties = _duties(body)
             self._driven_s = time.monotonic()
-        elif command == Command.STOP:
+        elif command == LinkCommand.STOP:
             self.duties = (0, 0)
-        elif command == Command.RESET_COUNTS:
+        elif command == LinkCommand.RESET_COUNTS:
             self._zero = (self.left, self.right)
-        elif command == Command.SET_FORMAT:
+        elif command == LinkCommand.SET_FORMAT:
             self.is_paper = bool(body[0])
 
 
@@ -318,14 +326,14 @@ def _duties(body: bytes) -> tuple[int, int]:
 
 def _status(kind: int, body: bytes) -> int:
     """What the firmware answers."""
-    length = _BODY_BYTES.get(Command(kind)) if kind in set(Command) else None
+    length = _BODY_BYTES.get(LinkCommand(kind)) if kind in set(LinkCommand) else None
     if length is None:
         return _UNKNOWN
     if len(body) != length:
         return _WRONG_LENGTH
-    if kind == Command.DRIVE and max(map(abs, _duties(body))) > FULL_DUTY:
+    if kind == LinkCommand.DRIVE and max(map(abs, _duties(body))) > FULL_DUTY:
         return _OUT_OF_RANGE
-    return _OUT_OF_RANGE if kind == Command.SET_FORMAT and body[0] > 1 else _DONE
+    return _OUT_OF_RANGE if kind == LinkCommand.SET_FORMAT and body[0] > 1 else _DONE
 
 
 def _signed(count: int) -> int:

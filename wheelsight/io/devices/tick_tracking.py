@@ -20,7 +20,7 @@ _WORD = 1 << 32
 
 
 @dataclass(frozen=True, slots=True)
-class _Reading:
+class _CountsReading:
     """A frame of counts, with its unwrapped clock in microseconds and its time of arrival."""
 
     counts: Counts
@@ -53,8 +53,8 @@ class TickTracker:
         self.restarts = self.refused = 0
         self._left = self._right = 0
         self._has_begun = self._is_plain = False
-        self._last: _Reading | None = None
-        self._held: _Reading | None = None
+        self._last: _CountsReading | None = None
+        self._held: _CountsReading | None = None
         self._was_replugged = self._reset_is_due = False
         self._stamp_s = -float("inf")
 
@@ -70,13 +70,18 @@ class TickTracker:
         self._plain.forget()
         self._is_plain = False
         if last is None:
-            return [self._begin(_Reading(counts, counts.clock_us, arrival_s))]
-        last = self._last = self._as_if_reset(last, counts)
+            if not self._has_begun:  # else the counts of the paper's format continue
+                self._has_begun, self._left, self._right = True, counts.left, counts.right
+            return [self._accept(_CountsReading(counts, counts.clock_us, arrival_s), (0, 0))]
+        steps = _steps(last.counts, counts)
+        if self._reset_is_due and abs(counts.left) + abs(counts.right) < sum(map(abs, steps)):
+            self._reset_is_due = False  # the counts are nearer to zero than to what they were
+            last = self._last = _from_zero(last)
         reading = self._unwrap(last, counts, arrival_s)
         if self._follows(last, reading):
             self.refused += held is not None
             return [self._accept(reading, _steps(last.counts, counts))]
-        self._held = _Reading(counts, counts.clock_us, arrival_s)
+        self._held = _CountsReading(counts, counts.clock_us, arrival_s)
         if held is None:
             return []
         after = self._unwrap(held, counts, arrival_s)
@@ -91,7 +96,9 @@ class TickTracker:
         self._has_begun = True
         self._plain.forget()
         if self._last is not None:  # later frames of counts include these pulses
-            self._last = _advanced(self._last, pulses)
+            counts = self._last.counts
+            counts = counts._replace(left=counts.left + pulses.left, right=counts.right + pulses.right)
+            self._last = _CountsReading(counts, self._last.clock_us, self._last.arrival_s)
         self._left += pulses.left
         self._right += pulses.right
         is_early = max(abs(pulses.left), abs(pulses.right)) >= FULL_PULSES
@@ -113,7 +120,13 @@ class TickTracker:
         self.refused += plain.refused - refused
         if steps and not self._has_begun:
             self._has_begun, self._left, self._right = True, reading.left, reading.right
-        return [self._moved(step) for step in steps]
+        ticks = []
+        for step in steps:
+            self._left += step.left
+            self._right += step.right
+            self._stamp_s = max(step.stamp_s, self._stamp_s + 1e-6)
+            ticks.append(WheelTicks(self._stamp_s, self._left, self._right))
+        return ticks
 
     def expect_reset(self, is_due: bool) -> None:
         """Set whether a reset of the controller's counters is due, which is not motion."""
@@ -131,27 +144,14 @@ class TickTracker:
         self._plain.replugged()
         self._pairs.restart()
 
-    def _moved(self, step: PlainStep) -> WheelTicks:
-        self._left += step.left
-        self._right += step.right
-        self._stamp_s = max(step.stamp_s, self._stamp_s + 1e-6)
-        return WheelTicks(self._stamp_s, self._left, self._right)
-
-    def _as_if_reset(self, last: _Reading, counts: Counts) -> _Reading:
-        """`last`, with zero counts if a reset is due and `counts` are nearer to zero than to what they were."""
-        if self._reset_is_due and abs(counts.left) + abs(counts.right) < sum(map(abs, _steps(last.counts, counts))):
-            self._reset_is_due = False
-            return _from_zero(last)
-        return last
-
-    def _unwrap(self, last: _Reading, counts: Counts, arrival_s: float) -> _Reading:
+    def _unwrap(self, last: _CountsReading, counts: Counts, arrival_s: float) -> _CountsReading:
         """The reading with its clock unwrapped; host time gives the number of roll-overs since `last`."""
         step_us = (counts.clock_us - last.counts.clock_us) % _WORD
         passed_us = 1e6 * (arrival_s - last.arrival_s)
         step_us += _WORD * max(0, round((passed_us - step_us) / _WORD))
-        return _Reading(counts, last.clock_us + step_us, arrival_s)
+        return _CountsReading(counts, last.clock_us + step_us, arrival_s)
 
-    def _follows(self, last: _Reading, reading: _Reading) -> bool:
+    def _follows(self, last: _CountsReading, reading: _CountsReading) -> bool:
         """Whether a controller without a restart may have sent both."""
         passed_s = reading.arrival_s - last.arrival_s
         delay_s = reading.arrival_s - self.clock.host_s(reading.clock_s)
@@ -160,7 +160,7 @@ class TickTracker:
             return False
         return delay_s >= -_EARLIEST_S - slack_s and _is_possible(last, reading)
 
-    def _accept(self, reading: _Reading, steps: tuple[int, int]) -> WheelTicks:
+    def _accept(self, reading: _CountsReading, steps: tuple[int, int]) -> WheelTicks:
         self._last, self._held, self._was_replugged = reading, None, False
         self._left += steps[0]
         self._right += steps[1]
@@ -168,30 +168,22 @@ class TickTracker:
         self._stamp_s = max(self.clock.stamp_s(reading.clock_s), self._stamp_s + 1e-6)
         return WheelTicks(self._stamp_s, self._left, self._right)
 
-    def _begin(self, first: _Reading) -> WheelTicks:
-        """The ticks of the first frame: its counts, or after the paper's format the current ones."""
-        if not self._has_begun:
-            self._has_begun, self._left, self._right = True, first.counts.left, first.counts.right
-        return self._accept(first, (0, 0))
+    def _restart(self, last: _CountsReading, first: _CountsReading) -> WheelTicks:
+        """The ticks of a confirmed first frame of a controller that restarted, or whose clock or counters jumped.
 
-    def _restart(self, last: _Reading, first: _Reading) -> WheelTicks:
-        """The ticks of a confirmed first frame of a controller that restarted, or whose clock or counters jumped."""
+        Motion across it are all counts since a boot, or the step of counters that continued.
+        """
         self.restarts += 1
         self.clock.restart()
-        return self._accept(first, _pulses_since(last, first))
+        passed_s = first.arrival_s - last.arrival_s
+        if first.clock_s <= passed_s + _LATEST_AFTER_REPLUG_S:
+            pulses, seconds = (first.counts.left, first.counts.right), first.clock_s
+        else:
+            pulses, seconds = _steps(last.counts, first.counts), passed_s
+        return self._accept(first, pulses if _can_count(pulses, seconds) else (0, 0))
 
 
-def _pulses_since(last: _Reading, first: _Reading) -> tuple[int, int]:
-    """Pulses that are motion across a restart: all counts since a boot, or the step of counters that continued."""
-    passed_s = first.arrival_s - last.arrival_s
-    if first.clock_s <= passed_s + _LATEST_AFTER_REPLUG_S:
-        pulses, seconds = (first.counts.left, first.counts.right), first.clock_s
-    else:
-        pulses, seconds = _steps(last.counts, first.counts), passed_s
-    return pulses if _can_count(pulses, seconds) else (0, 0)
-
-
-def _is_possible(last: _Reading, reading: _Reading) -> bool:
+def _is_possible(last: _CountsReading, reading: _CountsReading) -> bool:
     step_s = reading.clock_s - last.clock_s
     return step_s > 0 and _can_count(_steps(last.counts, reading.counts), step_s)
 
@@ -209,16 +201,9 @@ def _signed(difference: int) -> int:
     return (difference + _WORD // 2) % _WORD - _WORD // 2
 
 
-def _advanced(reading: _Reading, pulses: Pulses) -> _Reading:
-    """The reading with counters advanced by `pulses`."""
-    counts = reading.counts
-    counts = counts._replace(left=counts.left + pulses.left, right=counts.right + pulses.right)
-    return _Reading(counts, reading.clock_us, reading.arrival_s)
-
-
-def _from_zero(reading: _Reading) -> _Reading:
+def _from_zero(reading: _CountsReading) -> _CountsReading:
     """The reading with counters of zero."""
-    return _Reading(reading.counts._replace(left=0, right=0), reading.clock_us, reading.arrival_s)
+    return _CountsReading(reading.counts._replace(left=0, right=0), reading.clock_us, reading.arrival_s)
 
 
 # Plain text. It has no checksum, so each reading is checked against its neighbours.
@@ -303,14 +288,18 @@ class PlainTracker:
             return []  # its arrival is unknown: of lines in one read, only the last one did not wait
         if self._last is None:
             return [self._begin(_first(line))]
-        now = _after(self._last, line)
-        if self._is_expected(self._last, now):
+        last, now = self._last, _after(self._last, line)
+        if (
+            not self._was_replugged
+            and self._is_in_time(last, now)
+            and self._agrees(self._step(last, now), self._due(now.since(last)))
+        ):
             self.refused += len(self._waiting)
             return [self._accept(now)]
         if not self._waiting:
             self._waiting = [now]
             return []
-        return self._decide(self._last, _after(self._waiting[-1], line))
+        return self._decide(last, _after(self._waiting[-1], line))
 
     def replugged(self) -> None:
         """Note that the port was reopened, which restarts most boards."""
@@ -341,22 +330,17 @@ class PlainTracker:
 
     def _confirm(self, last: _PlainReading) -> list[PlainStep]:
         """Accept the waiting readings, as motion where possible, else as those of a board that restarted."""
-        waiting, later = self._waiting, [reading for reading in self._waiting if self._is_later(last, reading)]
+        waiting = self._waiting
+        # Later than the last, and not far ahead of the host's clock: a digit of the time may have been lost.
+        later = [
+            reading
+            for reading in waiting
+            if 0 < reading.since(last) <= (1 + _PLAIN_DRIFT) * (reading.arrival_s - last.arrival_s) + _LONGEST_DELAY_S
+        ]
         if later and self._can_count(last, later[0]) and not self._is_reset(last, waiting[0]):
             self.refused += len(waiting) - len(later)
             return [self._accept(reading) for reading in later]
         return [self._restart(last, waiting[0]), *(self._accept(reading) for reading in waiting[1:])]
-
-    def _is_later(self, last: _PlainReading, now: _PlainReading) -> bool:
-        """Whether its time is after another's, and not far ahead of the host's: a digit of it may have been lost."""
-        passed_s = now.arrival_s - last.arrival_s
-        return 0 < now.since(last) <= (1 + _PLAIN_DRIFT) * passed_s + _LONGEST_DELAY_S
-
-    def _is_expected(self, last: _PlainReading, now: _PlainReading) -> bool:
-        """Whether a reading is accepted at once."""
-        if self._was_replugged or not self._is_in_time(last, now):
-            return False
-        return self._agrees(self._step(last, now), self._due(now.since(last)))
 
     def _is_gain(self, last: _PlainReading, held: _PlainReading) -> bool:
         """Whether both wheels may have changed their speed by this much."""
@@ -462,18 +446,15 @@ class PlainTracker:
 
     def _take(self, now: _PlainReading, steps: Pair) -> PlainStep:
         self._last, self._was_replugged = now, False
-        stamp_s = self._stamp_of(now)
+        stamp_s = now.arrival_s
+        if now.clock_us is not None:
+            self.clock.update(1e-6 * now.clock_us, self._robust_arrival_s(now.clock_us, now.arrival_s))
+            self._has_map = True
+            stamp_s = self.clock.stamp_s(1e-6 * now.clock_us)
         for i, (least, most) in enumerate(self._range):
             self._range[i] = min(least, now.counts[i]), max(most, now.counts[i])
         self._stamp_s = max(stamp_s, self._stamp_s + 1e-6)
         return PlainStep(self._stamp_s, *steps)
-
-    def _stamp_of(self, now: _PlainReading) -> float:
-        if now.clock_us is None:
-            return now.arrival_s
-        self.clock.update(1e-6 * now.clock_us, self._robust_arrival_s(now.clock_us, now.arrival_s))
-        self._has_map = True
-        return self.clock.stamp_s(1e-6 * now.clock_us)
 
     def _robust_arrival_s(self, clock_us: int, arrival_s: float) -> float:
         """The arrival, or a later time where too few lines of the last second came as early.
@@ -570,7 +551,8 @@ class PairClock:
             self._learn(arrival_s, following)
             return self._growing(arrival_s, arrival_s)
         latest_s = arrival_s - following * self.period_s
-        self._count_lost(arrival_s, following)
+        if self._begun:
+            self._count_lost(arrival_s, latest_s, following)
         clock_s = self._number * self.period_s
         self._map.update(clock_s, latest_s)
         self._begun = True
@@ -597,25 +579,17 @@ class PairClock:
             self._begun = True
         self._arrivals.clear()
 
-    def _stays_s(self, late_s: float, arrival_s: float, following: int) -> float:
-        """The smallest lateness of pairs over the last second; 0 where it is unknown."""
-        assert self.period_s is not None
-        if following:  # pairs of one read are late together, once
-            return 0.0
-        self._late.append((arrival_s, late_s))
-        while arrival_s - self._late[0][0] > _STAYS_S:
-            self._late.popleft()
-        is_known = arrival_s - self._late[0][0] > _STAYS_S - 3 * self.period_s
-        return min(late for _, late in self._late) if is_known else 0.0
-
-    def _count_lost(self, arrival_s: float, following: int) -> None:
+    def _count_lost(self, arrival_s: float, latest_s: float, following: int) -> None:
         """Correct the number after pairs were lost or not sent."""
         assert self.period_s is not None
-        if not self._begun:
-            return
-        latest_s = arrival_s - following * self.period_s
         late_s = latest_s - self._map.host_s(self._number * self.period_s)
-        missing_s = late_s if late_s > _LONGEST_PAIR_DELAY_S else self._stays_s(late_s, arrival_s, following)
+        missing_s = late_s if late_s > _LONGEST_PAIR_DELAY_S else 0.0
+        if not missing_s and not following:  # pairs of one read are late together, once
+            self._late.append((arrival_s, late_s))
+            while arrival_s - self._late[0][0] > _STAYS_S:
+                self._late.popleft()
+            is_known = arrival_s - self._late[0][0] > _STAYS_S - 3 * self.period_s
+            missing_s = min(late for _, late in self._late) if is_known else 0.0
         missing = round(missing_s / self.period_s)
         if missing > 0:
             self._number += missing

@@ -27,11 +27,11 @@ from wheelsight.io.devices.tick_tracking import TickTracker
 from wheelsight.io.devices.wire_formats import (
     ACK_PROBLEMS,
     Ack,
-    Command,
     Counts,
     Format,
     LineDecoder,
     LineStatistics,
+    LinkCommand,
     PlainReading,
     Pulses,
     Version,
@@ -305,7 +305,7 @@ class WheelLink:
             elif isinstance(message, Ack) and self._commands.answered(message):
                 self._tracker.reset_done()
             elif isinstance(message, Version):
-                self._commands.told_version(message)
+                self._commands.set_version(message)
 
     def _wait_for_port(self) -> None:
         """Close a port that vanished, drop the motors' command, and open the port as soon as it is back."""
@@ -366,7 +366,7 @@ _ATTEMPTS = 4
 class Commands:
     """Sends numbered commands through `write`, and repeats them until the controller confirms them.
 
-    Any thread may command. The link's thread calls `keep_alive`, `answered` and `told_version`.
+    Any thread may command. The link's thread calls `keep_alive`, `answered` and `set_version`.
 
     Attributes:
         version: the last version that the controller sent, or None.
@@ -391,7 +391,7 @@ class Commands:
         body = drive_body(left, right)
         with self._sending:
             self._drive, self._has_driven = None, True
-            self._send(Command.DRIVE, body)  # where this raises, nothing is repeated after a reconnection
+            self._send(LinkCommand.DRIVE, body)  # where this raises, nothing is repeated after a reconnection
             now_s = time.monotonic()
             self._drive, self._next_s = body, now_s + KEEP_ALIVE_S
             self._until_s = math.inf if hold_s is None else now_s + hold_s
@@ -403,10 +403,10 @@ class Commands:
                 return
             if now_s >= self._until_s:
                 self.forget_drive()
-                self._send(Command.STOP)
+                self._send(LinkCommand.STOP)
             else:
                 self._next_s = now_s + KEEP_ALIVE_S
-                self._send(Command.DRIVE, self._drive)
+                self._send(LinkCommand.DRIVE, self._drive)
 
     def forget_drive(self) -> None:
         """Stop repeating DRIVE."""
@@ -416,46 +416,43 @@ class Commands:
     def stop(self, is_answered: bool) -> None:
         """Stop the motors. Waits for the confirmation where `is_answered`."""
         self.forget_drive()
-        self._ask(Command.STOP, is_answered=is_answered)
+        self._ask(LinkCommand.STOP, is_answered=is_answered)
 
     def end(self) -> None:
         """Stop the motors if they were ever driven, without waiting for the confirmation."""
         self.forget_drive()
         if self._has_driven:
             with suppress(DeviceError):
-                self._send(Command.STOP)
+                self._send(LinkCommand.STOP)
 
     def ask_version(self) -> Version:
         """The version of the controller's firmware. Raises DeviceError where it does not answer."""
-        self._forget_version()
-        self._ask(Command.GET_VERSION)
+        self.set_version(None)
+        self._ask(LinkCommand.GET_VERSION)
         if self.version is None:
             raise DeviceError("the controller sends no version", path=self._port, fix="ask again; the line is noisy")
         return self.version
 
     def reset_counts(self, is_answered: bool) -> None:
         """Set the controller's counters to zero."""
-        self._ask(Command.RESET_COUNTS, is_answered=is_answered)
+        self._ask(LinkCommand.RESET_COUNTS, is_answered=is_answered)
 
     def set_format(self, is_paper: bool, is_answered: bool) -> None:
         """Choose the wire format. A change is always confirmed, since one of the formats has frames."""
-        self._ask(Command.SET_FORMAT, bytes([is_paper]), is_answered)
+        self._ask(LinkCommand.SET_FORMAT, bytes([is_paper]), is_answered)
 
     def answered(self, ack: Ack) -> bool:
         """Store an answer. Returns whether it confirms that the counters are zero."""
         with self._answer:
             self._answers[ack.command, ack.command_sequence] = ack.status
             self._answer.notify_all()
-        return ack.command == Command.RESET_COUNTS and ack.status == 0
+        return ack.command == LinkCommand.RESET_COUNTS and ack.status == 0
 
-    def told_version(self, version: Version) -> None:
-        """Store the version that the controller sent."""
+    def set_version(self, version: Version | None) -> None:
+        """Store the version that the controller sent; None before it is asked for."""
         self.version = version
 
-    def _forget_version(self) -> None:
-        self.version = None
-
-    def _ask(self, command: Command, body: bytes = b"", is_answered: bool = True) -> None:
+    def _ask(self, command: LinkCommand, body: bytes = b"", is_answered: bool = True) -> None:
         """Send a command until it is confirmed. Raises DeviceError where it is refused or not answered."""
         if not is_answered:
             self._send(command, body)
@@ -469,7 +466,7 @@ class Commands:
                 raise DeviceError(f"the controller {problem} {command.name}", path=self._port)
         raise DeviceError(f"the controller does not answer {command.name}", path=self._port, fix="check the wire to it")
 
-    def _answer_to(self, command: Command, body: bytes) -> int | None:
+    def _answer_to(self, command: LinkCommand, body: bytes) -> int | None:
         """Send a command once. Returns the status of the answer, or None without one in time."""
         with self._answer:
             self._answers.clear()
@@ -477,7 +474,7 @@ class Commands:
             self._answer.wait_for(lambda: key in self._answers, _ANSWER_S)
             return self._answers.get(key)
 
-    def _send(self, command: Command, body: bytes = b"") -> int:
+    def _send(self, command: LinkCommand, body: bytes = b"") -> int:
         """Write a command's frame. Returns its sequence number."""
         with self._sending:
             sequence = self._sequence

@@ -102,13 +102,16 @@ class TelemetryReader:
 
     def ticks(self) -> Iterator[WheelTicks]:
         """Ticks as they come."""
-        number = 0
         for number, line in enumerate(self._lines(), start=1):
-            ticks = _ticks_of(line)
-            if ticks is not None:
-                yield ticks
-            elif number > 1:
-                raise DeviceError("a line is no telemetry", path=self._path, line=number)
+            try:
+                fields = parse_json(line)
+                stamp_s, left, right = fields["ticks_stamp_s"], fields["left_ticks"], fields["right_ticks"]
+                ticks = WheelTicks(float(stamp_s), int(left), int(right))
+            except (ValueError, TypeError, KeyError, OverflowError) as error:
+                if number > 1:
+                    raise DeviceError("a line is no telemetry", path=self._path, line=number) from error
+                continue
+            yield ticks
 
     def close(self) -> None:
         """Close the pipe; may be called twice."""
@@ -131,15 +134,6 @@ class TelemetryReader:
             if len(rest) > LONGEST_LINE:
                 problem = f"a line is longer than {LONGEST_LINE} bytes"
                 raise DeviceError(problem, path=self._path, fix="read the pipe of wheelsight wheels serve")
-
-
-def _ticks_of(line: bytes) -> WheelTicks | None:
-    """The ticks of a line of telemetry, or None where it has none."""
-    try:
-        fields = parse_json(line)
-        return WheelTicks(float(fields["ticks_stamp_s"]), int(fields["left_ticks"]), int(fields["right_ticks"]))
-    except (ValueError, TypeError, KeyError, OverflowError):
-        return None
 
 
 # The pipe's writer
@@ -176,10 +170,18 @@ class TelemetryPipe:
         self._lock_path = self.path.with_name(f".{self.path.name}.lock")
         self._lock: int | None = _locked(self._lock_path, self.path)
         try:
-            self._identity = _make(self.path)
+            try:
+                with suppress(FileExistsError):
+                    os.mkfifo(self.path)
+                status = self.path.stat()
+            except OSError as error:
+                raise output_error(error, self.path) from error
+            if not stat.S_ISFIFO(status.st_mode):
+                raise OutputError("exists and is not a pipe", path=self.path, fix="choose another path for the pipe")
         except OutputError:
             self._unlock()
             raise
+        self._identity = _identity(status)
 
     @property
     def has_reader(self) -> bool:
@@ -195,13 +197,23 @@ class TelemetryPipe:
         data = line.encode() + b"\n"
         if len(data) > LONGEST_LINE or data.count(b"\n") != 1:
             raise ValueError(f"not one line of at most {LONGEST_LINE - 1} bytes: {line[:40]!r}…")
-        if self._writer is None and not self._find_reader():
+        if self._writer is None:
+            self._writer = self._find_reader()
+        if self._writer is None:
             return
         self._waiting.append(data)
         if len(self._waiting) > _MOST_WAITING:
             self._waiting.popleft()
             self.dropped += 1
-        self._flush()
+        try:
+            while self._waiting:
+                os.write(self._writer, self._waiting[0])
+                self._waiting.popleft()
+                self.sent += 1
+        except BlockingIOError:
+            return  # the reader is slow
+        except BrokenPipeError:
+            self._disconnect()  # the reader closed the pipe
 
     def close(self) -> None:
         """Remove the pipe, unless another file replaced it; may be called twice."""
@@ -219,29 +231,16 @@ class TelemetryPipe:
     ) -> None:
         self.close()
 
-    def _find_reader(self) -> bool:
-        """Open the pipe where it has a reader. Returns whether it has."""
+    def _find_reader(self) -> int | None:
+        """The descriptor of the pipe, opened for writing; None where it has no reader."""
         try:
             writer = os.open(self.path, os.O_WRONLY | os.O_NONBLOCK)
         except OSError:  # ENXIO: no reader; ENOENT: the pipe was removed
-            return False
-        if _identity(os.fstat(writer)) != self._identity:
-            os.close(writer)
-            return False
-        self._writer = writer
-        return True
-
-    def _flush(self) -> None:
-        assert self._writer is not None
-        try:
-            while self._waiting:
-                os.write(self._writer, self._waiting[0])
-                self._waiting.popleft()
-                self.sent += 1
-        except BlockingIOError:
-            return  # the reader is slow
-        except BrokenPipeError:
-            self._disconnect()  # the reader closed the pipe
+            return None
+        if _identity(os.fstat(writer)) == self._identity:
+            return writer
+        os.close(writer)
+        return None
 
     def _disconnect(self) -> None:
         """Drop waiting lines and close the pipe for writing."""
@@ -275,19 +274,6 @@ def _locked(lock_path: Path, path: Path) -> int:
         except FileNotFoundError:
             pass
         os.close(lock)  # its owner removed it meanwhile
-
-
-def _make(path: Path) -> _Identity:
-    """Create the pipe, or use an existing one. Returns its identity. Raises OutputError."""
-    try:
-        with suppress(FileExistsError):
-            os.mkfifo(path)
-        status = path.stat()
-    except OSError as error:
-        raise output_error(error, path) from error
-    if not stat.S_ISFIFO(status.st_mode):
-        raise OutputError("exists and is not a pipe", path=path, fix="choose another path for the pipe")
-    return _identity(status)
 
 
 def _identity(status: os.stat_result) -> _Identity:

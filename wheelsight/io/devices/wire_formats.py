@@ -27,7 +27,7 @@ _CRC_START = 0xFFFF
 _REPEATS_KNOWN = 8
 
 
-class Command(IntEnum):
+class LinkCommand(IntEnum):
     """Commands of the host: the type byte of its frames."""
 
     DRIVE = 0x81
@@ -95,7 +95,7 @@ def encode_message(message: Message) -> bytes:
     return encode_frame(kind, message.sequence, unsealed[2:-2])
 
 
-def encode_command(command: Command, sequence: int, body: bytes = b"") -> bytes:
+def encode_command(command: LinkCommand, sequence: int, body: bytes = b"") -> bytes:
     """A command's frame, after a zero that ends any noise before it."""
     return b"\0" + encode_frame(command, sequence, body)
 
@@ -415,13 +415,21 @@ class PlainText:
         """The readings that `data` completes; none before recognition, which then returns earlier ones too."""
         self.statistics.bytes += len(data)
         readings: list[PlainReading] = []
-        for line in self._lines(data):
+        *lines, rest = _PLAIN_TEXT_ENDS.split(self._rest + data)
+        if lines and self._is_torn:
+            lines[0], self._is_torn = b"", False
+        self._is_torn |= len(rest) > _LONGEST_LINE
+        self._rest = b"" if self._is_torn else rest
+        for line in filter(None, lines):
             readings += self._read(line, arrival_s)
         if self._others >= _FEWEST_LINES and arrival_s - self._good_s > _LOST_AFTER_S:
             self.is_recognised = False
         return [
-            reading._replace(us_per_tick=self._us_per_tick, following=_behind(readings, n))
+            reading._replace(
+                us_per_tick=self._us_per_tick, following=sum(r.arrival_s == reading.arrival_s for r in later)
+            )
             for n, reading in enumerate(readings)
+            for later in [readings[n + 1 :]]
         ]
 
     def restart(self) -> None:
@@ -429,15 +437,6 @@ class PlainText:
         self._rest, self._is_torn, self.is_recognised, self.other = b"", True, False, ""
         self._others = self._texts = 0
         self._evidence.clear()
-
-    def _lines(self, data: bytes) -> list[bytes]:
-        """The complete lines, without empty ones."""
-        *lines, rest = _PLAIN_TEXT_ENDS.split(self._rest + data)
-        if lines and self._is_torn:
-            lines[0], self._is_torn = b"", False
-        self._is_torn |= len(rest) > _LONGEST_LINE
-        self._rest = b"" if self._is_torn else rest
-        return [line for line in lines if line]
 
     def _read(self, line: bytes, arrival_s: float) -> list[PlainReading]:
         """The readings that a line completes. Counts other lines."""
@@ -467,7 +466,7 @@ class PlainText:
             return []
         if alike[-1].arrival_s - alike[0].arrival_s < _TEXT_EVIDENCE_S:
             return []
-        self._us_per_tick = self._unit_of(alike) if has_time else 0
+        self._us_per_tick = _unit_us(alike) if has_time else 0
         if has_time and not self._us_per_tick:
             return []
         self.is_recognised, self._has_time, self._good_s = True, has_time, arrival_s
@@ -476,21 +475,17 @@ class PlainText:
         self._evidence.clear()
         return alike
 
-    def _unit_of(self, readings: list[PlainReading]) -> int:
-        """The unit of the lines' time in microseconds, 1000 or 1; 0 where neither agrees with the host's clock."""
-        first, last = readings[0], readings[-1]
-        assert first.clock is not None
-        assert last.clock is not None
-        passed_us = 1e6 * (last.arrival_s - first.arrival_s)
-        for us_per_tick in (US_PER_MS, 1):
-            if abs((last.clock - first.clock) * us_per_tick - passed_us) <= _LARGEST_DRIFT * passed_us:
-                return us_per_tick
-        return 0
 
-
-def _behind(readings: list[PlainReading], at: int) -> int:
-    """The number of readings after one that arrived with it."""
-    return sum(reading.arrival_s == readings[at].arrival_s for reading in readings[at + 1 :])
+def _unit_us(readings: list[PlainReading]) -> int:
+    """The unit of the lines' time in microseconds, 1000 or 1; 0 where neither agrees with the host's clock."""
+    first, last = readings[0], readings[-1]
+    assert first.clock is not None
+    assert last.clock is not None
+    passed_us = 1e6 * (last.arrival_s - first.arrival_s)
+    for us_per_tick in (US_PER_MS, 1):
+        if abs((last.clock - first.clock) * us_per_tick - passed_us) <= _LARGEST_DRIFT * passed_us:
+            return us_per_tick
+    return 0
 
 
 # Recognition of the format
@@ -572,11 +567,19 @@ class LineDecoder:
             was_waiting: whether the data had arrived before the host read, so that a silence before it is unknown.
         """
         pulses: Sequence[Pulses] = ()
-        if self._held and not was_waiting and self._is_whole(arrival_s):
-            pulses = self._filtered(self._take_pairs(0))
+        if self._held and not was_waiting and not self._expects_frames:
+            # Later bytes do not complete a frame with the held ones.
+            is_silent = arrival_s - self._received_s > SILENCE_S
+            if is_silent or sum(len(run) for run, _ in self._held) > _MOST_HELD_BYTES:
+                pulses = self._filtered(self._take_pairs(0))
         if not data:
             return pulses
-        self._hold(data, arrival_s, was_waiting)
+        # Keep bytes that may be pairs, as a run of their own after a silence.
+        run = data
+        if self._held and (was_waiting or arrival_s - self._received_s <= SILENCE_S):
+            run = self._held.pop()[0] + data
+        self._held.append((run, arrival_s))
+        self._received_s = arrival_s
         messages = self._frames.feed(data)
         if messages:
             return [*pulses, *self._before_frames(data), *messages]
@@ -605,12 +608,6 @@ class LineDecoder:
         """As `FrameDecoder.forgive_gap`."""
         self._frames.forgive_gap(sequence)
 
-    def _is_whole(self, now_s: float) -> bool:
-        """Whether the held bytes cannot begin a frame any more."""
-        if self._expects_frames:
-            return False
-        return now_s - self._received_s > SILENCE_S or sum(len(run) for run, _ in self._held) > _MOST_HELD_BYTES
-
     def _before_frames(self, data: bytes) -> list[Pulses]:
         """Set the format to framed. Returns the pairs before the first frame, after the paper's format."""
         pairs: list[Pulses] = []
@@ -625,13 +622,6 @@ class LineDecoder:
             self._held.append((data[-self._frames.ended :], self._received_s))  # pairs, where the format changed
         self._forget_pairs()
         return pairs
-
-    def _hold(self, data: bytes, arrival_s: float, was_waiting: bool) -> None:
-        """Keep bytes that may be pairs, as a run of their own after a silence."""
-        if self._held and (was_waiting or arrival_s - self._received_s <= SILENCE_S):
-            data = self._held.pop()[0] + data
-        self._held.append((data, arrival_s))
-        self._received_s = arrival_s
 
     def _take_pairs(self, but_last: int) -> list[Pulses]:
         """The held bytes without the last `but_last`, as pairs."""
@@ -651,14 +641,22 @@ class LineDecoder:
         """The pairs to return, given new ones: those of the paper's format, or of its evidence at recognition."""
         self._evidence += pairs
         if self.format is Format.PAPER:
-            if self._may_be_pairs(len(pairs)):
+            # The credit allows for delays of the transport and the host.
+            passed_s, self._judged_s = self._received_s - self._judged_s, self._received_s
+            self._credit = min(self._credit + _MOST_A_SECOND * passed_s, _MOST_AT_ONCE) - len(pairs)
+            self._drop_before(self._received_s - EVIDENCE_S)
+            if self._credit >= 0 and (len(self._evidence) < _FEWEST_DOUBTED or self._is_plausible()):
                 return pairs
             self.format = None
             self._evidence.clear()
             return ()
         if not self._evidence or self._received_s - self._evidence[0].arrival_s < EVIDENCE_S:
             return ()
-        found = list(self._evidence) if self._is_paired() else []
+        found = list(self._evidence)
+        alone = sum(pair.follows_silence for pair in found)
+        regular = len(found) >= _FEWEST_PAIRS and alone >= _SHARE_ALONE * len(found)
+        if not (self._is_plausible() and regular and len(self._torn) <= _SHARE_TORN * len(found)):
+            found = []
         if found:
             self.format = Format.PAPER
             self._paper.statistics = LineStatistics(2 * len(found), len(found))
@@ -666,20 +664,6 @@ class LineDecoder:
         self._drop_before(self._received_s - EVIDENCE_S, keep=_FEWEST_PAIRS)
         self._drop_before(self._received_s - _LONGEST_EVIDENCE_S)
         return found
-
-    def _is_paired(self) -> bool:
-        """Whether the evidence suffices to recognise the paper's format."""
-        pairs = len(self._evidence)
-        alone = sum(pair.follows_silence for pair in self._evidence)
-        regular = pairs >= _FEWEST_PAIRS and alone >= _SHARE_ALONE * pairs
-        return self._is_plausible() and regular and len(self._torn) <= _SHARE_TORN * pairs
-
-    def _may_be_pairs(self, count: int) -> bool:
-        """Whether `count` more pairs are plausible, allowing for delays of the transport and the host."""
-        passed_s, self._judged_s = self._received_s - self._judged_s, self._received_s
-        self._credit = min(self._credit + _MOST_A_SECOND * passed_s, _MOST_AT_ONCE) - count
-        self._drop_before(self._received_s - EVIDENCE_S)
-        return self._credit >= 0 and (len(self._evidence) < _FEWEST_DOUBTED or self._is_plausible())
 
     def _is_plausible(self) -> bool:
         """Whether nearly all pairs of the evidence have plausible pulses."""

@@ -32,7 +32,7 @@ from wheelsight.io.recordings.recording import AssociationReport, Layout, OpenOp
 # it.
 
 
-class _Mode(NamedTuple):
+class _KinectMode(NamedTuple):
     """The sensor's image scaled to `sensor` pixels, of which `size` are cut out from `corner` on."""
 
     sensor: tuple[int, int]
@@ -42,10 +42,10 @@ class _Mode(NamedTuple):
 
 # From the maker's SDK (MIT), mode_specific_calibration.c.
 _DEPTH_MODES = {
-    "NFOV_2X2BINNED": _Mode((512, 512), (96, 90), (320, 288)),
-    "NFOV_UNBINNED": _Mode((1024, 1024), (192, 180), (640, 576)),
-    "WFOV_2X2BINNED": _Mode((512, 512), (0, 0), (512, 512)),
-    "WFOV_UNBINNED": _Mode((1024, 1024), (0, 0), (1024, 1024)),
+    "NFOV_2X2BINNED": _KinectMode((512, 512), (96, 90), (320, 288)),
+    "NFOV_UNBINNED": _KinectMode((1024, 1024), (192, 180), (640, 576)),
+    "WFOV_2X2BINNED": _KinectMode((512, 512), (0, 0), (512, 512)),
+    "WFOV_UNBINNED": _KinectMode((1024, 1024), (0, 0), (1024, 1024)),
 }
 # In metres, from the maker's data sheet: what it names for 15 to 95 % of reflectance.
 _RANGES_M = {
@@ -55,12 +55,12 @@ _RANGES_M = {
     "WFOV_UNBINNED": (0.25, 2.21),
 }
 _COLOR_MODES = {
-    (1280, 720): _Mode((1280, 960), (0, 120), (1280, 720)),
-    (1920, 1080): _Mode((1920, 1440), (0, 180), (1920, 1080)),
-    (2560, 1440): _Mode((2560, 1920), (0, 240), (2560, 1440)),
-    (2048, 1536): _Mode((2048, 1536), (0, 0), (2048, 1536)),
-    (3840, 2160): _Mode((3840, 2880), (0, 360), (3840, 2160)),
-    (4096, 3072): _Mode((4096, 3072), (0, 0), (4096, 3072)),
+    (1280, 720): _KinectMode((1280, 960), (0, 120), (1280, 720)),
+    (1920, 1080): _KinectMode((1920, 1440), (0, 180), (1920, 1080)),
+    (2560, 1440): _KinectMode((2560, 1920), (0, 240), (2560, 1440)),
+    (2048, 1536): _KinectMode((2048, 1536), (0, 0), (2048, 1536)),
+    (3840, 2160): _KinectMode((3840, 2880), (0, 360), (3840, 2160)),
+    (4096, 3072): _KinectMode((4096, 3072), (0, 0), (4096, 3072)),
 }
 _MODEL, _PARAMETERS = "CALIBRATION_LensDistortionModelBrownConrady", 14
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-9)
@@ -72,7 +72,7 @@ _FAR_M = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lens:
+class KinectLens:
     """A camera of the attachment in one mode: K (3, 3), OpenCV's eight coefficients, size, and its place.
 
     Attributes:
@@ -87,7 +87,7 @@ class Lens:
     T_camera_device: FloatArray
 
 
-def read_lenses(document: Any, depth_mode: str, color_size: tuple[int, int]) -> tuple[Lens, Lens]:
+def read_lenses(document: Any, depth_mode: str, color_size: tuple[int, int]) -> tuple[KinectLens, KinectLens]:
     """Colour and depth camera of a recording in these modes. Raises CalibrationError naming what is missing."""
     if depth_mode not in _DEPTH_MODES:
         raise CalibrationError(f"depth mode {depth_mode} measures no depth", fix=f"record {', '.join(_DEPTH_MODES)}")
@@ -102,7 +102,7 @@ def read_lenses(document: Any, depth_mode: str, color_size: tuple[int, int]) -> 
         raise CalibrationError(f"the calibration in it cannot be read: {error!r}") from error
 
 
-def _lens(camera: Any, mode: _Mode) -> Lens:
+def _lens(camera: Any, mode: _KinectMode) -> KinectLens:
     intrinsics = camera["Intrinsics"]
     parameters = np.array(intrinsics["ModelParameters"], float)
     if intrinsics["ModelType"] != _MODEL or parameters.shape != (_PARAMETERS,):
@@ -125,17 +125,17 @@ def _lens(camera: Any, mode: _Mode) -> Lens:
     reach = float(camera["MetricRadius"]) or np.inf
     if not reach > 0:
         raise ValueError(f"a lens that reaches {reach}")
-    return Lens(K, np.array([k1, k2, p1, p2, k3, k4, k5, k6]), mode.size, reach, T_camera_device)
+    return KinectLens(K, np.array([k1, k2, p1, p2, k3, k4, k5, k6]), mode.size, reach, T_camera_device)
 
 
-class Registration:
+class KinectRegistration:
     """Straightens colour, and lays depth onto its pixels.
 
     A depth pixel covers more than one of colour's; each is taken as four quarters of one depth, so that a surface has
     no holes, and where several fall on a pixel the nearest counts, as it hides the others.
     """
 
-    def __init__(self, color: Lens, depth: Lens) -> None:
+    def __init__(self, color: KinectLens, depth: KinectLens) -> None:
         self._color, self._depth = color, depth
         width, height = color.size
         self._map_u, self._map_v = cv2.initUndistortRectifyMap(
@@ -177,7 +177,7 @@ class Registration:
         return nearest.reshape(height, width)
 
 
-def _quarter_rays(depth: Lens) -> FloatArray:
+def _quarter_rays(depth: KinectLens) -> FloatArray:
     """Directions (4·H·W, 3) with z = 1 of the quarters of depth pixels, row by row; NaN beyond the lens' reach."""
     width, height = depth.size
     u, v = np.meshgrid(np.arange(2 * width) / 2 - 0.25, np.arange(2 * height) / 2 - 0.25)
@@ -233,11 +233,14 @@ class AzureKinectReader:
             lenses = read_lenses(listed.calibration, listed.depth_mode, listed.color_size)
         except CalibrationError as error:
             raise CalibrationError(error.problem, path=folder, fix=error.fix) from error
-        registration = Registration(*lenses)
+        registration = KinectRegistration(*lenses)
         calibration = choose_calibration(
             folder, options, lambda: registration.calibration(listed.depth_mode, listed.serial)
         )
-        _check_fits(calibration, listed.color_size, folder)
+        color, _ = calibration.cameras
+        if (color.width, color.height) != listed.color_size or not calibration.is_registered or color.has_distortion:
+            problem = "the given calibration is not of undistorted colour images with depth registered to them"
+            raise CalibrationError(problem, path=folder, fix="leave the cameras out: the recording has its own")
         pairs, association = _pair(listed, options.max_gap_s, folder)
         warnings = ["Its gyroscope and accelerometer are not read."] if listed.has_imu else []
         if listed.is_cut_off:
@@ -255,7 +258,7 @@ class AzureKinectReader:
 
 
 @dataclass(frozen=True, slots=True)
-class _Pair:
+class _KinectPair:
     """A frame: when colour was taken, and the times of both in the file's own units, by which they are found."""
 
     stamp_s: float
@@ -272,8 +275,8 @@ class AzureKinectRecording:
     path: Path
     calibration: Calibration
     association: AssociationReport
-    registration: Registration
-    pairs: tuple[_Pair, ...]
+    registration: KinectRegistration
+    pairs: tuple[_KinectPair, ...]
     depth_size: tuple[int, int]
     warnings: tuple[str, ...] = ()
     format: str = AzureKinectReader.name
@@ -312,10 +315,10 @@ class AzureKinectRecording:
             yield SkippedFrame(self.pairs[left].stamp_s, "the file was cut off since it was opened", left)
 
     @staticmethod
-    def _has(pair: _Pair, color: dict[int, Any], depth: dict[int, Any]) -> bool:
+    def _has(pair: _KinectPair, color: dict[int, Any], depth: dict[int, Any]) -> bool:
         return pair.color_pts in color and pair.depth_pts in depth
 
-    def _frame(self, pair: _Pair, index: int, color: Any, depth: Any) -> RgbdFrame | SkippedFrame:
+    def _frame(self, pair: _KinectPair, index: int, color: Any, depth: Any) -> RgbdFrame | SkippedFrame:
         depth_mm = _depth_of(bytes(depth), self.depth_size)
         if depth_mm is None:
             return SkippedFrame(pair.stamp_s, "depth image is cut off", index)
@@ -471,7 +474,7 @@ def _calibration_in(container: Any, path: Path) -> Any:
     raise RecordingError("holds no calibration.json", path=path, fix="record with k4arecorder, which attaches it")
 
 
-def _pair(listed: _Listed, max_gap_s: float, path: Path) -> tuple[list[_Pair], AssociationReport]:
+def _pair(listed: _Listed, max_gap_s: float, path: Path) -> tuple[list[_KinectPair], AssociationReport]:
     """Colour and depth of one moment. Raises RecordingError where there are none."""
     color_s, depth_s = (np.array(pts, float) * listed.tick_s for pts in (listed.color_pts, listed.depth_pts))
     found = associate(color_s, depth_s - listed.depth_delay_s, max_gap_s)
@@ -482,19 +485,11 @@ def _pair(listed: _Listed, max_gap_s: float, path: Path) -> tuple[list[_Pair], A
         raise RecordingError(problem, path=path, fix="raise --max-gap, or record both")
     late_s = depth_s[found[:, 1]] - color_s[found[:, 0]]
     pairs = [
-        _Pair(float(color_s[i]), listed.color_pts[i], listed.depth_pts[j], late)
+        _KinectPair(float(color_s[i]), listed.color_pts[i], listed.depth_pts[j], late)
         for (i, j), late in zip(found.tolist(), late_s.tolist(), strict=True)
     ]
     largest_s = float(np.abs(late_s - listed.depth_delay_s).max())
     return pairs, AssociationReport(len(color_s), len(depth_s), len(pairs), max_gap_s, largest_s)
-
-
-def _check_fits(calibration: Calibration, size: tuple[int, int], path: Path) -> None:
-    """Raises CalibrationError for a given calibration that cannot be of straightened colour with registered depth."""
-    color, _ = calibration.cameras
-    if (color.width, color.height) != size or not calibration.is_registered or color.has_distortion:
-        problem = "the calibration given is not of straightened colour images with depth registered to them"
-        raise CalibrationError(problem, path=path, fix="leave the cameras out: the recording has its own")
 
 
 def _depth_of(data: bytes, size: tuple[int, int]) -> UInt16Array | None:

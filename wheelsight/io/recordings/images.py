@@ -69,7 +69,23 @@ def read_depth(path: Path, encoding: DepthEncoding) -> Float32Array:
             over 50 m; names the file.
     """
     if encoding.rays is not None:
-        return _of_distances(path, encoding, encoding.rays)
+        camera = encoding.rays  # the file is text: distances along rays, row by row
+        words = read_bytes(path, _DISTANCES, RecordingError).split()
+        if len(words) != camera.width * camera.height:
+            problem = f"holds {len(words)} distances where {camera.width}×{camera.height} pixels need one each"
+            raise RecordingError(problem, path=path, fix="copy the file again, or give its camera with --camera")
+        if max(map(len, words)) > _LONGEST_NUMBER:
+            raise RecordingError("holds what is no number", path=path, fix="copy the file again")
+        try:
+            distances = np.array(words).astype(np.float64).reshape(camera.height, camera.width)
+        except ValueError as error:
+            raise RecordingError(f"holds what is no number: {error}", path=path, fix="copy the file again") from error
+        most = encoding.factor * _FARTHEST_M
+        distances[~((distances > 0) & (distances <= most))] = 0
+        lengths = np.linalg.norm(camera.rays(), axis=-1)
+        depth_m: Float32Array = (distances / encoding.factor / lengths).astype(np.float32)
+        _check_scale(_median(depth_m, path), path, encoding)
+        return depth_m
     return depth_of_units(_decode(path, cv2.IMREAD_UNCHANGED, "depth"), encoding, path)
 
 
@@ -168,26 +184,6 @@ def _decoded(data: bytes, path: Path, flags: int, kind: str) -> NDArray[np.integ
     if image is None:
         raise RecordingError(f"{kind} image is damaged, or no image", path=path)
     return np.asarray(image)
-
-
-def _of_distances(path: Path, encoding: DepthEncoding, camera: PinholeCamera) -> Float32Array:
-    """Depth (H, W) of a text of distances along rays, row by row; 0 where a distance is out of range."""
-    words = read_bytes(path, _DISTANCES, RecordingError).split()
-    if len(words) != camera.width * camera.height:
-        problem = f"holds {len(words)} distances where {camera.width}×{camera.height} pixels need one each"
-        raise RecordingError(problem, path=path, fix="copy the file again, or give its camera with --camera")
-    if max(map(len, words)) > _LONGEST_NUMBER:
-        raise RecordingError("holds what is no number", path=path, fix="copy the file again")
-    try:
-        distances = np.array(words).astype(np.float64).reshape(camera.height, camera.width)
-    except ValueError as error:
-        raise RecordingError(f"holds what is no number: {error}", path=path, fix="copy the file again") from error
-    most = encoding.factor * _FARTHEST_M
-    distances[~((distances > 0) & (distances <= most))] = 0
-    lengths = np.linalg.norm(camera.rays(), axis=-1)
-    depth_m: Float32Array = (distances / encoding.factor / lengths).astype(np.float32)
-    _check_scale(_median(depth_m, path), path, encoding)
-    return depth_m
 
 
 def _median(raw: NDArray[np.integer] | Float32Array, path: Path) -> float:

@@ -94,7 +94,8 @@ class OffsetMeter:
         self._reduction = max(1, round(width / _SEARCH_WIDTH))
         size = (width // self._reduction, height // self._reduction)
         right, down = _SEARCH_PX
-        contrasts, borders = _color_contrast(color), _depth_borders(depth_m)
+        contrasts = _color_contrast(color)
+        borders = [_borders_along_rows(depth_m), np.ascontiguousarray(_borders_along_rows(depth_m.T).T)]
         self._far.keep(contrasts, borders)
         if size[0] <= 2 * right or size[1] <= 2 * down:
             return  # smaller than the searched shifts
@@ -239,12 +240,8 @@ def _color_contrast(color: ByteArray) -> list[Float32Array]:
     return images
 
 
-def _depth_borders(depth_m: Float32Array) -> list[Float32Array]:
-    """1 at the near side of depth steps along x and along y (H, W), also across shadows; else 0."""
-    return [_borders_along_rows(depth_m), np.ascontiguousarray(_borders_along_rows(depth_m.T).T)]
-
-
 def _borders_along_rows(depth_m: Float32Array) -> Float32Array:
+    """1 at the near side of depth steps along x (H, W), also across shadows; else 0."""
     columns = np.arange(depth_m.shape[1])
     newest = np.maximum.accumulate(np.where(depth_m > 0, columns, -1), axis=1)
     before = np.pad(newest, ((0, 0), (1, 0)), constant_values=-1)[:, :-1]

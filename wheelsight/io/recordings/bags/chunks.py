@@ -53,7 +53,7 @@ class Chunk(NamedTuple):
     counts: tuple[int, ...] = ()
 
 
-class Record(NamedTuple):
+class ChunkMessage(NamedTuple):
     """A message's connection, time, and the range of its bytes in the chunk."""
 
     connection: int
@@ -118,7 +118,7 @@ class ChunkedReader(ABC):
         self.warnings: tuple[str, ...] = ()
         self._chunks: list[Chunk] = []
         self._ended_ns: list[int] = []  # the latest end of each chunk and those before it
-        self._last: tuple[int, bytes, list[Record]] | None = None  # place, content and records of the last chunk
+        self._last: tuple[int, bytes, list[ChunkMessage]] | None = None  # place, content and records of the last chunk
 
     def __enter__(self) -> Self:
         self._file = open_binary(self.path, BAG, RecordingError)
@@ -146,7 +146,7 @@ class ChunkedReader(ABC):
         """The decompressed content of a chunk. Raises as `_read_index`."""
 
     @abstractmethod
-    def _walk(self, content: bytes, most: int) -> tuple[list[Record], int]:
+    def _walk(self, content: bytes, most: int) -> tuple[list[ChunkMessage], int]:
         """The messages of a chunk in file order, and the number of records. Raises ValueError beyond `most` of them."""
 
     @property
@@ -196,7 +196,7 @@ class ChunkedReader(ABC):
             time_ns, _, connection, data = heapq.heappop(waiting)
             yield wanted[connection], time_ns, data
 
-    def _opened(self, place: int) -> tuple[bytes, list[Record]]:
+    def _opened(self, place: int) -> tuple[bytes, list[ChunkMessage]]:
         """Content and messages of the chunk at an offset. The last chunk is cached."""
         if self._last is None or self._last[0] != place:
             self._last = None

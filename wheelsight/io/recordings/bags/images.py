@@ -192,12 +192,29 @@ def camera_of(info: Any, is_rectified: bool) -> tuple[PinholeCamera, str | None]
     known = P.reshape(3, 4)[:, :3] if is_rectified and P.any() else K.reshape(3, 3)
     if not known[0, 0] > 0:
         raise CalibrationError("its CameraInfo is all zero: it was not calibrated", fix="give one with --camera")
-    size, lens = _image_intrinsics(info, known)
+    # The image may be a region of the sensor, with binned pixels.
+    across, down = max(int(info.binning_x), 1), max(int(info.binning_y), 1)
+    region = info.roi
+    width, height = int(region.width) or int(info.width), int(region.height) or int(info.height)
+    left, top = (int(region.x_offset), int(region.y_offset)) if region.width else (0, 0)
+    cx, cy = (known[0, 2] - left + 0.5) / across - 0.5, (known[1, 2] - top + 0.5) / down - 0.5
+    size = (width // across, height // down)
+    lens = (float(known[0, 0] / across), float(known[1, 1] / down), float(cx), float(cy))
     if is_rectified or not D.any():
         return PinholeCamera(*size, *lens), None
     model = str(info.distortion_model)
     if model.lower() == _INVERSE and len(D) == 5:
-        return _from_inverse(PinholeCamera(*size, *lens, tuple(D.tolist())))
+        # Inverse coefficients map image to ray.
+        camera = PinholeCamera(*size, *lens, tuple(D.tolist()))
+        u, v = np.meshgrid(*(np.linspace(0, side - 1, _GRID) for side in (camera.width, camera.height)))
+        seen = (np.stack([u.ravel(), v.ravel()], axis=1) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+        xy = (camera.denormalise(seen) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+        fit = fitted_lens(xy, seen)
+        fitted = _checked(replace(camera, distortion=fit.distortion), np.array(fit.distortion))
+        if fit.worst * camera.fx <= _LENS_PX:
+            return fitted, None
+        by = f"{fit.median * camera.fx:.2f} px in the median, and by {fit.worst * camera.fx:.1f} px at worst"
+        return fitted, f"five coefficients miss the lens that is described from image to ray by {by}"
     if (model in _BROWN or model.lower() in _BROWN_OF_SDK) and len(D) <= 5:
         k1, k2, p1, p2, k3 = (*D.tolist(), 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
         return _checked(PinholeCamera(*size, *lens, (k1, k2, p1, p2, k3)), D), None
@@ -205,29 +222,6 @@ def camera_of(info: Any, is_rectified: bool) -> tuple[PinholeCamera, str | None]
         problem = f"its lens is described as {model!r}, which is no pinhole camera's"
         raise CalibrationError(problem, fix="record the rectified image too, or give a camera with --camera")
     return _nearest(PinholeCamera(*size, *lens), D)
-
-
-def _image_intrinsics(info: Any, K: FloatArray) -> tuple[tuple[int, int], tuple[float, float, float, float]]:
-    """Size and fx, fy, cx, cy of the image, which may be a region of the sensor with binned pixels."""
-    across, down = max(int(info.binning_x), 1), max(int(info.binning_y), 1)
-    region = info.roi
-    width, height = int(region.width) or int(info.width), int(region.height) or int(info.height)
-    left, top = (int(region.x_offset), int(region.y_offset)) if region.width else (0, 0)
-    cx, cy = (K[0, 2] - left + 0.5) / across - 0.5, (K[1, 2] - top + 0.5) / down - 0.5
-    return (width // across, height // down), (float(K[0, 0] / across), float(K[1, 1] / down), float(cx), float(cy))
-
-
-def _from_inverse(camera: PinholeCamera) -> tuple[PinholeCamera, str | None]:
-    """The camera with Brown's coefficients nearest to inverse ones, which map image to ray, and a warning or None."""
-    u, v = np.meshgrid(*(np.linspace(0, side - 1, _GRID) for side in (camera.width, camera.height)))
-    seen = (np.stack([u.ravel(), v.ravel()], axis=1) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-    xy = (camera.denormalise(seen) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-    fit = fitted_lens(xy, seen)
-    fitted = _checked(replace(camera, distortion=fit.distortion), np.array(fit.distortion))
-    if fit.worst * camera.fx <= _LENS_PX:
-        return fitted, None
-    by = f"{fit.median * camera.fx:.2f} px in the median, and by {fit.worst * camera.fx:.1f} px at worst"
-    return fitted, f"five coefficients miss the lens that is described from image to ray by {by}"
 
 
 @np.errstate(all="ignore")  # invalid coefficients overflow

@@ -30,7 +30,7 @@ from wheelsight.io.recordings.bags.stamps import TopicClock, clocks_of
 from wheelsight.io.recordings.bags.storage import Message, OpenBag, TransformTopic, open_bag, parts_of
 from wheelsight.io.recordings.bags.topics import CALIBRATION, TEXT, Choices, ImageTopic, Roles, lacks, roles_of
 from wheelsight.io.recordings.bags.wheel_readings import JointSpeeds, JointTicks, SpeedReader, poses_stay_zero
-from wheelsight.io.recordings.bags.wheel_topics import WheelSource
+from wheelsight.io.recordings.bags.wheel_topics import WheelTopic
 from wheelsight.io.recordings.clock_checks import FRAMES, WHEELS, MotionClock, stamp_warnings
 from wheelsight.io.recordings.recording import Layout, OpenOptions, RecordedTopic, load_camera
 from wheelsight.io.recordings.wheel_recording import need_wheels, shipped_robot
@@ -209,7 +209,7 @@ def _clocks_by_motion(
 
 
 @dataclass(frozen=True, slots=True)
-class Robot:
+class BagRobot:
     """The robot as its bag describes it.
 
     Attributes:
@@ -230,7 +230,7 @@ class Robot:
     needs_wheels: bool = False
 
 
-def read_robot(bag: OpenBag, roles: Roles) -> Robot:
+def read_robot(bag: OpenBag, roles: Roles) -> BagRobot:
     """The robot by CameraInfo, /tf_static, the first messages of /tf, and the type of its wheels' topic."""
     transforms = _read_transforms(bag, roles)
     warnings = list(transforms.warnings)
@@ -255,7 +255,7 @@ def read_robot(bag: OpenBag, roles: Roles) -> Robot:
     if calibration is None and lacks is None:
         lacks = lacks_sizes(bag, roles)
     needs = (roles.color is not None, roles.needs_sizes)
-    return Robot(calibration, base, transforms, tuple(warnings), lacks, *needs)
+    return BagRobot(calibration, base, transforms, tuple(warnings), lacks, *needs)
 
 
 def _read_transforms(bag: OpenBag, roles: Roles) -> Transforms:
@@ -376,7 +376,7 @@ def lacks_sizes(bag: OpenBag, roles: Roles) -> CalibrationError:
     return CalibrationError(problem, path=bag.path, fix=fix)
 
 
-def _calibrated(bag: OpenBag, roles: Roles, robot: Robot, options: OpenOptions) -> Calibration:
+def _calibrated(bag: OpenBag, roles: Roles, robot: BagRobot, options: OpenOptions) -> Calibration:
     """The robot's calibration. Later sources replace parts of earlier ones.
 
     The sources are, in this order: the bag's topics, the calibration in a bag of wheelsight, `--camera`, the
@@ -452,7 +452,7 @@ def _ticks_per_turn(bag: OpenBag, roles: Roles, calibration: Calibration) -> flo
 
 
 def _holonomic_wheels(
-    bag: OpenBag, source: WheelSource, calibration: Calibration
+    bag: OpenBag, source: WheelTopic, calibration: Calibration
 ) -> tuple[Callable[[], SpeedReader], list[str], None]:
     """Like `_wheels`, for a holonomic base. Raises CalibrationError where the calibration has two wheels."""
     wheels, topic = calibration.holonomic, source.topic.name
@@ -478,7 +478,7 @@ _GRAVITY_SHARE = 0.2
 _GRAVITY_APART_RAD = 0.35
 
 
-def up_of_gyro(bag: OpenBag, roles: Roles, robot: Robot) -> tuple[FloatArray, list[str]]:
+def up_of_gyro(bag: OpenBag, roles: Roles, robot: BagRobot) -> tuple[FloatArray, list[str]]:
     """The upward direction (3,) in the gyroscope's frame, and warnings.
 
     tf gives it where the mount is known, unless gravity disagrees; else the mean acceleration gives it, since an
@@ -526,7 +526,7 @@ def _between_rad(a: FloatArray, b: FloatArray) -> float:
 
 
 def _truth(
-    bag: OpenBag, roles: Roles, robot: Robot, clocks: Mapping[str, TopicClock], calibration: Calibration
+    bag: OpenBag, roles: Roles, robot: BagRobot, clocks: Mapping[str, TopicClock], calibration: Calibration
 ) -> tuple[Trajectory | None, list[str]]:
     """The true poses of the topic that the user chose, with warnings. Raises RecordingError where it has no pose."""
     name = roles.truth

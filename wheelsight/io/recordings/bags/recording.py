@@ -184,7 +184,7 @@ class BagRecording:
         passing = _Pass(bag, self._plan)
         for item in passing.items(images=True, stop_ns=stop_ns):
             try:
-                if isinstance(item, RawFrame):
+                if isinstance(item, ImagePair):
                     self._read(bag, item)
                     return
             except RecordingError as error:
@@ -202,7 +202,7 @@ class BagRecording:
         turns, passing, begin_s = MotionClock(self.calibration), _Pass(bag, self._plan), math.inf
         for item in passing.items(images=True):
             begin_s = min(begin_s, item.stamp_s)
-            if isinstance(item, RawFrame):
+            if isinstance(item, ImagePair):
                 if turns.wants(item.stamp_s):
                     with suppress(RecordingError):  # the pass over all frames reports damaged images
                         turns.see(item.stamp_s, color_of(bag.decode(item.color), self.path))
@@ -221,7 +221,7 @@ class BagRecording:
         with open_bag(self.path) as bag:
             passing = _Pass(bag, self._plan)
             for item in passing.items(images):
-                if isinstance(item, RawFrame):
+                if isinstance(item, ImagePair):
                     yield ListedFrame(item.stamp_s, math.inf, partial(self._frame_or_reason, bag, item))
                 else:
                     yield item
@@ -229,16 +229,16 @@ class BagRecording:
         if images and self._plan.roles.color is not None:
             gap_s, pairing = self._plan.options.max_gap_s, passing.pairing
             color, depth = (self._counts.get(role, 0) for role in ("color", "depth"))
-            pairs = pairing.pairs - passing.events.late[RawFrame.__name__]
+            pairs = pairing.pairs - passing.events.late[ImagePair.__name__]
             self._found = AssociationReport(color, depth, pairs, gap_s, pairing.largest_gap_s)
 
-    def _frame_or_reason(self, bag: OpenBag, frame: RawFrame) -> RgbdFrame | SkippedFrame:
+    def _frame_or_reason(self, bag: OpenBag, frame: ImagePair) -> RgbdFrame | SkippedFrame:
         try:
             return self._read(bag, frame)
         except RecordingError as error:
             return SkippedFrame(frame.stamp_s, error.problem, frame.index)
 
-    def _read(self, bag: OpenBag, frame: RawFrame) -> RgbdFrame:
+    def _read(self, bag: OpenBag, frame: ImagePair) -> RgbdFrame:
         """The decoded frame. Raises RecordingError naming the bag and what makes it unusable."""
         color = color_of(bag.decode(frame.color), self.path)
         depth_m = depth_of(bag.decode(frame.depth), self._plan.options.depth_factor, self.path)
@@ -279,7 +279,7 @@ class _Pass:
         self._wheel_topics = [self.plan.roles.used[role] for role in _WHEELS if role in self.plan.roles.used]
         self._wheels_s: float | None = None
 
-    def items(self, images: bool, stop_ns: int | None = None) -> Iterator[Event | RawFrame]:
+    def items(self, images: bool, stop_ns: int | None = None) -> Iterator[Event | ImagePair]:
         """Events and undecoded frames, in order of time."""
         topics = self.plan.topics(images)
         counts = {topic.name: topic.count for topic in self.bag.topics if topic.name in topics}
@@ -336,7 +336,7 @@ class _Pass:
             self.unusable += 1
             return None
 
-    def _enqueue(self, event: Event | None, frames: Iterator[RawFrame]) -> None:
+    def _enqueue(self, event: Event | None, frames: Iterator[ImagePair]) -> None:
         for item in (*frames, *(() if event is None else (event,))):
             self.events.add(item)
 
@@ -375,7 +375,7 @@ def _warnings_of(passing: _Pass) -> tuple[str, ...]:
             if count:
                 sentence = f"{topic}: {count:,} messages {why}, and were left out."
                 warnings.append(LeftOut(sentence, count, of, f"{topic}: messages {why}"))
-    kinds = {RawFrame: "frames", **dict.fromkeys(WHEEL_READINGS, "wheel readings"), YawRate: "gyroscope readings"}
+    kinds = {ImagePair: "frames", **dict.fromkeys(WHEEL_READINGS, "wheel readings"), YawRate: "gyroscope readings"}
     for kind, words in kinds.items():
         if count := passing.events.late[kind.__name__]:
             why = f"{words} were known of too late to be put in order"
@@ -397,11 +397,11 @@ def _lost_pairs(passing: _Pass) -> list[str]:
     if not all(came.values()):
         return []
     wrong = sum(passing.clocks[topic].left_out for topic in images.values())
-    late = sum(passing.messages.late[topic] for topic in images.values()) + passing.events.late[RawFrame.__name__]
+    late = sum(passing.messages.late[topic] for topic in images.values()) + passing.events.late[ImagePair.__name__]
     for kind, topic in images.items():
         came[kind] += passing.clocks[topic].left_out + passing.messages.late[topic]
     fewest = min(came.values())
-    lost = fewest - pairing.pairs + passing.events.late[RawFrame.__name__]
+    lost = fewest - pairing.pairs + passing.events.late[ImagePair.__name__]
     if lost <= _MOST_LOST * fewest:
         return []
     reasons = []
@@ -448,7 +448,7 @@ _LONGEST_WAIT_S, _LONGEST_STEP_S = 10.0, 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class RawFrame:
+class ImagePair:
     """A pair of colour and depth, not decoded."""
 
     stamp_s: float
@@ -555,17 +555,17 @@ class EventQueue:
 
     def __init__(self) -> None:
         self.late: Counter[str] = Counter()
-        self._heap: list[tuple[float, int, Event | RawFrame]] = []
+        self._heap: list[tuple[float, int, Event | ImagePair]] = []
         self._last_s: dict[str, float] = {}
         self._number = self._bytes = self._frames = 0
 
-    def add(self, item: Event | RawFrame) -> None:
+    def add(self, item: Event | ImagePair) -> None:
         """Add an item."""
         heapq.heappush(self._heap, (item.stamp_s, self._number, item))
         self._number += 1
         self._bytes += _size_bytes(item)
 
-    def until(self, stamp_s: float) -> Iterator[Event | RawFrame]:
+    def until(self, stamp_s: float) -> Iterator[Event | ImagePair]:
         """The items before a stamp; the stamps of each kind increase strictly. All items before it must be added."""
         while self._heap and (self._heap[0][0] < stamp_s or self._bytes > _MOST_BYTES):
             _, _, item = heapq.heappop(self._heap)
@@ -577,13 +577,13 @@ class EventQueue:
                 self.late[kind] += 1
                 continue
             self._last_s[kind] = item.stamp_s
-            if isinstance(item, RawFrame):
+            if isinstance(item, ImagePair):
                 item, self._frames = replace(item, index=self._frames), self._frames + 1
             yield item
 
 
-def _size_bytes(item: Event | RawFrame) -> int:
-    return item.size_bytes if isinstance(item, RawFrame) else 0
+def _size_bytes(item: Event | ImagePair) -> int:
+    return item.size_bytes if isinstance(item, ImagePair) else 0
 
 
 class Pairing:
@@ -628,7 +628,7 @@ class Pairing:
             del images[0]
             self.crowded[kind] += 1
 
-    def settled(self, now_s: float) -> Iterator[RawFrame]:
+    def settled(self, now_s: float) -> Iterator[ImagePair]:
         """Frames whose pair is final, given that all later images are stamped `now_s` or later; infinite at the end."""
         due_s = now_s - _SETTLED_GAPS * self.max_gap_s
         color, depth = self._waiting["color"], self._waiting["depth"]
@@ -645,7 +645,7 @@ class Pairing:
             self.largest_gap_s = max(self.largest_gap_s, abs(depth_s - color_s))
             gone["color"].add(i)
             gone["depth"].add(j)
-            frames.append(RawFrame(color_s, color_message, depth_message, depth_s - color_s))
+            frames.append(ImagePair(color_s, color_message, depth_message, depth_s - color_s))
         for kind, paired in zip(("color", "depth"), pairs.T.tolist(), strict=True):
             singles = {i for i, (stamp_s, _) in enumerate(self._waiting[kind]) if stamp_s < due_s} - set(paired)
             self._count_alone(kind, singles)

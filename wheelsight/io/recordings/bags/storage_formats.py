@@ -25,8 +25,8 @@ from wheelsight.io.recordings.bags.chunks import (
     Allowance,
     Chunk,
     ChunkedReader,
+    ChunkMessage,
     Connection,
-    Record,
 )
 
 # MCAP: https://mcap.dev/spec. The reader of rosbags decompresses whatever a chunk holds, and keeps all chunks that
@@ -198,8 +198,8 @@ class McapReader(ChunkedReader):
             raise ValueError("has a wrong checksum")
         return content
 
-    def _walk(self, content: bytes, most: int) -> tuple[list[Record], int]:
-        found: list[Record] = []
+    def _walk(self, content: bytes, most: int) -> tuple[list[ChunkMessage], int]:
+        found: list[ChunkMessage] = []
         at = count = 0
         while at < len(content):
             kind, size = _HEAD.unpack_from(content, at)
@@ -213,7 +213,7 @@ class McapReader(ChunkedReader):
                 if size < _MESSAGE_HEAD.size:
                     raise ValueError("holds a message that is too short")
                 channel, _, time_ns, _ = _MESSAGE_HEAD.unpack_from(content, begin)
-                found.append(Record(channel, time_ns, begin + _MESSAGE_HEAD.size, at))
+                found.append(ChunkMessage(channel, time_ns, begin + _MESSAGE_HEAD.size, at))
         return found, count
 
 
@@ -321,8 +321,8 @@ class Ros1Reader(ChunkedReader):
         data = self._packed(_U32.unpack(self._exactly(4, 4))[0])
         return self.allowance.unpacked(data, _WAYS.get(name, name), stated)
 
-    def _walk(self, content: bytes, most: int) -> tuple[list[Record], int]:
-        found: list[Record] = []
+    def _walk(self, content: bytes, most: int) -> tuple[list[ChunkMessage], int]:
+        found: list[ChunkMessage] = []
         fields = _FieldOffsets((b"op=", b"conn=", b"time="))
         at = count = 0
         while at < len(content):
@@ -340,7 +340,7 @@ class Ros1Reader(ChunkedReader):
                 if min(conn, time) < 0:
                     raise ValueError("holds a message without time or connection")
                 seconds, nanoseconds = _TIME.unpack_from(header, time)
-                found.append(Record(_U32.unpack_from(header, conn)[0], seconds * 10**9 + nanoseconds, begin, at))
+                found.append(ChunkMessage(_U32.unpack_from(header, conn)[0], seconds * 10**9 + nanoseconds, begin, at))
         return found, count
 
 
@@ -431,8 +431,7 @@ class SqliteReader:
             self._steps_left = 0
             for pragma in ("trusted_schema = OFF", "cell_size_check = ON"):
                 self._database.execute(f"PRAGMA {pragma}")
-            self._check_tables()
-            self._read_index()
+            self._read_index(has_definitions="message_definitions" in self._checked_tables())
         except sqlite3.Error as error:
             self._database.close()
             raise self._refusal(error) from error
@@ -477,8 +476,8 @@ class SqliteReader:
         self._steps_left = _FREE_STEPS + _STEPS_PER_BYTE * self._size
         return self._database.execute(query, values)
 
-    def _check_tables(self) -> None:
-        """Raise RecordingError where a table is missing or not plain."""
+    def _checked_tables(self) -> dict[str, str]:
+        """Names and definitions of the tables. Raises RecordingError where one is missing or not plain."""
         found: dict[str, str] = {}
         for name, text in self._rows("SELECT name, sql FROM sqlite_master WHERE type = 'table'"):
             found[name] = str(text)
@@ -490,9 +489,9 @@ class SqliteReader:
             columns = list(self._rows("SELECT hidden FROM pragma_table_xinfo(?)", (name,)))
             if _VIRTUAL.match(found.get(name, "")) or any(hidden for (hidden,) in columns):
                 raise self._refusal(f"a table {name} that computes its values")
-        self._defines = "message_definitions" in found
+        return found
 
-    def _read_index(self) -> None:
+    def _read_index(self, has_definitions: bool) -> None:
         counts: dict[Any, int] = {}
         query = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
         for topic, count, first_ns, last_ns in self._rows(query):
@@ -502,7 +501,7 @@ class SqliteReader:
             self.end_time = max(self.end_time, last_ns + 1) if counts else last_ns + 1
             counts[topic] = count
         definitions: dict[str, tuple[str, str]] = {}
-        if self._defines:
+        if has_definitions:
             query = "SELECT topic_type, encoding, substr(encoded_message_definition, 1, ?) FROM message_definitions"
             for type_, language, text in self._rows(f"{query} LIMIT ?", (LONGEST_DEFINITION + 1, MOST_CONNECTIONS)):
                 if language in ("ros2msg", "ros2idl") and isinstance(text, str):

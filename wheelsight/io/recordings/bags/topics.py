@@ -18,7 +18,7 @@ from wheelsight.io.recordings.bags.wheel_readings import Joints
 from wheelsight.io.recordings.bags.wheel_topics import (
     JOINTS,
     ODOMETRY,
-    WheelSource,
+    WheelTopic,
     chosen_source,
     counted_transform,
     holonomic_source,
@@ -148,7 +148,7 @@ class Roles:
     color_info: str | None = None
     depth_info: str | None = None
     wheels: Topic | None = None
-    source: WheelSource | None = None
+    source: WheelTopic | None = None
     gyro: str | None = None
     truth: str | None = None
     transforms: tuple[TransformTopic, ...] = ()
@@ -326,7 +326,7 @@ def _wheels(
     truth: TransformTopic | str | None,
     warnings: list[str],
     faults: list[str],
-) -> WheelSource | None:
+) -> WheelTopic | None:
     """The source of wheel motion: raw readings rather than a filter's output. Warnings name the sources not used."""
     name = choices.topics.get("wheels")
     if name == NONE:
@@ -366,8 +366,8 @@ def _wheels(
 
 
 def _as_it_moves(
-    bag: OpenBag, source: WheelSource, knows_wheels: bool, warnings: list[str]
-) -> tuple[WheelSource, str | None]:
+    bag: OpenBag, source: WheelTopic, knows_wheels: bool, warnings: list[str]
+) -> tuple[WheelTopic, str | None]:
     """The source, and how much it moves sideways where the calibration has two wheels, which cannot.
 
     Without a calibration a source that moves sideways becomes that of a holonomic base, with a warning.
@@ -384,13 +384,13 @@ def _as_it_moves(
 
 def _holonomic(
     bag: OpenBag, filled: Sequence[Topic], choices: Choices, wheels: HolonomicWheels, warnings: list[str]
-) -> WheelSource | None:
+) -> WheelTopic | None:
     """The source of a holonomic base that a calibration describes: counts of all wheels, else its own odometry."""
     name = choices.topics.get("wheels")
     if name == NONE:
         return None
     taken = holonomic_source(bag, filled, wheels, name, choices.places)
-    others: list[WheelSource] = []
+    others: list[WheelTopic] = []
     if taken is None and name is not None:
         taken = chosen_source(bag, name, choices.right, choices.sides)
     elif taken is None:

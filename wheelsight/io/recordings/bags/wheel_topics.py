@@ -79,7 +79,7 @@ Kind = Literal["odometry", "joints", "twist", "counts", "columns", "fields", "tf
 
 
 @dataclass(frozen=True, slots=True)
-class WheelSource:
+class WheelTopic:
     """A topic that describes the motion of the wheels.
 
     Attributes:
@@ -178,12 +178,12 @@ class WheelSource:
         return None if stamped is None else planar_of_transform(stamped)
 
 
-def is_fused(source: WheelSource) -> bool:
+def is_fused(source: WheelTopic) -> bool:
     """Whether its name says that it is the output of sensor fusion, which includes a gyroscope."""
     return source.kind in ("odometry", "tf", "twist") and bool(_FUSED.search(source.topic.name))
 
 
-def sources_in(bag: OpenBag, topics: Sequence[Topic], sides: Joints | None, is_estimated: bool) -> list[WheelSource]:
+def sources_in(bag: OpenBag, topics: Sequence[Topic], sides: Joints | None, is_estimated: bool) -> list[WheelTopic]:
     """All sources of wheel motion in a bag, the best first. Reads some first messages, and the last of arrays.
 
     Args:
@@ -192,7 +192,7 @@ def sources_in(bag: OpenBag, topics: Sequence[Topic], sides: Joints | None, is_e
         sides: joints that the user chose, or None.
         is_estimated: whether poses, twists and tf are wheelsight's own estimate, and so not used.
     """
-    found: list[WheelSource] = []
+    found: list[WheelTopic] = []
     for topic in topics:
         with suppress(RecordingError):  # a message that cannot be read
             found += _sources_of(bag, topic, topics, sides)
@@ -203,19 +203,19 @@ def sources_in(bag: OpenBag, topics: Sequence[Topic], sides: Joints | None, is_e
     return sorted(found, key=lambda source: (source.rank, source.topic.name))
 
 
-def _sources_of(bag: OpenBag, topic: Topic, topics: Sequence[Topic], sides: Joints | None) -> Iterator[WheelSource]:
+def _sources_of(bag: OpenBag, topic: Topic, topics: Sequence[Topic], sides: Joints | None) -> Iterator[WheelTopic]:
     """The sources in one topic. Raises RecordingError where a message cannot be read."""
     if topic.type == ODOMETRY:
         by_name = not _WHEEL_WORDS.search(topic.name)
         rank = 9 if _NO_WHEELS.search(topic.name) else 7 if _FUSED.search(topic.name) else by_name
-        yield WheelSource(topic, "odometry", rank, doubt=_doubt(topic.name))
+        yield WheelTopic(topic, "odometry", rank, doubt=_doubt(topic.name))
     elif topic.type == JOINTS:
         joints = sides or _found_joints(bag, topic.name)
         if joints is not None:
-            yield WheelSource(topic, "joints", 2, joints)
+            yield WheelTopic(topic, "joints", 2, joints)
     elif topic.type in _TWISTS:
         if not _COMMANDED.search(topic.name) and not _NO_WHEELS.search(topic.name):
-            yield WheelSource(topic, "twist", 7 if _FUSED.search(topic.name) else 5, doubt=_doubt(topic.name))
+            yield WheelTopic(topic, "twist", 7 if _FUSED.search(topic.name) else 5, doubt=_doubt(topic.name))
     elif topic.type in TF:
         yield from _in_tf(bag, topic)
     elif not _OF_ROS.match(topic.type):
@@ -224,16 +224,16 @@ def _sources_of(bag: OpenBag, topic: Topic, topics: Sequence[Topic], sides: Join
         yield from _counted(bag, topic, topics)
 
 
-def _counted(bag: OpenBag, topic: Topic, topics: Sequence[Topic]) -> Iterator[WheelSource]:
+def _counted(bag: OpenBag, topic: Topic, topics: Sequence[Topic]) -> Iterator[WheelTopic]:
     """Counts of two wheels: the right one in a topic of its own, or both in an array."""
     if match := _COUNT.fullmatch(topic.type):
         right = _other_side(topic.name)
         if right is not None and any((other.name, other.type) == (right, topic.type) for other in topics):
-            yield WheelSource(topic, "counts", 3, right=right, bits=_bits(match))
+            yield WheelTopic(topic, "counts", 3, right=right, bits=_bits(match))
     elif match := _ARRAY.fullmatch(topic.type):
         places = _places(bag, topic.name)
         if places is not None:
-            yield WheelSource(topic, "columns", 4, places, bits=_bits(match))
+            yield WheelTopic(topic, "columns", 4, places, bits=_bits(match))
 
 
 def _doubt(name: str) -> str:
@@ -283,7 +283,7 @@ def _places(bag: OpenBag, topic: str) -> Joints | None:
     return Joints((pair[0],), (pair[1],)) if len(pair) == 2 else None
 
 
-def _in_fields(bag: OpenBag, topic: Topic, sides: Joints | None) -> Iterator[WheelSource]:
+def _in_fields(bag: OpenBag, topic: Topic, sides: Joints | None) -> Iterator[WheelTopic]:
     """Fields of a left and a right wheel in a robot-specific message, by name. Raises ConfigError."""
     types = bag.fields(topic.name)
     if sides is not None:
@@ -299,14 +299,14 @@ def _in_fields(bag: OpenBag, topic: Topic, sides: Joints | None) -> Iterator[Whe
         is_whole = "int" in types[name]
         if is_whole and _COUNTED_FIELD.search(name):
             bits = int(re.sub(r"\D", "", types[name]))
-            yield WheelSource(topic, "fields", 3, pair, bits=0 if bits == 64 else bits, unit="counts")
+            yield WheelTopic(topic, "fields", 3, pair, bits=0 if bits == 64 else bits, unit="counts")
         elif _ROLLED_FIELD.search(name):
-            yield WheelSource(topic, "fields", 3, pair, unit="mm")
+            yield WheelTopic(topic, "fields", 3, pair, unit="mm")
         elif _SPEED_FIELD.search(name) and not is_whole:
-            yield WheelSource(topic, "fields", 4, pair, unit="rad/s")
+            yield WheelTopic(topic, "fields", 4, pair, unit="rad/s")
 
 
-def _in_tf(bag: OpenBag, topic: Topic) -> Iterator[WheelSource]:
+def _in_tf(bag: OpenBag, topic: Topic) -> Iterator[WheelTopic]:
     """Transforms from an odom frame to a base frame in the first messages."""
     pairs: dict[tuple[str, str], None] = {}
     for message in bag.first(topic.name, _TF_SAMPLES):
@@ -319,7 +319,7 @@ def _in_tf(bag: OpenBag, topic: Topic) -> Iterator[WheelSource]:
         if transform.count > 1:
             of = Topic(transform.name, topic.type, transform.count)
             rank = 7 if _FUSED.search(parent) else 4
-            yield WheelSource(of, "tf", rank, transform=transform, doubt=_doubt(parent))
+            yield WheelTopic(of, "tf", rank, transform=transform, doubt=_doubt(parent))
 
 
 def counted_transform(bag: OpenBag, topic: Topic, parent: str, child: str) -> TransformTopic:
@@ -335,7 +335,7 @@ def counted_transform(bag: OpenBag, topic: Topic, parent: str, child: str) -> Tr
     return transform if topic.count > _MOST_COUNTED else TransformTopic(topic.name, parent, child, count)
 
 
-def chosen_source(bag: OpenBag, name: str, right: str | None, sides: Joints | None) -> WheelSource:
+def chosen_source(bag: OpenBag, name: str, right: str | None, sides: Joints | None) -> WheelTopic:
     """The source that the user chose.
 
     Raises:
@@ -355,14 +355,14 @@ def chosen_source(bag: OpenBag, name: str, right: str | None, sides: Joints | No
     if right is not None or _COUNT.fullmatch(topic.type):
         return _chosen_counts(topic, right or _other_side(name), known)
     if topic.type in (ODOMETRY, *_TWISTS):
-        return WheelSource(topic, "odometry" if topic.type == ODOMETRY else "twist", 0)
+        return WheelTopic(topic, "odometry" if topic.type == ODOMETRY else "twist", 0)
     if topic.type == JOINTS:
-        return WheelSource(topic, "joints", 0, sides or _joints_in(bag, name))
+        return WheelTopic(topic, "joints", 0, sides or _joints_in(bag, name))
     if topic.type in TF:
         return _chosen_transform(bag, topic, sides)
     if match := _ARRAY.fullmatch(topic.type):
         places = sides or _places(bag, name) or _refuse(bag, name, "not two numbers that change", "0,1")
-        return WheelSource(topic, "columns", 0, places, bits=_bits(match))
+        return WheelTopic(topic, "columns", 0, places, bits=_bits(match))
     if not _OF_ROS.match(topic.type):
         found = next(_in_fields(bag, topic, sides), None)
         return found or _refuse(bag, name, "no fields that are known for counts or speeds of wheels", "LEFT,RIGHT")
@@ -371,7 +371,7 @@ def chosen_source(bag: OpenBag, name: str, right: str | None, sides: Joints | No
     raise ConfigError(f"--topic wheels={name} is of {topic.type}", fix=fix)
 
 
-def _chosen_counts(topic: Topic, right: str | None, known: Mapping[str, Topic]) -> WheelSource:
+def _chosen_counts(topic: Topic, right: str | None, known: Mapping[str, Topic]) -> WheelTopic:
     """The source of two topics of counts. Raises ConfigError."""
     match = _COUNT.fullmatch(topic.type)
     if right is None or right not in known:
@@ -380,16 +380,16 @@ def _chosen_counts(topic: Topic, right: str | None, known: Mapping[str, Topic]) 
         types = f"{topic.type} and {known[right].type} are no counts of two wheels"
         fix = "two topics of std_msgs Int16, Int32 or Int64"
         raise ConfigError(f"--topic wheels={topic.name},{right}: {types}", fix=fix)
-    return WheelSource(topic, "counts", 0, right=right, bits=_bits(match))
+    return WheelTopic(topic, "counts", 0, right=right, bits=_bits(match))
 
 
-def _chosen_transform(bag: OpenBag, topic: Topic, sides: Joints | None) -> WheelSource:
+def _chosen_transform(bag: OpenBag, topic: Topic, sides: Joints | None) -> WheelTopic:
     """The source of a transform of tf. Raises ConfigError, RecordingError."""
     if sides is None:
         found = next(_in_tf(bag, topic), None)
         return found or _refuse(bag, topic.name, "no transform from odom to base_link", "PARENT,CHILD")
     transform = counted_transform(bag, topic, sides.left[0].lstrip("/"), sides.right[0].lstrip("/"))
-    return WheelSource(Topic(transform.name, topic.type, transform.count), "tf", 0, transform=transform)
+    return WheelTopic(Topic(transform.name, topic.type, transform.count), "tf", 0, transform=transform)
 
 
 def _refuse(bag: OpenBag, name: str, why: str, form: str) -> Any:
@@ -405,7 +405,7 @@ def _joints_in(bag: OpenBag, topic: str) -> Joints:
     return joints
 
 
-def unread_topics(bag: OpenBag, topics: Sequence[Topic], found: Sequence[WheelSource]) -> list[str]:
+def unread_topics(bag: OpenBag, topics: Sequence[Topic], found: Sequence[WheelTopic]) -> list[str]:
     """Warnings about topics whose names or types suggest wheels, but that cannot be read."""
     read = {name for source in found for name in (source.topic.name, source.right)}
     warnings = []
@@ -426,7 +426,7 @@ def unread_topics(bag: OpenBag, topics: Sequence[Topic], found: Sequence[WheelSo
 
 def holonomic_source(
     bag: OpenBag, topics: Sequence[Topic], wheels: HolonomicWheels, named: str | None, places: Sequence[str]
-) -> WheelSource | None:
+) -> WheelTopic | None:
     """Joints or an array of all wheels of a holonomic base, by the names of its wheels, or as the user chose.
 
     Raises:
@@ -439,12 +439,12 @@ def holonomic_source(
         if topic.type == JOINTS:
             found = tuple(places) or _joints_of_all(bag, topic.name, wheels)
             if len(found) == count:
-                return WheelSource(topic, "joints", 0, is_holonomic=True, places=found)
+                return WheelTopic(topic, "joints", 0, is_holonomic=True, places=found)
         elif match := _ARRAY.fullmatch(topic.type):
             first = bag.decode(bag.first(topic.name)[0]).data
             found = tuple(places) or (tuple(map(str, range(count))) if len(first) == count else ())
             if len(found) == count and (named is not None or _is_counted(topic.name)):
-                return WheelSource(topic, "columns", 0, bits=_bits(match), is_holonomic=True, places=found)
+                return WheelTopic(topic, "columns", 0, bits=_bits(match), is_holonomic=True, places=found)
         else:
             continue
         if named is not None:
@@ -464,7 +464,7 @@ def _joints_of_all(bag: OpenBag, topic: str, wheels: HolonomicWheels) -> tuple[s
     return ()
 
 
-def sideways(bag: OpenBag, source: WheelSource) -> str | None:
+def sideways(bag: OpenBag, source: WheelTopic) -> str | None:
     """How much of an odometry's path is sideways, where it is more than two wheels can roll; else None.
 
     Sideways motion by turns is excluded: the axle may be before or behind the base frame, and the heading may be that
@@ -485,7 +485,7 @@ def sideways(bag: OpenBag, source: WheelSource) -> str | None:
     return f"{sideways_m:.2f} of {way_m:.2f} m that were checked ({share:.0f} %) are sideways"
 
 
-def _steps(bag: OpenBag, source: WheelSource) -> np.ndarray:
+def _steps(bag: OpenBag, source: WheelTopic) -> np.ndarray:
     """(N, 3) motion ahead, to the left and turning between consecutive messages, of all or in windows."""
     name = source.topic.name
     if source.transform is not None:
@@ -507,7 +507,7 @@ def _steps(bag: OpenBag, source: WheelSource) -> np.ndarray:
     return np.array(steps).reshape(-1, 3)
 
 
-def _between(source: WheelSource, received: Sequence[tuple[float, Any]]) -> list[tuple[float, float, float]]:
+def _between(source: WheelTopic, received: Sequence[tuple[float, Any]]) -> list[tuple[float, float, float]]:
     """Motion ahead, to the left and turning between consecutive messages, given with their receipt."""
     if source.kind == "twist":
         speeds = [(at_s, twist_of(message)) for at_s, message in received]

@@ -224,7 +224,14 @@ class BagFile:
         """Like `add`, for a serialized message."""
         connection = self._connections.get(topic)
         if connection is None:
-            connection = self._connections[topic] = self._connected(topic, type_, is_latched)
+            how: dict[str, Any] = {}
+            if is_latched and self.make.is_ros1:
+                how["latching"] = 1
+            elif is_latched:
+                how["offered_qos_profiles"] = [_latched()]
+            connection = self._connections[topic] = self._writer.add_connection(
+                topic, type_, typestore=self.make.types, **how
+            )
         self._writer.write(connection, nanoseconds(stamp_s), data)
         self.count += 1
         self.size_bytes += len(data)
@@ -238,14 +245,6 @@ class BagFile:
         if storage.chunk.msgs:
             storage.close_chunk()
         storage.bio.flush()
-
-    def _connected(self, topic: str, type_: str, is_latched: bool) -> Any:
-        how: dict[str, Any] = {}
-        if is_latched and self.make.is_ros1:
-            how["latching"] = 1
-        elif is_latched:
-            how["offered_qos_profiles"] = [_latched()]
-        return self._writer.add_connection(topic, type_, typestore=self.make.types, **how)
 
 
 @contextmanager
@@ -594,7 +593,12 @@ class Messages:
     def transforms(self, stamp_s: float, joined: Iterable[tuple[str, str, FloatArray]]) -> Any:
         """TFMessage of parent, child and T_parent_child (4, 4)."""
         stamped = [
-            self._make("geometry_msgs/msg/TransformStamped", self.header(stamp_s, parent), child, self._transform(T))
+            self._make(
+                "geometry_msgs/msg/TransformStamped",
+                self.header(stamp_s, parent),
+                child,
+                self._make("geometry_msgs/msg/Transform", self._vector(T[:3, 3]), self._quaternion(T)),
+            )
             for parent, child, T in joined
         ]
         return self._make(_TF, stamped)
@@ -706,9 +710,6 @@ class Messages:
         """Pose of a motion (4, 4)."""
         point = self._make("geometry_msgs/msg/Point", *T[:3, 3].tolist())
         return self._make("geometry_msgs/msg/Pose", point, self._quaternion(T))
-
-    def _transform(self, T: FloatArray) -> Any:
-        return self._make("geometry_msgs/msg/Transform", self._vector(T[:3, 3]), self._quaternion(T))
 
     def _quaternion(self, T: FloatArray) -> Any:
         return self._make("geometry_msgs/msg/Quaternion", *so3.to_quaternion(T[:3, :3]).tolist())
