@@ -98,7 +98,7 @@ def sheets_of(found: Sequence[Explored]) -> list[Sheet]:
     """What explorations came to, what must be reached, and what fell short of it."""
     short = tuple((one.sentence,) for one in found if not is_good(one))
     sheets = [Sheet("Explorations", _HEADER, tuple(map(row_of, found))), targets_sheet(targets_of(found))]
-    return [*sheets, Sheet("What fell short", ("exploration",), short)] if short else sheets
+    return [*sheets, Sheet("Shortfalls", ("exploration",), short)] if short else sheets
 
 
 def explored_in(building: Building, how: How, seed: int, kept: KeptRecords) -> Explored:

@@ -107,7 +107,7 @@ def sheets_of(drives: Sequence[Drive], hard: Hardness) -> list[Sheet]:
     rows = tuple(row_of(name, [drive for drive in drives if drive.building == name]) for name in names)
     missed = tuple((drive.sentence,) for drive in drives if not drive.has_arrived or drive.contacts)
     sheets = [Sheet("Goals", _HEADER, rows), targets_sheet(targets_of(drives, hard))]
-    return [*sheets, Sheet("What went wrong", ("goal",), missed)] if missed else sheets
+    return [*sheets, Sheet("Failures", ("goal",), missed)] if missed else sheets
 
 
 def drives_in(

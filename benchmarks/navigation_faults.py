@@ -89,8 +89,8 @@ def sheets_of(drives: Sequence[FaultDrive]) -> list[Sheet]:
     by_kind = {kind: [drive for drive in drives if drive.kind == kind] for kind in FaultKind}
     rows = tuple(row_of(kind, some) for kind, some in by_kind.items() if some)
     wrong = tuple((drive.sentence,) for drive in drives if drive.contacts or went_on(drive))
-    sheets = [Sheet("What became of them", _HEADER, rows), targets_sheet(targets_of(drives))]
-    return [*sheets, Sheet("What went wrong", ("fault",), wrong)] if wrong else sheets
+    sheets = [Sheet("Outcomes", _HEADER, rows), targets_sheet(targets_of(drives))]
+    return [*sheets, Sheet("Failures", ("fault",), wrong)] if wrong else sheets
 
 
 def _of(record: dict[str, Any]) -> FaultDrive:

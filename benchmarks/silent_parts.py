@@ -463,7 +463,7 @@ def sheets_of(runs: list[Watched]) -> list[Sheet]:
                 most_m, later = max(run.stop_m for run in some), sum(run.moved_later for run in some)
                 figures = (f"{statistics.median(stops):.2f}", f"{max(stops):.2f}", f"{most_m:.2f}", str(later))
                 rows.append((part, fault, str(len(some)), *figures, some[-1].said))
-    return [Sheet("What became of them", header, tuple(rows)), targets_sheet(targets_of(runs))]
+    return [Sheet("Outcomes", header, tuple(rows)), targets_sheet(targets_of(runs))]
 
 
 def targets_of(runs: list[Watched]) -> list[Target]:

@@ -402,7 +402,7 @@ def test_pictures_of_the_first_pages_load_quickly() -> None:
 def test_a_page_of_decisions_has_its_sections_and_its_line_in_the_index(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     title = re.findall(r"^# (.+)$", text, re.MULTILINE)[0]
-    sections = ["What is done and why", "Figures", "Tried without success", "Limits"]
+    sections = ["Decisions", "Figures", "Tried without success", "Limits"]
     assert re.findall(r"^## (.+)$", text, re.MULTILINE) == sections
     assert len(text.split()) <= 2600
     index = (page.parent / "index.md").read_text(encoding="utf-8")
