@@ -195,7 +195,7 @@ def start_at(
     seen = found_by(subject, [event for event in day.events if moment_s <= event.stamp_s < moment_s + WINDOW_S])
     loops = subject.loops
     assert loops is not None
-    keyframe_ms = tuple(1e3 * float(seconds) for seconds in loops.finish().judged_s)
+    keyframe_ms = tuple(1e3 * float(seconds) for seconds in loops.finish().processing_s)
     subject.close()
     close()
     found_s = seen[0].stamp_s - moment_s if seen else None

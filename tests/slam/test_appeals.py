@@ -30,7 +30,7 @@ def known_map() -> PieceGraph:
         T = se3.exp([0.0, 9.0, 0.0, 0.0, 0.0, 1.0]) @ at(number) if is_new else at(number)
         made.add(T, COUNT if is_new else 0)
         if number <= COUNT:
-            made.hold(anchor(KeyframeId(number), T), until_joined=is_new)
+            made.add_prior(anchor(KeyframeId(number), T), until_joined=is_new)
         else:
             step = se3.invert(at(number - 1)) @ at(number)
             made.add_edges([RelativePose(KeyframeId(number - 1), KeyframeId(number), step, C)])
@@ -61,7 +61,7 @@ def test_a_false_start_is_given_up_for_what_more_of_the_map_says() -> None:
     seen(made, range(8, 28))
     assert made.report().overturned == 1
     assert off_m(made) < 0.02
-    assert sum(not one.is_kept for one in made.report().judged) == 4
+    assert sum(not one.is_kept for one in made.report().decisions) == 4
 
 
 @pytest.mark.parametrize("count", [3, 10])
@@ -73,7 +73,7 @@ def test_a_right_start_is_kept_against_one_thing_that_was_moved(count: int) -> N
     made.review()
     assert made.report().overturned == 0
     assert off_m(made) < 0.02
-    assert sum(not one.is_kept for one in made.report().judged) == count
+    assert sum(not one.is_kept for one in made.report().decisions) == count
 
 
 def test_equal_voices_change_nothing() -> None:

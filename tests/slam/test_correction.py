@@ -82,7 +82,7 @@ def test_our_own_solver_comes_to_the_same():
     given = (lived_of(stamps_s, T_lived), matches_of(stamps_s, T_true, wrong=10))
     ours, theirs = correct(*given, stated=stated, graph=OwnPoseGraph()), correct(*given, stated=stated)
     np.testing.assert_allclose(ours.corrected.positions_m, theirs.corrected.positions_m, atol=0.02)
-    assert [one.is_kept for one in ours.loops.judged] == [one.is_kept for one in theirs.loops.judged]
+    assert [one.is_kept for one in ours.loops.decisions] == [one.is_kept for one in theirs.loops.decisions]
 
 
 def test_relative_poses_are_better_than_places():
@@ -107,7 +107,7 @@ def test_what_is_not_judged_is_counted_by_its_reason():
     ]
     found = correct(lived_of(stamps_s, T_lived), matches, stated=stated)
     assert found.unused == {Unused.LOW_SCORE: 1, Unused.NO_POSE: 2, Unused.ONE_PLACE: 1}
-    assert len(found.loops.judged) == 1
+    assert len(found.loops.decisions) == 1
 
 
 def test_without_matches_all_stays_as_it_was():
@@ -143,7 +143,7 @@ def test_covariances_of_speeds_add_up_as_a_random_walk():
     found = correct(
         lived, [Match(0.0, float(stamps_s[half - 1]), np.linalg.inv(T_lived[0]) @ T_lived[half - 1])], stated=stated
     )
-    (judged,) = found.loops.judged
+    (judged,) = found.loops.decisions
     assert judged.chi2 < 1e-6
     assert judged.is_kept
 

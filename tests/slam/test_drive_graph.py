@@ -75,7 +75,7 @@ def test_a_piece_is_placed_once_loops_join_it_and_more_surely_by_more_of_them() 
         # The drive goes along y of the map; each keyframe sees the one of the map that it lies at.
         graph.close([loop(passed, 3 + passed, se3.exp([0.0, 0.0, 0.0, 0.0, 0.0, np.pi / 2]))])
         place = graph.place()
-        assert graph.adrift == (() if place else (3,))
+        assert graph.unjoined == (() if place else (3,))
         C = None if place is None else se3.position_covariance(place.T_map_keyframe, place.covariance)
         sigmas_m.append(None if C is None else float(np.sqrt(np.linalg.eigvalsh(C)[-1])))
     lone, two, three = sigmas_m

@@ -53,7 +53,7 @@ def test_false_loops_are_refused_and_true_ones_kept_as_they_come(solver):
     graph = solver()
     report = driven(graph, T, steps, [*true, *false])
     assert (among(true, report), among(false, report)) == (15, 0)
-    assert len(report.judged) == len(report.kept) + len(report.refused) == 45
+    assert len(report.decisions) == len(report.kept) + len(report.refused) == 45
     assert rmse_m(graph.poses, T) < 0.5 * rmse_m(dead_reckoned(T[0], steps), T)
 
 
@@ -109,7 +109,7 @@ def test_loops_of_a_drive_that_is_over_are_judged_together():
     graph = filled(GtsamPoseGraph(), steps, dead_reckoned(T[0], steps))
     report = LoopCloser(graph).offer_all([*true, *false])
     assert (among(true, report) >= 19, among(false, report)) == (True, 0)
-    assert all(one.is_kept == (one.chi2 <= one.limit) for one in report.judged)
+    assert all(one.is_kept == (one.chi2 <= one.limit) for one in report.decisions)
 
 
 def test_the_gate_lets_through_as_many_true_loops_as_it_says():

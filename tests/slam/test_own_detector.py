@@ -110,7 +110,7 @@ def test_who_does_not_know_where_he_is_asks_it_too(store: KeyframeStore, monkeyp
     watcher = PlaceWatcher(store, EXACT, 0.5, detector=detector)
     for number in list(store)[:10]:
         watcher.look(number)
-    assert [loop.first for loop in watcher.look(KeyframeId(10), adrift=(KeyframeId(1),))] == [2]
+    assert [loop.first for loop in watcher.look(KeyframeId(10), unjoined=(KeyframeId(1),))] == [2]
 
 
 def driven(store: KeyframeStore, detector: Named) -> LiveLoops:

@@ -30,7 +30,7 @@ def graph() -> PieceGraph:
         T = at(number) if not piece else APART @ at(number)
         made.add(T, piece)
         if number % COUNT == 0:
-            made.hold(anchor(KeyframeId(number), T), until_joined=bool(piece))
+            made.add_prior(anchor(KeyframeId(number), T), until_joined=bool(piece))
         else:
             before = KeyframeId(number - 1)
             step = se3.invert(at(number - 1)) @ at(number)

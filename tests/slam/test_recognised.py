@@ -87,18 +87,18 @@ def test_a_keyframe_that_cannot_be_read_is_told_and_passed_over(store: KeyframeS
     assert 4 not in {loop.first for loop in loops}
 
 
-def test_who_is_adrift_asks_more_of_the_rest_and_then_those_that_are_adrift_with_it(
+def test_a_piece_that_is_not_joined_asks_more_of_the_rest_and_then_of_itself(
     store: KeyframeStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The nearest view is adrift, too: it must not take the place of one that tells where in the map that is."""
+    """The nearest view is unjoined, too: it must not take the place of one that tells where in the map that is."""
     for name, value in (("_CANDIDATES", 1), ("_NEAR_CANDIDATES", 0), ("_CANDIDATES_UNJOINED", 4)):
         monkeypatch.setattr(place_recognition, name, value)
     asked = {}
-    for adrift in ((), (KeyframeId(1), KeyframeId(3))):
+    for unjoined in ((), (KeyframeId(1), KeyframeId(3))):
         watcher = PlaceWatcher(store, EXACT, 0.5)
         for number in list(store)[:9]:
             watcher.pass_by(number)
-        asked[adrift] = [loop.first for loop in watcher.look(KeyframeId(9), adrift=adrift)]
+        asked[unjoined] = [loop.first for loop in watcher.look(KeyframeId(9), unjoined=unjoined)]
     assert asked[()] == [1]
     *others, last = asked[KeyframeId(1), KeyframeId(3)]
     assert last == 1

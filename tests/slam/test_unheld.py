@@ -13,7 +13,7 @@ from wheelsight.slam import drive_graph as piece_graph
 from wheelsight.slam import solvers as own_solver
 from wheelsight.slam.drive_graph import PieceGraph
 from wheelsight.slam.graph import RelativePose, anchor
-from wheelsight.slam.loop_gate import LoopCloser, Refusal
+from wheelsight.slam.loop_gate import LoopCloser, LoopRefusal
 from wheelsight.slam.solvers import GtsamPoseGraph, OwnPoseGraph
 
 SOLVERS = [OwnPoseGraph, GtsamPoseGraph]
@@ -40,7 +40,7 @@ def two_pieces(solver):
 def test_what_nothing_holds_has_no_covariance_and_takes_none_from_the_rest(solver, solve):
     graph = two_pieces(solver)
     getattr(graph, solve)()
-    piece = graph.unheld()
+    piece = graph.unanchored()
     assert piece[:2].tolist() == [0, 0]
     assert piece[2] == piece[3] != 0
     assert graph.marginal(KeyframeId(3)) is None
@@ -59,9 +59,9 @@ def test_a_loop_that_cannot_be_judged_is_refused_and_counted(solver):
     graph = two_pieces(solver)
     closer = LoopCloser(graph)
     judged = closer.offer([edge(0, 2, is_loop=True), edge(0, 1, is_loop=True)])
-    assert [one.refusal for one in judged] == [Refusal.UNKNOWN, None]
+    assert [one.refusal for one in judged] == [LoopRefusal.UNKNOWN, None]
     closer.offer([edge(0, 1, se3.exp([5.0, 0, 0, 0, 0, 0]), is_loop=True)])
-    assert closer.report().refusals == {str(Refusal.UNKNOWN): 1, str(Refusal.CONTRADICTS): 1}
+    assert closer.report().refusals == {str(LoopRefusal.UNKNOWN): 1, str(LoopRefusal.CONTRADICTS): 1}
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -75,9 +75,9 @@ def test_a_piece_is_not_let_go_where_all_loops_that_hold_it_fail_at_once(solver)
     closer.join([edge(a, b, T, is_loop=True) for T in sides for _ in range(3)], graph.poses)
     closer.review()
     report = closer.report()
-    assert not graph.unheld().any()
+    assert not graph.unanchored().any()
     assert (len(report.kept), len(report.refused)) == (3, 33)
-    assert all(one.chi2 <= one.limit for one in report.judged if one.is_kept)
+    assert all(one.chi2 <= one.limit for one in report.decisions if one.is_kept)
 
 
 def test_a_matrix_without_enough_digits_tells_no_covariance(monkeypatch):
@@ -103,7 +103,7 @@ def driven(rng, solver, count, off, false):
         T.append(T[-1] @ step)
         if k == 0 or rng.random() < 0.15:
             made.add(T[k] @ se3.exp(rng.normal(0, 1, 6) * bool(k)), k)
-            made.hold(anchor(KeyframeId(k), made.poses[-1]), until_joined=bool(k))
+            made.add_prior(anchor(KeyframeId(k), made.poses[-1]), until_joined=bool(k))
         else:
             sigma = 10 ** rng.uniform(-6, 0)
             made.add(se3.nearest(made.poses[-1] @ step), int(made.pieces[-1]))
@@ -138,4 +138,4 @@ def test_no_drive_ends_for_its_graph(solver, seed, count, off, false):
     assert np.isfinite(made.poses).all()
     report = made.report()
     assert sum(report.refusals.values()) == len(report.refused)
-    assert not any(np.isnan(one.chi2) for one in report.judged)
+    assert not any(np.isnan(one.chi2) for one in report.decisions)

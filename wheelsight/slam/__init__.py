@@ -2,15 +2,15 @@
 
 from wheelsight.slam.graph import PoseGraph, Prior, RelativePose
 from wheelsight.slam.loop_closing import Correction, Unused, correct
-from wheelsight.slam.loop_gate import JudgedLoop, LoopCloser, LoopReport
+from wheelsight.slam.loop_gate import LoopCloser, LoopDecision, LoopReport
 from wheelsight.slam.settings import LoopSettings
 from wheelsight.slam.solvers import GtsamPoseGraph, OwnPoseGraph, new_pose_graph
 
 __all__ = [
     "Correction",
     "GtsamPoseGraph",
-    "JudgedLoop",
     "LoopCloser",
+    "LoopDecision",
     "LoopReport",
     "LoopSettings",
     "OwnPoseGraph",

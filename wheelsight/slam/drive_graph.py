@@ -12,7 +12,7 @@ import numpy as np
 from wheelsight.core.geometry import FloatArray, IntArray, se3, so3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.slam.graph import ANCHOR_SIGMA, Prior, RelativePose, along_floor, anchor, step_edge
-from wheelsight.slam.loop_gate import LoopCloser, LoopReport, laid_by
+from wheelsight.slam.loop_gate import LoopCloser, LoopReport, aligned_by
 from wheelsight.slam.place_recognition import KnownMap
 from wheelsight.slam.solvers import new_pose_graph
 
@@ -130,7 +130,7 @@ class DriveGraph:
         if known is not None:
             for prior in known.priors(ANCHOR_SIGMA, _KNOWN_SIGMA_M, _KNOWN_SIGMA_RAD):
                 self._graph.add(prior.T_map_keyframe, piece=0)
-                self._graph.hold(prior)
+                self._graph.add_prior(prior)
             self._graph.add_edges(known.edges)
         self._reported: FloatArray = self._graph.poses  # keyframe poses that odometry has
 
@@ -179,36 +179,29 @@ class DriveGraph:
     def add(self, keyframe: LivedKeyframe) -> None:
         """Add the next keyframe, with an odometry edge from the previous one unless it begins a piece."""
         before, self._before = self._before, keyframe
-        if before is None and (not keyframe.number or self._start is not None):
-            self._begin_map(keyframe)
-            return
-        if before is None or keyframe.begins:
-            # Fixed at its pose in odom until loops join the piece to another.
-            start = anchor(keyframe.number, keyframe.T_odom_keyframe)
-            self._hold(start, piece=keyframe.number, until_joined=True)
-            return
-        then, now = ((one.T_odom_keyframe, one.covariance) for one in (before, keyframe))
-        edge = step_edge((before.number, keyframe.number), then, now)
-        if keyframe.motion is not None:
-            edge = along_floor(edge, keyframe.motion, up=before.T_odom_keyframe[2, :3])
-        self._graph.add(se3.nearest(self._graph.poses[-1] @ edge.T_first_second), int(self._graph.pieces[-1]))
-        self._graph.add_edges([edge])
-        laid = edge.T_first_second if keyframe.T_before_now is None else keyframe.T_before_now
-        self._reported = np.concatenate([self._reported, self._reported[-1:] @ laid])
+        number, T_odom_keyframe = keyframe.number, keyframe.T_odom_keyframe
+        if before is None and self._start is not None:
+            T_start, covariance = self._start
+            T_map_keyframe = T_start if keyframe.T_map_keyframe is None else keyframe.T_map_keyframe
+            self._begin(Prior(number, T_map_keyframe, covariance), piece=0)
+        elif before is None and not number:  # the map's origin
+            self._begin(anchor(number, T_odom_keyframe), piece=0)
+        elif before is None or keyframe.begins:  # fixed in odom until loops join the piece to another
+            self._begin(anchor(number, T_odom_keyframe), piece=number, until_joined=True)
+        else:
+            then, now = ((one.T_odom_keyframe, one.covariance) for one in (before, keyframe))
+            edge = step_edge((before.number, number), then, now)
+            if keyframe.motion is not None:
+                edge = along_floor(edge, keyframe.motion, up=before.T_odom_keyframe[2, :3])
+            self._graph.add(se3.nearest(self._graph.poses[-1] @ edge.T_first_second), int(self._graph.pieces[-1]))
+            self._graph.add_edges([edge])
+            step = edge.T_first_second if keyframe.T_before_now is None else keyframe.T_before_now
+            self._reported = np.concatenate([self._reported, self._reported[-1:] @ step])
 
-    def _begin_map(self, keyframe: LivedKeyframe) -> None:
-        """Add the first keyframe of a drive: the map's origin, or the given start pose in a known map."""
-        if self._start is None:
-            self._hold(anchor(keyframe.number, keyframe.T_odom_keyframe), piece=0)
-            return
-        T_start, covariance = self._start
-        T_map_keyframe = T_start if keyframe.T_map_keyframe is None else keyframe.T_map_keyframe
-        self._hold(Prior(keyframe.number, T_map_keyframe, covariance), piece=0)
-
-    def _hold(self, prior: Prior, piece: int, *, until_joined: bool = False) -> None:
+    def _begin(self, prior: Prior, piece: int, *, until_joined: bool = False) -> None:
         """Add the first keyframe of a drive or of a piece, with its prior."""
         self._graph.add(prior.T_map_keyframe, piece)
-        self._graph.hold(prior, until_joined=until_joined)
+        self._graph.add_prior(prior, until_joined=until_joined)
         self._reported = np.concatenate([self._reported, prior.T_map_keyframe[None]])
 
     def close(self, loops: Sequence[RelativePose]) -> PoseUpdate | None:
@@ -225,7 +218,7 @@ class DriveGraph:
         return PoseUpdate(self._reported, self.pieces, np.array(ends, np.int64).reshape(-1, 2))
 
     @property
-    def adrift(self) -> tuple[KeyframeId, ...]:
+    def unjoined(self) -> tuple[KeyframeId, ...]:
         """Keyframes of the last keyframe's piece while that is not joined to the map; else none."""
         pieces = self._graph.pieces
         alike = np.flatnonzero((pieces == pieces[-1]) & (pieces > 0))
@@ -279,7 +272,7 @@ class PieceGraph:
 
     def review(self) -> None:
         """Review all loops; see `LoopCloser.review`."""
-        if self._closer.report().judged:
+        if self._closer.report().decisions:
             self._closer.review()
 
     def add(self, T_map_keyframe: FloatArray, piece: int) -> None:
@@ -291,7 +284,7 @@ class PieceGraph:
         """Add edges within pieces."""
         self._graph.add_edges(edges)
 
-    def hold(self, prior: Prior, *, until_joined: bool = False) -> None:
+    def add_prior(self, prior: Prior, *, until_joined: bool = False) -> None:
         """Add a prior, permanently or until loops join its piece to another."""
         self._graph.add_prior(prior)
         if until_joined:
@@ -330,18 +323,14 @@ class PieceGraph:
             alike = [loop for loop in self._across if self._ends(loop) == self._ends(one)]
             agreeing = [loop for loop in alike if self._agree(one, loop, T)]
             if len(agreeing) >= _JOIN_MAJORITY * (len(alike) - len(agreeing)):
-                self._join_by(one, agreeing, T)
+                # Move the newer piece to where a loop puts it, and optimise both pieces from there.
+                older, newer = sorted(self._ends(one))
+                self._graph.remove_prior(self._held.pop(newer))
+                self._closer.join(agreeing, aligned_by(one, self.pieces == newer, T))
+                self._piece = [older if piece == newer else piece for piece in self._piece]
+                self._across = [loop for loop in self._across if len(set(self._ends(loop))) > 1]
                 return True
         return False
-
-    def _join_by(self, one: RelativePose, agreeing: Sequence[RelativePose], T: FloatArray) -> None:
-        """Move the newer piece to where a loop puts it, and optimise both pieces from there."""
-        first, second = self._ends(one)
-        older, newer = min(first, second), max(first, second)
-        self._graph.remove_prior(self._held.pop(newer))
-        self._closer.join(agreeing, laid_by(one, self.pieces == newer, T))
-        self._piece = [older if piece == newer else piece for piece in self._piece]
-        self._across = [loop for loop in self._across if len(set(self._ends(loop))) > 1]
 
     def _ends(self, loop: RelativePose) -> tuple[int, int]:
         return self._piece[loop.first], self._piece[loop.second]

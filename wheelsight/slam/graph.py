@@ -90,7 +90,7 @@ class PoseGraph(Protocol):
     def remove_prior(self, prior: Prior) -> None:
         """Remove a prior by identity. Raises ArgumentError."""
 
-    def unheld(self, without: Sequence[RelativePose] = ()) -> IntArray:
+    def unanchored(self, without: Sequence[RelativePose] = ()) -> IntArray:
         """Return (N,) 0 for keyframes connected to a prior by edges, else the number of their component.
 
         Edges in `without` are ignored. The poses of unconnected components are unobservable.
@@ -173,7 +173,7 @@ class GraphContents:
         self._priors = kept
         self._changed()
 
-    def unheld(self, without: Sequence[RelativePose] = ()) -> IntArray:
+    def unanchored(self, without: Sequence[RelativePose] = ()) -> IntArray:
         """See `PoseGraph`."""
         gone = {id(edge) for edge in without}
         ends = np.array([(edge.first, edge.second) for edge in self._edges if id(edge) not in gone], np.int64)
@@ -282,11 +282,8 @@ def _with_least(C: FloatArray) -> FloatArray:
     return np.asarray((bounded + bounded.T) / 2)
 
 
-# Errors of edges and priors, whitened, with Jacobians: shared by both solvers and the gate.
-#
 # The error of an edge is log(T_first⁻¹ · T_second · T_measured⁻¹), the left perturbation of the measurement that gives
 # the poses. The error of a prior is log(T · T_measured⁻¹).
-
 
 # Below this angle, the Taylor series of the coefficients are accurate to 1e-13; above it, the closed forms are.
 _SMALL_RAD = 0.3
@@ -348,27 +345,9 @@ def inverse_left_jacobian(xi: FloatArray) -> FloatArray:
 
     Barfoot, State Estimation for Robotics, equations 7.86 and 7.95.
     """
-    J = so3.left_jacobian(xi[..., 3:])
-    J_inverse = np.linalg.inv(J)
-    found = np.zeros((*xi.shape[:-1], 6, 6))
-    found[..., :3, :3] = found[..., 3:, 3:] = J_inverse
-    found[..., :3, 3:] = -J_inverse @ _coupling(xi) @ J_inverse
-    return found
-
-
-def _coupling(xi: FloatArray) -> FloatArray:
-    """Return Q (..., 3, 3), the coupling of translation and rotation in the left Jacobian (Barfoot, 7.86)."""
-    V, W = so3.hat(xi[..., :3]), so3.hat(xi[..., 3:])
-    angle = np.linalg.norm(xi[..., 3:], axis=-1)
-    a, b, c = (factor[..., None, None] for factor in _factors(angle))
-    WVW = W @ V @ W
-    return np.asarray(
-        V / 2 + a * (W @ V + V @ W + WVW) - b * (W @ W @ V + V @ W @ W - 3 * WVW) - c / 2 * (WVW @ W + W @ WVW)
-    )
-
-
-def _factors(angle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the coefficients of Q: (φ − sin φ)/φ³, (1 − φ²/2 − cos φ)/φ⁴, and that minus 3(φ − sin φ − φ³/6)/φ⁵."""
+    # Q, the coupling of translation and rotation, has the coefficients a = (φ − sin φ)/φ³, b = (1 − φ²/2 − cos φ)/φ⁴,
+    # and c = b − 3(φ − sin φ − φ³/6)/φ⁵.
+    V, W, angle = so3.hat(xi[..., :3]), so3.hat(xi[..., 3:]), np.linalg.norm(xi[..., 3:], axis=-1)
     s = angle**2
     a = 1 / 6 - s / 120 + s**2 / 5040 - s**3 / 362880 + s**4 / 39916800
     b = -1 / 24 + s / 720 - s**2 / 40320 + s**3 / 3628800 - s**4 / 479001600
@@ -378,4 +357,11 @@ def _factors(angle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     a = np.where(large, (phi - np.sin(phi)) / phi**3, a)
     b = np.where(large, (1 - phi**2 / 2 - np.cos(phi)) / phi**4, b)
     d = np.where(large, (phi - np.sin(phi) - phi**3 / 6) / phi**5, d)
-    return a, b, b - 3 * d
+    a, b, c = (factor[..., None, None] for factor in (a, b, b - 3 * d))
+    WVW = W @ V @ W
+    Q = V / 2 + a * (W @ V + V @ W + WVW) - b * (W @ W @ V + V @ W @ W - 3 * WVW) - c / 2 * (WVW @ W + W @ WVW)
+    J_inverse = np.linalg.inv(so3.left_jacobian(xi[..., 3:]))
+    found = np.zeros((*xi.shape[:-1], 6, 6))
+    found[..., :3, :3] = found[..., 3:, 3:] = J_inverse
+    found[..., :3, 3:] = -J_inverse @ Q @ J_inverse
+    return found

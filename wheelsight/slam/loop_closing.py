@@ -59,7 +59,7 @@ class ClosedLoops:
         pieces: number of pieces with unknown relative pose; 1 if all are joined.
         is_in_map: (N,) whether the pose of each keyframe in the map is known.
         begins: (N,) whether a keyframe begins a piece, so that odometry does not link it to the previous one.
-        judged_s: (N,) processing time of each keyframe in the thread, seconds.
+        processing_s: (N,) processing time of each keyframe in the thread, seconds.
         again: revisits of this drive's keyframes by odometry, in order of time.
     """
 
@@ -73,7 +73,7 @@ class ClosedLoops:
     pieces: int
     is_in_map: BoolArray
     begins: BoolArray
-    judged_s: FloatArray
+    processing_s: FloatArray
     again: tuple[SeenAgain, ...] = ()
 
     @property
@@ -93,7 +93,7 @@ class ClosedLoops:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Judged:
+class KeyframeResult:
     """The thread's result for one keyframe.
 
     Attributes:
@@ -124,7 +124,7 @@ class LiveLoops:
         detector: user-defined detector; see `PlaceWatcher`.
 
     Attributes:
-        place: `Judged.place` of the newest finished keyframe, or of one revisited since.
+        place: `KeyframeResult.place` of the newest finished keyframe, or of one revisited since.
     """
 
     def __init__(
@@ -143,10 +143,10 @@ class LiveLoops:
         self._watcher = PlaceWatcher(store, calibration, self._settings.apart_s, recognition, recognizer, detector)
         self._graph = DriveGraph(known)
         self._lived: list[LivedKeyframe] = []
-        self._waiting: deque[tuple[float, Future[Judged]]] = deque()
+        self._waiting: deque[tuple[float, Future[KeyframeResult]]] = deque()
         self._thread: ThreadPoolExecutor | None = None
         self._unseen = 0
-        self._judged_s: list[float] = []
+        self._processing_s: list[float] = []
         self._again: list[SeenAgain] = []
         self.place: KeyframePlace | None = None
         self._known = 0 if known is None else len(known.store)
@@ -160,15 +160,15 @@ class LiveLoops:
         has_time = self._waits or len(self._waiting) < _MOST_WAITING
         self._unseen += not has_time
         self._lived.append(keyframe)
-        self._waiting.append((keyframe.stamp_s, self._thread.submit(self._judge, keyframe, has_time)))
+        self._waiting.append((keyframe.stamp_s, self._thread.submit(self._process, keyframe, has_time)))
 
-    def _judge(self, keyframe: LivedKeyframe, has_time: bool) -> Judged:
+    def _process(self, keyframe: LivedKeyframe, has_time: bool) -> KeyframeResult:
         """Process one keyframe in the thread."""
         started = time.perf_counter()
         self._graph.add(keyframe)
         if has_time:
             near = self._graph.near(_NEAR_M)
-            loops = self._watcher.look(keyframe.number, near, self._graph.adrift)
+            loops = self._watcher.look(keyframe.number, near, self._graph.unjoined)
         else:
             loops = self._watcher.pass_by(keyframe.number)
         alignment = keyframe.seen_from
@@ -176,15 +176,15 @@ class LiveLoops:
             loops = (alignment,)
         update = self._graph.close(loops)
         kept = set(map(id, self._graph.edges)) if loops else ()
-        judged = Judged(update, self._graph.place(), tuple(loop for loop in loops if id(loop) in kept))
-        self._judged_s.append(time.perf_counter() - started)
-        return judged
+        result = KeyframeResult(update, self._graph.place(), tuple(loop for loop in loops if id(loop) in kept))
+        self._processing_s.append(time.perf_counter() - started)
+        return result
 
     def see_again(self, keyframe: SeenAgain) -> None:
         """Request the pose and covariance of a revisited keyframe. A busy thread skips the request."""
         self._recognised += keyframe.number < self._known
         if self._thread is not None and (self._waits or not self._waiting):
-            found = self._thread.submit(lambda: Judged(None, self._graph.place(keyframe)))
+            found = self._thread.submit(lambda: KeyframeResult(None, self._graph.place(keyframe)))
             self._waiting.append((keyframe.stamp_s, found))
 
     def follow(self, keyframe: SeenAgain) -> None:
@@ -198,11 +198,11 @@ class LiveLoops:
         """
         newest: PoseUpdate | None = None
         while self._waiting:
-            keyframe_s, judged = self._waiting[0]
-            if not (stamp_s >= keyframe_s + self._settings.latency_s if self._waits else judged.done()):
+            keyframe_s, future = self._waiting[0]
+            if not (stamp_s >= keyframe_s + self._settings.latency_s if self._waits else future.done()):
                 break
             self._waiting.popleft()
-            found = self._result(judged)
+            found = self._result(future)
             newest = newest if found.update is None else found.update
             self.place = found.place
             for tie in found.ties:
@@ -227,8 +227,8 @@ class LiveLoops:
         pieces = self._graph.pieces
         is_in_map = pieces[len(pieces) - len(stamps_s) :] == 0
         begins = np.array([keyframe.begins for keyframe in self._lived], bool)
-        judged = is_in_map, begins, np.array(self._judged_s)
-        return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(pieces)), 1), *judged, tuple(self._again))
+        rows = is_in_map, begins, np.array(self._processing_s)
+        return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(pieces)), 1), *rows, tuple(self._again))
 
     @property
     def recognised(self) -> int | None:
@@ -249,12 +249,12 @@ class LiveLoops:
         thread, self._thread = self._thread, None
         if thread is not None:
             thread.shutdown()
-        for _, judged in () if self._has_raised else tuple(self._waiting):
-            self._result(judged)
+        for _, future in () if self._has_raised else tuple(self._waiting):
+            self._result(future)
 
-    def _result(self, judged: Future[Judged]) -> Judged:
+    def _result(self, future: Future[KeyframeResult]) -> KeyframeResult:
         try:
-            return judged.result()
+            return future.result()
         except BaseException:
             self._has_raised = True
             raise
@@ -317,7 +317,13 @@ def correct(
     loops = [_loop(match, KeyframeId(first), KeyframeId(second)) for match, first, second in ends_of if first != second]
     unused[Unused.ONE_PLACE] += len(placed) - len(loops)
     graph = graph if graph is not None else new_pose_graph()
-    _add_odometry(graph, lived.T_frame_body[rows], C[rows])
+    # The first keyframe is fixed.
+    ways = [*zip(lived.T_frame_body[rows], C[rows], strict=True)]
+    for T, _ in ways:
+        graph.add(T)
+    graph.add_prior(anchor(KeyframeId(0), ways[0][0]))
+    ends = [(KeyframeId(k - 1), KeyframeId(k)) for k in range(1, len(ways))]
+    graph.add_edges([step_edge(pair, ways[pair[0]], ways[pair[1]]) for pair in ends])
     report = LoopCloser(graph).offer_all(loops) if loops else LoopReport(())
     counts = {str(reason): count for reason, count in unused.items() if count}
     T_map_odom = graph.poses @ se3.invert(lived.T_frame_body[rows])
@@ -360,16 +366,6 @@ def _rows_of_matches(
     return placed, unused
 
 
-def _add_odometry(graph: PoseGraph, T: FloatArray, C: FloatArray) -> None:
-    """Add keyframe poses (K, 4, 4), the first one fixed, and odometry edges with covariances from (K, 6, 6)."""
-    for pose in T:
-        graph.add(pose)
-    graph.add_prior(anchor(KeyframeId(0), T[0]))
-    ways = [(T[k], C[k]) for k in range(len(T))]
-    ends = [(KeyframeId(k - 1), KeyframeId(k)) for k in range(1, len(T))]
-    graph.add_edges([step_edge(pair, ways[pair[0]], ways[pair[1]]) for pair in ends])
-
-
 def _loop(match: Match, first: KeyframeId, second: KeyframeId) -> RelativePose:
     if match.T_a_b is None:
         sigmas = [_PLACE_SIGMA_M] * 3 + [_ANY_HEADING_RAD] * 3
@@ -387,7 +383,18 @@ def corrected_by(found: ClosedLoops, lived: Trajectory) -> Correction:
     poses of pieces that are not joined to it are left out.
     """
     rows = np.array([_nearest(lived.stamps_s, stamp_s) for stamp_s in found.stamps_s], np.int64)
-    stamps_s, T_map_odom, begins, is_in_map = _with_revisits(found)
+    numbers = np.array([one.number for one in found.again], np.int64)
+    T_odom = np.array([one.T_odom_keyframe for one in found.again]).reshape(-1, 4, 4)
+    of_revisits = (
+        np.array([one.stamp_s for one in found.again]),
+        found.T_map_keyframe[numbers] @ se3.invert(T_odom),
+        np.zeros(len(numbers), bool),
+        found.is_in_map[numbers - found.known],
+    )
+    of_keyframes = found.stamps_s, found.T_map_odom, found.begins, found.is_in_map
+    both = [np.concatenate(columns) for columns in zip(of_keyframes, of_revisits, strict=True)]
+    order = np.argsort(both[0], kind="stable")
+    stamps_s, T_map_odom, begins, is_in_map = (column[order] for column in both)
     corrected = carried(lived, stamps_s, T_map_odom, begins)
     if found.known:
         corrected = corrected.select(is_in_map[_before(lived.stamps_s, stamps_s)])
@@ -395,20 +402,6 @@ def corrected_by(found: ClosedLoops, lived: Trajectory) -> Correction:
     T_camera_body = se3.invert(found.T_odom_keyframe[0]) @ lived.T_frame_body[rows[0]]
     T_map_known = found.T_map_keyframe[: found.known] @ T_camera_body
     return Correction(corrected, rows, np.concatenate([T_map_known, T_map_new]), found.loops, {})
-
-
-def _with_revisits(found: ClosedLoops) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
-    """Return stamps (F,), T_map_odom (F, 4, 4), begins (F,) and is_in_map (F,) of keyframes and revisits, by time."""
-    kept = found.stamps_s, found.T_map_odom, found.begins, found.is_in_map
-    numbers = np.array([one.number for one in found.again], np.int64)
-    T_odom = np.array([one.T_odom_keyframe for one in found.again]).reshape(-1, 4, 4)
-    stamps_s, in_map = np.array([one.stamp_s for one in found.again]), found.is_in_map[numbers - found.known]
-    T_map_odom = found.T_map_keyframe[numbers] @ se3.invert(T_odom)
-    again = stamps_s, T_map_odom, np.zeros(len(numbers), bool), in_map
-    order = np.argsort(np.concatenate([kept[0], again[0]]), kind="stable")
-    stamps_s, T_map_odom = (np.concatenate([kept[i], again[i]])[order] for i in (0, 1))
-    begins, in_map = (np.concatenate([kept[i], again[i]])[order] for i in (2, 3))
-    return stamps_s, T_map_odom, begins, in_map
 
 
 def carried(

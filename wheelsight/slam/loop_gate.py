@@ -37,15 +37,15 @@ _LEAST_GAIN = 5.0
 _MOST_ROUNDS = 5  # largest number of rounds of gating and optimisation; chosen
 
 
-class Refusal(StrEnum):
+class LoopRefusal(StrEnum):
     """Reason why the graph does not use a loop."""
 
     CONTRADICTS = "it contradicts the rest"
-    UNKNOWN = "the graph does not tell how far off it may be"
+    UNKNOWN = "the graph cannot say how far off it may be"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JudgedLoop:
+class LoopDecision:
     """A loop and the decision on it.
 
     Attributes:
@@ -63,11 +63,11 @@ class JudgedLoop:
     cluster: int = -1
 
     @property
-    def refusal(self) -> Refusal | None:
+    def refusal(self) -> LoopRefusal | None:
         """Reason of the refusal, or None if it is kept."""
         if self.is_kept:
             return None
-        return Refusal.CONTRADICTS if np.isfinite(self.chi2) else Refusal.UNKNOWN
+        return LoopRefusal.CONTRADICTS if np.isfinite(self.chi2) else LoopRefusal.UNKNOWN
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,29 +75,29 @@ class LoopReport:
     """All loops and the decisions on them.
 
     Attributes:
-        judged: in the order in which they were offered.
+        decisions: in the order in which they were offered.
         reviews: number of reviews of all loops.
         overturned: number of reviews in which another hypothesis replaced the current one.
     """
 
-    judged: tuple[JudgedLoop, ...]
+    decisions: tuple[LoopDecision, ...]
     reviews: int = 0
     overturned: int = 0
 
     @property
     def kept(self) -> tuple[RelativePose, ...]:
         """Loops that the graph uses."""
-        return tuple(one.loop for one in self.judged if one.is_kept)
+        return tuple(one.loop for one in self.decisions if one.is_kept)
 
     @property
     def refused(self) -> tuple[RelativePose, ...]:
         """Loops that contradict the others, or whose covariance is unknown."""
-        return tuple(one.loop for one in self.judged if not one.is_kept)
+        return tuple(one.loop for one in self.decisions if not one.is_kept)
 
     @property
     def refusals(self) -> dict[str, int]:
         """Number of refused loops by reason."""
-        return dict(Counter(str(one.refusal) for one in self.judged if one.refusal is not None))
+        return dict(Counter(str(one.refusal) for one in self.decisions if one.refusal is not None))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,15 +140,15 @@ class LoopCloser:
 
     def report(self) -> LoopReport:
         """Return the decisions on all loops so far."""
-        return LoopReport(self._judged(0), self._reviews, self._overturned)
+        return LoopReport(self._decisions(0), self._reviews, self._overturned)
 
-    def _judged(self, since: int) -> tuple[JudgedLoop, ...]:
+    def _decisions(self, since: int) -> tuple[LoopDecision, ...]:
         """Return the decisions from one loop on; while driving, all would be thousands at each keyframe."""
         clusters = [*self._clusters.tolist(), *[-1] * (len(self._loops) - len(self._clusters))]
         columns = (self._loops, self._kept, self._chi2, self._limit, clusters)
-        return tuple(JudgedLoop(*row) for row in zip(*(column[since:] for column in columns), strict=True))
+        return tuple(LoopDecision(*row) for row in zip(*(column[since:] for column in columns), strict=True))
 
-    def offer(self, loops: Sequence[RelativePose]) -> tuple[JudgedLoop, ...]:
+    def offer(self, loops: Sequence[RelativePose]) -> tuple[LoopDecision, ...]:
         """Check loops between keyframes of the graph, and return the decisions.
 
         The loops that pass are added to the graph, and its poses are updated.
@@ -162,7 +162,7 @@ class LoopCloser:
         self._refused_since += kept.count(False)
         if self._refused_since >= _REVIEW_AFTER:
             self.review()
-        return self._judged(before)
+        return self._decisions(before)
 
     def offer_all(self, loops: Sequence[RelativePose]) -> LoopReport:
         """Check all loops of a finished drive together, so that their order does not matter."""
@@ -220,14 +220,14 @@ class LoopCloser:
         None if odometry connects both ends of the cluster.
         """
         first, second = (np.array([getattr(loop, end) for loop in self._loops]) for end in ("first", "second"))
-        piece = self.graph.unheld(without=self._loops)
+        piece = self.graph.unanchored(without=self._loops)
         ends = np.sort(np.column_stack([piece[first], piece[second]]), axis=1)
         older, newer = ends[np.flatnonzero(cluster)[0]]
         if older == newer:
             return None
         alternatives = kept & (ends == (older, newer)).all(axis=1)
         middle = self._loops[np.flatnonzero(cluster)[np.count_nonzero(cluster) // 2]]
-        return _Hypothesis(-1, (kept & ~alternatives) | cluster, laid_by(middle, piece == newer, T))
+        return _Hypothesis(-1, (kept & ~alternatives) | cluster, aligned_by(middle, piece == newer, T))
 
     def _cost(self, T: FloatArray, own: int) -> float:
         """Return the negative log-likelihood of odometry and all loops at poses (N, 4, 4), except of cluster `own`."""
@@ -282,7 +282,7 @@ class LoopCloser:
         """
         kept = ratio <= 1
         going = [number for number in np.argsort(ratio, kind="stable") if self._kept[number] and not kept[number]]
-        piece = self.graph.unheld(without=[self._loops[number] for number in going])
+        piece = self.graph.unanchored(without=[self._loops[number] for number in going])
         for number in going if piece.any() else []:
             ends = sorted(piece[[self._loops[number].first, self._loops[number].second]])
             if ends[0] != ends[1]:
@@ -295,12 +295,12 @@ def _limits_of(loops: Sequence[RelativePose]) -> list[float]:
     return [chi_square.quantile(GATE_PROBABILITY, loop.freedom) for loop in loops]
 
 
-def laid_by(loop: RelativePose, moving: BoolArray, T: FloatArray) -> FloatArray:
+def aligned_by(loop: RelativePose, moving: BoolArray, T: FloatArray) -> FloatArray:
     """Return poses (N, 4, 4) with one piece, the keyframes `moving` (N,), moved so that a loop's error is zero."""
     X = T[loop.first] @ loop.T_first_second @ se3.invert(T[loop.second])
-    laid = T.copy()
-    laid[moving] = se3.nearest((X if moving[loop.second] else se3.invert(X)) @ T[moving])
-    return laid
+    aligned = T.copy()
+    aligned[moving] = se3.nearest((X if moving[loop.second] else se3.invert(X)) @ T[moving])
+    return aligned
 
 
 def chi_squared(graph: PoseGraph, loop: RelativePose) -> float:
@@ -322,7 +322,9 @@ def chi_squared(graph: PoseGraph, loop: RelativePose) -> float:
 
 
 def clusters_of(loops: Sequence[RelativePose], T: FloatArray, nearby: int, probability: float) -> IntArray:
-    """Return the cluster number (L,) of each loop, from 0. A cluster links neighbouring loops that agree.
+    """Return the cluster number (L,) of each loop, from 0.
+
+    A cluster links neighbouring loops that agree on the relative pose of their two stretches of keyframes.
 
     Args:
         loops: loops between keyframes.
@@ -339,16 +341,8 @@ def clusters_of(loops: Sequence[RelativePose], T: FloatArray, nearby: int, proba
         later = later[np.abs(second[later] - second[order[here]]) <= nearby]
         pairs.append(np.column_stack([np.full(len(later), order[here]), later]))
     i, j = np.concatenate(pairs).T
-    agree = _agree(loops, T, i, j, probability)
-    joined = coo_array((np.ones(np.count_nonzero(agree)), (i[agree], j[agree])), shape=(len(loops), len(loops)))
-    return np.asarray(connected_components(joined, directed=False)[1], np.int64)
-
-
-def _agree(loops: Sequence[RelativePose], T: FloatArray, i: IntArray, j: IntArray, probability: float) -> BoolArray:
-    """Return whether loops i and j (P,) agree on the relative pose of their two stretches of keyframes."""
     if not len(i):
-        return np.zeros(0, bool)
-    first, second = (np.array([getattr(loop, end) for loop in loops], np.int64) for end in ("first", "second"))
+        return np.arange(len(loops))
     Z = np.array([loop.T_first_second for loop in loops])
     C = np.array([loop.covariance for loop in loops])
     # The relative pose by j, expressed in the keyframes of i.
@@ -359,4 +353,6 @@ def _agree(loops: Sequence[RelativePose], T: FloatArray, i: IntArray, j: IntArra
     S = C[i] + Ad @ C[j] @ np.swapaxes(Ad, 1, 2)
     squares = np.einsum("pi,pi->p", r, np.linalg.solve(S, r[..., None])[..., 0])
     freedom = np.minimum(*(np.array([loop.freedom for loop in loops])[of] for of in (i, j)))
-    return np.asarray(squares <= [chi_square.quantile(probability, degrees) for degrees in freedom.tolist()])
+    agree = squares <= [chi_square.quantile(probability, degrees) for degrees in freedom.tolist()]
+    joined = coo_array((np.ones(np.count_nonzero(agree)), (i[agree], j[agree])), shape=(len(loops), len(loops)))
+    return np.asarray(connected_components(joined, directed=False)[1], np.int64)

@@ -96,16 +96,16 @@ class PlaceWatcher:
         return counts | ({_UNREAD: self._unread} if self._unread else {})
 
     def look(
-        self, number: KeyframeId, near: Sequence[KeyframeId] = (), adrift: Sequence[KeyframeId] = ()
+        self, number: KeyframeId, near: Sequence[KeyframeId] = (), unjoined: Sequence[KeyframeId] = ()
     ) -> tuple[RelativePose, ...]:
         """Return loops from a keyframe to earlier ones that show the same place, and add it to the known keyframes.
 
-        Keyframes come in order of time. Keyframes `near` it, the nearest first, are verified as well. `adrift` are the
-        keyframes of its piece while that is not joined to the map; then more candidates of the map are verified.
+        Keyframes come in order of time. Keyframes `near` it, the nearest first, are verified as well. `unjoined` are
+        the keyframes of its piece while that is not joined to the map; then more candidates of the map are verified.
         """
         keyframe = self._store[number]
         recent = self._known[bisect.bisect_right(self._stamps_s, keyframe.stamp_s - self._apart_s) :]
-        found = self.recognised(number, recent, near, adrift)
+        found = self.recognised(number, recent, near, unjoined)
         self._learn(number, keyframe)
         return found
 
@@ -119,21 +119,21 @@ class PlaceWatcher:
         number: KeyframeId,
         but: Collection[KeyframeId] = (),
         near: Sequence[KeyframeId] = (),
-        adrift: Sequence[KeyframeId] = (),
+        unjoined: Sequence[KeyframeId] = (),
     ) -> tuple[RelativePose, ...]:
         """Return loops from a keyframe to known ones except `but`, without adding it to the known ones.
 
-        `near` and `adrift` are as in `look`.
+        `near` and `unjoined` are as in `look`.
         """
         keyframe = self._store[number]
         view = self._views.of_keyframe(keyframe)
         found: list[RelativePose] = []
         named = None if self._detector is None else self._named(self._detector, number, keyframe, {*but})
         elsewhere: Sequence[KeyframeId] = ()
-        if adrift and named is not None:
-            elsewhere = [one for one in named if one not in adrift][:_CANDIDATES_UNJOINED]
-        elif adrift:
-            alike = self.recognizer.candidates(view, _CANDIDATES_UNJOINED, {*but, *adrift})
+        if unjoined and named is not None:
+            elsewhere = [one for one in named if one not in unjoined][:_CANDIDATES_UNJOINED]
+        elif unjoined:
+            alike = self.recognizer.candidates(view, _CANDIDATES_UNJOINED, {*but, *unjoined})
             elsewhere = [one.keyframe for one in alike]
         for candidate in dict.fromkeys((*elsewhere, *self._candidates(view, but, near, named))):
             try:

@@ -58,7 +58,7 @@ class GtsamPoseGraph(GraphContents):
     def update(self) -> None:
         """Add new contents to iSAM2. It is rebuilt after a removal and after `optimise`."""
         self._need_prior()
-        if self.unheld().any():
+        if self.unanchored().any():
             self.optimise()  # without damping, iSAM2's covariances would be rounding errors
             return
         if self._isam is None:
@@ -134,7 +134,7 @@ class GtsamPoseGraph(GraphContents):
         """Return iSAM2 if it is up to date, else GTSAM's marginals; None if a component has no prior."""
         if self._isam is not None and self._held == (len(self), len(self._edges), len(self._priors)):
             return self._isam
-        if self._marginals is None and not self.unheld().any():
+        if self._marginals is None and not self.unanchored().any():
             self._marginals = self._gtsam.Marginals(self._factors(0, 0), self._values(0))
         return self._marginals
 
@@ -266,7 +266,7 @@ class OwnPoseGraph(GraphContents):
 
         An unconnected keyframe would make the whole matrix singular.
         """
-        information, is_held = _linearised(self._T, self._as_arrays()).information, self.unheld() == 0
+        information, is_held = _linearised(self._T, self._as_arrays()).information, self.unanchored() == 0
         rows = np.flatnonzero(np.repeat(is_held, 6))
         row = np.where(is_held, np.cumsum(is_held) - 1, -1)
         return _factor(information[rows][:, rows].tocsc()), row

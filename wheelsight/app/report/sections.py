@@ -343,7 +343,7 @@ def loops_figure(record: RunRecord) -> go.Figure:
     correction = record.correction
     if correction is None:
         raise ValueError("the run has no loops")
-    figure = drawing.style(go.Figure(), 560, hovermode="closest", margin={"l": 58, "r": 12, "t": 34, "b": 46})
+    figure = drawing.map_figure(560)
     hover = "x %{x:.2f}, y %{y:.2f} m"
     T = np.eye(4) if correction.evaluation is None else correction.evaluation.ate.T_truth_estimate
     paths = {
@@ -356,30 +356,23 @@ def loops_figure(record: RunRecord) -> go.Figure:
         path = positions_m[:, :2]
         drawing.add_path(figure, path[keep_shape(path)], name=name, line=line, hover=hover)
     keyframes = se3.apply(T, correction.found.T_map_keyframe[:, :3, 3])[:, :2]
-    judged = correction.found.loops.judged
+    judged = correction.found.loops.decisions
     is_kept = np.array([one.is_kept for one in judged], bool)
     ends = keyframes[np.array([(one.loop.first, one.loop.second) for one in judged], np.int64).reshape(-1, 2)]
     for name, which, colour in (("refused", ~is_kept, VERMILLION), ("kept", is_kept, GREEN)):
-        _add_loops(figure, f"{name}: {np.count_nonzero(which):,}", ends, which, colour)
-    figure.update_xaxes(title_text="x, m")
-    figure.update_yaxes(title_text="y, m", scaleanchor="x", scaleratio=1)
+        drawn = ends[which]
+        drawn = drawn[:: max(1, -(-len(drawn) // _MOST_DRAWN))]  # an even selection
+        broken = np.concatenate([drawn, np.full((len(drawn), 1, 2), np.nan)], axis=1).reshape(-1, 2)
+        figure.add_scatter(
+            x=broken[:, 0],
+            y=broken[:, 1],
+            mode="lines+markers",
+            name=f"{name}: {np.count_nonzero(which):,}",
+            line={"color": colour, "width": 0.7},
+            marker={"color": colour, "size": 3},
+            hoverinfo="skip",
+        )
     return figure
-
-
-def _add_loops(figure: go.Figure, name: str, ends: FloatArray, which: BoolArray, colour: str) -> None:
-    """Lines (L, 2, 2) between loop ends, an even selection of too many."""
-    drawn = ends[which]
-    drawn = drawn[:: max(1, -(-len(drawn) // _MOST_DRAWN))]
-    broken = np.concatenate([drawn, np.full((len(drawn), 1, 2), np.nan)], axis=1).reshape(-1, 2)
-    figure.add_scatter(
-        x=broken[:, 0],
-        y=broken[:, 1],
-        mode="lines+markers",
-        name=name,
-        line={"color": colour, "width": 0.7},
-        marker={"color": colour, "size": 3},
-        hoverinfo="skip",
-    )
 
 
 # Map

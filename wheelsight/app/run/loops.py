@@ -147,7 +147,7 @@ def correction_of(
     if closed.known and not closed.is_in_map.any():
         return None, ()
     found = corrected_by(closed, lived)
-    seconds, count = time.perf_counter() - started, len(closed.loops.judged)
+    seconds, count = time.perf_counter() - started, len(closed.loops.decisions)
     judged = judge(found.corrected), closed.refused, closed.unseen, bool(closed.known) or closed.is_joined
     return CorrectionRecord(found, closed.stamps_s, count, seconds, *judged), ()
 
@@ -158,7 +158,7 @@ def judged_csv(record: CorrectionRecord) -> str:
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["stamp_a_s", "stamp_b_s", "kept", "chi2", "limit", "cluster", "keyframe_a", "keyframe_b"])
     first_new = len(record.found.T_map_keyframe) - len(record.stamps_s)
-    for one in record.found.loops.judged:
+    for one in record.found.loops.decisions:
         ends = (one.loop.first, one.loop.second)
         stamps = (_stamp(record, number - first_new) for number in ends)
         rows.writerow([*stamps, int(one.is_kept), f"{one.chi2:.3f}", f"{one.limit:.3f}", one.cluster, *ends])

@@ -166,7 +166,7 @@ def _graph_of(pair: _Pair, pieces: IntArray) -> PieceGraph:
         graph.add(T_map_keyframe, piece)
     for piece, number in zip(*np.unique(pieces, return_index=True), strict=True):
         prior = anchor(KeyframeId(int(number)), pair.both.T_map_keyframe[number])
-        graph.hold(prior, until_joined=bool(piece))
+        graph.add_prior(prior, until_joined=bool(piece))
     graph.add_edges([edge for edge in pair.both.edges if pieces[edge.first] == pieces[edge.second]])
     return graph
 
