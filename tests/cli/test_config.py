@@ -8,10 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from changed_settings import all_leaves
+from typer.main import get_command
 from typer.testing import Result
 
+from wheelsight.app.cli import app
 from wheelsight.app.cli.drive import drive_settings
 from wheelsight.app.cli.drive_options import DriveOptions
+from wheelsight.app.cli.options import SET_BY
 from wheelsight.config import Config, load_config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import Wheels
@@ -29,6 +33,16 @@ def test_all_settings_are_printed_as_a_run_takes_them(wheelsight: Command, tmp_p
     file = tmp_path / "all.yaml"
     file.write_text(printed.stdout)
     assert load_config(file) == Config()
+
+
+def test_each_option_of_a_setting_shows_its_default() -> None:
+    options = {name: option for option in get_command(app).commands["run"].params for name in option.opts}
+    leaves = {name: value for name, value, _ in all_leaves()}
+    for name, flag in SET_BY.items():
+        default, shown = leaves[name], options[flag].show_default
+        if default in (None, (), False) or name == "fusion.filter":  # which depends on others
+            continue
+        assert shown == (flag if default is True else str(default)), name
 
 
 def test_what_a_profile_changes_is_printed_alone_and_options_of_a_file_over_it(

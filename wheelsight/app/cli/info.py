@@ -58,8 +58,9 @@ def info(
     from wheelsight.io.recordings.inspection import inspect_recording
     from wheelsight.wheels import gyro_warnings
 
-    of_cameras = {"--camera": camera, "--calibration": calibration, "--depth-factor": depth_factor}
-    config = settings_from({**of_cameras, "--max-gap": max_gap, "--rate-hz": rate_hz, "--topic": topic})
+    given = {"camera": camera, "calibration": calibration, "depth_factor": depth_factor}
+    given |= {"max_gap_s": max_gap, "rate_hz": rate_hz, "topics": topic}
+    config = settings_from({f"recording.{name}": value for name, value in given.items()})
     source = open_source(recording, config)
     with FrameProgress("reading", source.frame_count or source.wheel_count) as progress:
         inspection = inspect_recording(source, progress.advance)

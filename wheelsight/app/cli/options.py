@@ -18,6 +18,16 @@ if TYPE_CHECKING:
 # Panels of the help that several commands have.
 INPUT, OUTPUT, SETTINGS = "Input", "Output", "Settings"
 
+SET_BY: dict[str, str] = {"known_map.start": "--start"}
+"""The option that sets a setting, by its dotted name."""
+
+
+def setting_option(name: str, flag: str, **details: Any) -> Any:
+    """Return a `typer.Option` that sets a setting of `Config`, by its dotted name."""
+    SET_BY[name] = flag.partition("/")[0]
+    return typer.Option(flag, **details)
+
+
 RecordingPath = Annotated[
     Path,
     typer.Argument(
@@ -28,7 +38,9 @@ RecordingPath = Annotated[
 ]
 Camera = Annotated[
     str | None,
-    typer.Option(
+    setting_option(
+        "recording.camera",
+        "--camera",
         metavar="NAME|FILE",
         help="Calibration to use: the name of a shipped one, such as freiburg1, or a calibration.yaml.",
         show_default="what the recording itself says",
@@ -37,7 +49,9 @@ Camera = Annotated[
 ]
 CalibrationFile = Annotated[
     list[str] | None,
-    typer.Option(
+    setting_option(
+        "recording.calibration",
+        "--calibration",
         metavar="FILE",
         help="calibration.yaml whose parts (cameras, mount, wheels, gyro) stand in place of the recording's; what it "
         "leaves out stays. May be given again: each is laid over those before.",
@@ -47,13 +61,19 @@ CalibrationFile = Annotated[
 ]
 DepthFactor = Annotated[
     float | None,
-    typer.Option(
-        help="Depth units a metre in the depth images.", show_default="as its format says", rich_help_panel=INPUT
+    setting_option(
+        "recording.depth_factor",
+        "--depth-factor",
+        help="Depth units a metre in the depth images.",
+        show_default="as its format says",
+        rich_help_panel=INPUT,
     ),
 ]
 MaxGap = Annotated[
     float | None,
-    typer.Option(
+    setting_option(
+        "recording.max_gap_s",
+        "--max-gap",
         metavar="SECONDS",
         help="Largest distance in time of a colour and a depth image.",
         show_default="0.02",
@@ -62,7 +82,8 @@ MaxGap = Annotated[
 ]
 RateHz = Annotated[
     float | None,
-    typer.Option(
+    setting_option(
+        "recording.rate_hz",
         "--rate-hz",
         metavar="HZ",
         help="How many a second the images' stamps count: 30 for numbers of a 30 Hz camera, 1000 for milliseconds.",
@@ -72,7 +93,8 @@ RateHz = Annotated[
 ]
 Topics = Annotated[
     list[str] | None,
-    typer.Option(
+    setting_option(
+        "recording.topics",
         "--topic",
         metavar="ROLE=TOPIC",
         help="Of a bag: which topic is color, depth, color_info, depth_info, wheels, gyro or truth; none leaves one "
@@ -84,7 +106,9 @@ Topics = Annotated[
 ]
 Profile = Annotated[
     str | None,
-    typer.Option(
+    setting_option(
+        "profile",
+        "--profile",
         metavar="NAME",
         help="Settings for one kind of computer: pi, for a small one. --config and other options win over it; "
         "wheelsight config --profile pi shows them.",
@@ -94,43 +118,18 @@ Profile = Annotated[
 ]
 
 
-# What --start says beside --map-from.
-STARTS_IN_KNOWN_MAP = "--start in the known map"
-_SETTINGS = {
-    "--profile": "profile",
-    "--odometry": "odometry",
-    "--fusion": "fusion.filter",
-    "--map": "map",
-    "--loops": "loops.source",
-    "--map-from": "known_map.path",
-    "--extend": "known_map.extend",
-    STARTS_IN_KNOWN_MAP: "known_map.start",
-    "--reference": "features.reference",
-    "--integration": "wheels.integration",
-    "--gyro": "wheels.gyro",
-    "--places": "places.model",
-    "--areas": "places.areas",
-    "--rectify": "places.rectify",
-    "--start": "places.start",
-    "--odometry-term": "places.odometry_term",
-    "--weights": "places.weights",
-    "--seed": "features.seed",
-    "--camera": "recording.camera",
-    "--calibration": "recording.calibration",
-    "--depth-factor": "recording.depth_factor",
-    "--max-gap": "recording.max_gap_s",
-    "--rate-hz": "recording.rate_hz",
-    "--topic": "recording.topics",
-}
-
-
 def settings_from(options: Mapping[str, object], file: Path | None = None, *, drop_removed: bool = False) -> Config:
-    """The configuration of a file, and over it the options that were given (are not None). Raises ConfigError."""
+    """The configuration of a file, and over it the options that were given (are not None). Raises ConfigError.
+
+    Args:
+        options: values by the dotted names of their settings.
+        file: settings in YAML, or None.
+        drop_removed: as of `load_config`.
+    """
     from wheelsight.config import load_config
 
-    overrides = {_SETTINGS[option]: value for option, value in options.items() if value not in (None, [])}
-    called = {name: option for option, name in _SETTINGS.items()}
-    return load_config(file, overrides, called, drop_removed=drop_removed)
+    overrides = {name: value for name, value in options.items() if value not in (None, [])}
+    return load_config(file, overrides, SET_BY, drop_removed=drop_removed)
 
 
 def open_source(folder: Path, settings: Config) -> Recording:
@@ -214,7 +213,7 @@ def open_for(
     folder: Path, calibration: Sequence[str] | None, topics: Sequence[str] | None, rate_hz: float | None = None
 ) -> Recording:
     """The recording, with what `--calibration` says in place of its own; topics and stamps as the options say."""
-    options = {"--calibration": calibration, "--rate-hz": rate_hz, "--topic": topics}
+    options = {"recording.calibration": calibration, "recording.rate_hz": rate_hz, "recording.topics": topics}
     return open_source(folder, settings_from(options))
 
 

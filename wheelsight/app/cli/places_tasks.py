@@ -137,7 +137,7 @@ def open_listed(folder: Path, topics: Sequence[str] | None) -> Recording:
     from wheelsight.app.cli.console import print_warning
     from wheelsight.app.cli.options import open_source, settings_from
 
-    recording = open_source(folder, settings_from({"--topic": topics}))
+    recording = open_source(folder, settings_from({"recording.topics": topics}))
     for warning in recording.warnings:
         print_warning(f"{recording.name}: {warning}")
     return recording

@@ -14,7 +14,6 @@ from wheelsight.app.cli.options import (
     INPUT,
     OUTPUT,
     SETTINGS,
-    STARTS_IN_KNOWN_MAP,
     CalibrationFile,
     DepthFactor,
     MaxGap,
@@ -22,6 +21,7 @@ from wheelsight.app.cli.options import (
     RateHz,
     Rerun,
     Topics,
+    setting_option,
     settings_from,
 )
 
@@ -117,7 +117,9 @@ _ODOMETRY, _AREAS = "Odometry", "Areas that rectify wheels"
 
 Odometry = Annotated[
     str | None,
-    typer.Option(
+    setting_option(
+        "odometry",
+        "--odometry",
         metavar="NAME[,NAME]",
         help="How motion is estimated: features, dense, wheels, or several; wheels and a camera are joined too.",
         show_default="all sensors that the recording has, joined",
@@ -126,7 +128,9 @@ Odometry = Annotated[
 ]
 Fusion = Annotated[
     str | None,
-    typer.Option(
+    setting_option(
+        "fusion.filter",
+        "--fusion",
         metavar="NAME",
         help="How wheels and camera are joined: default, ligocki (eq. 2), or none.",
         show_default="default, where both are named",
@@ -135,7 +139,9 @@ Fusion = Annotated[
 ]
 Reference = Annotated[
     str | None,
-    typer.Option(
+    setting_option(
+        "features.reference",
+        "--reference",
         metavar="NAME",
         help="What a frame is aligned with: previous or keyframes.",
         show_default="keyframes",
@@ -144,7 +150,9 @@ Reference = Annotated[
 ]
 Integration = Annotated[
     str | None,
-    typer.Option(
+    setting_option(
+        "wheels.integration",
+        "--integration",
         metavar="NAME",
         help="How wheels are integrated: arc, midpoint or euler.",
         show_default="arc",
@@ -153,16 +161,24 @@ Integration = Annotated[
 ]
 Gyro = Annotated[
     bool | None,
-    typer.Option(
-        "--gyro/--no-gyro", help="Join a gyroscope with the wheels.", show_default="--gyro", rich_help_panel=_ODOMETRY
+    setting_option(
+        "wheels.gyro",
+        "--gyro/--no-gyro",
+        help="Join a gyroscope with the wheels.",
+        show_default="--gyro",
+        rich_help_panel=_ODOMETRY,
     ),
 ]
 Seed = Annotated[
-    int | None, typer.Option(help="Seed of all random choices.", show_default="0", rich_help_panel=_ODOMETRY)
+    int | None,
+    setting_option(
+        "features.seed", "--seed", help="Seed of all random choices.", show_default="0", rich_help_panel=_ODOMETRY
+    ),
 ]
 Model = Annotated[
     str | None,
-    typer.Option(
+    setting_option(
+        "places.model",
         "--places",
         metavar="MODEL",
         help="Rectify wheels, joined or alone, by the areas that frames show.",
@@ -172,7 +188,9 @@ Model = Annotated[
 ]
 Rectify = Annotated[
     str | None,
-    typer.Option(
+    setting_option(
+        "places.rectify",
+        "--rectify",
         metavar="WAY",
         help="probabilistic: a filter with covariance; paper: eq. 5.",
         show_default="probabilistic",
@@ -181,7 +199,9 @@ Rectify = Annotated[
 ]
 Areas = Annotated[
     str | None,
-    typer.Option(
+    setting_option(
+        "places.areas",
+        "--areas",
         metavar="FILE",
         help="areas.yaml of the model.",
         show_default="that in the recording's folder",
@@ -190,7 +210,9 @@ Areas = Annotated[
 ]
 OdometryTerm = Annotated[
     str | None,
-    typer.Option(
+    setting_option(
+        "places.odometry_term",
+        "--odometry-term",
         metavar="NAME",
         help="Odometry in eq. 5: increment or absolute.",
         show_default="increment",
@@ -199,8 +221,13 @@ OdometryTerm = Annotated[
 ]
 Weights = Annotated[
     str | None,
-    typer.Option(
-        metavar="A,B,G", help="alpha, beta, gamma of eq. 5.", show_default="0,0.9,0.1", rich_help_panel=_AREAS
+    setting_option(
+        "places.weights",
+        "--weights",
+        metavar="A,B,G",
+        help="alpha, beta, gamma of eq. 5.",
+        show_default="0,0.9,0.1",
+        rich_help_panel=_AREAS,
     ),
 ]
 
@@ -212,7 +239,8 @@ _MAPS = "Loops and maps"
 
 Map = Annotated[
     str | None,
-    typer.Option(
+    setting_option(
+        "map",
         "--map",
         metavar="NAME",
         help="What dense odometry builds and tracks against: surfels.",
@@ -222,7 +250,9 @@ Map = Annotated[
 ]
 Loops = Annotated[
     str | None,
-    typer.Option(
+    setting_option(
+        "loops.source",
+        "--loops",
         metavar="SOURCE",
         help="Correct the way by places that were recognised: keyframes, those that the camera sees again; matches, "
         "the recording's own and its loops.csv; or a file like that.",
@@ -232,7 +262,8 @@ Loops = Annotated[
 ]
 MapFrom = Annotated[
     Path | None,
-    typer.Option(
+    setting_option(
+        "known_map.path",
         "--map-from",
         metavar="DIR",
         help="Find oneself in a map of before: that of an earlier run with --map surfels.",
@@ -241,11 +272,16 @@ MapFrom = Annotated[
     ),
 ]
 Extend = Annotated[
-    bool, typer.Option("--extend", help="Add to the map of --map-from what this drive sees.", rich_help_panel=_MAPS)
+    bool,
+    setting_option(
+        "known_map.extend", "--extend", help="Add to the map of --map-from what this drive sees.", rich_help_panel=_MAPS
+    ),
 ]
 Start = Annotated[
     str | None,
-    typer.Option(
+    setting_option(
+        "places.start",
+        "--start",
         metavar="X,Y,YAW_DEG",
         help="Where the base stands at first, in the map of --map-from or of the areas.",
         show_default="recognised; of areas, by ground truth",
@@ -316,32 +352,31 @@ class RunOptions:
     record: Record = None
 
     def settings(self) -> dict[str, object]:
-        """Options that are settings of `Config`, by their names, as `settings_from` takes them."""
+        """Values of the options that set settings, by their dotted names, as `settings_from` takes them."""
         return {
-            "--profile": self.profile,
-            "--odometry": self.odometry,
-            "--fusion": self.fusion,
-            "--map": self.map_,
-            "--loops": self.loops,
-            "--map-from": None if self.map_from is None else str(self.map_from),
-            "--extend": self.extend or None,
-            # Of a live run it names a device.
-            "--camera": None if self.live else self.camera,
-            "--calibration": self.calibration,
-            "--depth-factor": self.depth_factor,
-            "--max-gap": self.max_gap,
-            "--rate-hz": self.rate_hz,
-            "--topic": self.topic,
-            "--reference": self.reference,
-            "--seed": self.seed,
-            "--integration": self.integration,
-            "--gyro": self.gyro,
-            "--places": self.places,
-            "--areas": self.areas,
-            "--rectify": self.rectify,
-            "--start" if self.map_from is None else STARTS_IN_KNOWN_MAP: self.start,
-            "--odometry-term": self.odometry_term,
-            "--weights": self.weights,
+            "profile": self.profile,
+            "odometry": self.odometry,
+            "fusion.filter": self.fusion,
+            "map": self.map_,
+            "loops.source": self.loops,
+            "known_map.path": None if self.map_from is None else str(self.map_from),
+            "known_map.extend": self.extend or None,
+            "recording.camera": None if self.live else self.camera,  # of a live run it names a device
+            "recording.calibration": self.calibration,
+            "recording.depth_factor": self.depth_factor,
+            "recording.max_gap_s": self.max_gap,
+            "recording.rate_hz": self.rate_hz,
+            "recording.topics": self.topic,
+            "features.reference": self.reference,
+            "features.seed": self.seed,
+            "wheels.integration": self.integration,
+            "wheels.gyro": self.gyro,
+            "places.model": self.places,
+            "places.areas": self.areas,
+            "places.rectify": self.rectify,
+            "places.start" if self.map_from is None else "known_map.start": self.start,
+            "places.odometry_term": self.odometry_term,
+            "places.weights": self.weights,
         }
 
 
@@ -373,7 +408,7 @@ def config_config(
     from wheelsight.core.files import settings_text
     from wheelsight.core.settings.base import differing
 
-    settings = settings_from({"--profile": profile}, config, drop_removed=drop_removed).to_dict()
+    settings = settings_from({"profile": profile}, config, drop_removed=drop_removed).to_dict()
     for one in removed_settings(config) if drop_removed and config is not None else ():
         if one.differs:
             print_warning(f"{one.name} = {one.value} is lost: it {one.problem}")
