@@ -21,7 +21,7 @@ from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import Event, RgbdFrame
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.estimation import Localizer
-from wheelsight.slam.maps import MapFolder, find_map, lie_together
+from wheelsight.slam.maps import MapFolder, find_map, in_largest_piece
 from wheelsight_sim import FloorPlan, SimulatedRecording, SimulationSettings, simulate
 
 ALONE, JOINED = "camera alone", "joined"
@@ -129,7 +129,7 @@ def first_day(building: Building, folder: Path, rate_hz: float, units: Path | No
     found = record.correction.evaluation.ate
     path = find_map(folder / JOINED)
     left = MapFolder.open(path)
-    together = lie_together(left)
+    together = in_largest_piece(left)
     counts = len(left.store), int(together.sum())
     numbers = [KeyframeId(int(number)) for number in np.flatnonzero(together)]
     T_camera_base = se3.invert(np.asarray(left.calibration.T_base_camera))

@@ -22,7 +22,7 @@ from wheelsight.io.ros_map import FREE, OCCUPIED, read_ros_map
 from wheelsight.mapping import EditKind
 from wheelsight.navigation import Costmap, Footprint, KnownFloor, Plan, Planner
 from wheelsight.slam.maps import MapFolder, occupancy_of
-from wheelsight.slam.maps.contents import edits_as_known
+from wheelsight.slam.maps.contents import current_edits
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]
@@ -173,7 +173,7 @@ ROBOT = Footprint.rectangle(front_m=0.2, back_m=0.2, width_m=0.3)
 
 
 def plan_across(folder: MapFolder) -> Plan:
-    floor = KnownFloor(occupancy_of(folder), edits_as_known(folder), folder.store.T_map_keyframe)
+    floor = KnownFloor(occupancy_of(folder), current_edits(folder), folder.store.T_map_keyframe)
     plan = Planner(ROBOT).plan(Costmap.of(floor.layer, ROBOT), (-1.5, 0.0, 0.0), (1.5, 0.0, 0.0))
     assert isinstance(plan, Plan), plan
     return plan
@@ -189,7 +189,7 @@ def test_a_plan_goes_round_a_keep_out_zone_and_slowly_through_a_speed_zone(wheel
     beside = np.abs(plan.poses[:, 0]) < 0.3
     assert plan.poses[beside, 1].max() < -0.6 - 0.15
     assert plan.length_m > before.length_m + 0.3
-    floor = KnownFloor(occupancy_of(folder), edits_as_known(folder), folder.store.T_map_keyframe)
+    floor = KnownFloor(occupancy_of(folder), current_edits(folder), folder.store.T_map_keyframe)
     row, column = np.floor((np.array([0.0, 1.5]) - floor.layer.origin[::-1]) / floor.layer.resolution_m).astype(int)
     assert floor.layer.speed_m_s[row, column] == np.float32(0.25)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from wheelsight.core.calibration_parts import DepthNoise
 from wheelsight.core.geometry import Float32Array, FloatArray, se3, so3
-from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore, Surface
+from wheelsight.core.keyframes import FrameSurface, Keyframe, KeyframeId, KeyframeStore
 from wheelsight.mapping import FusedFrame, SurfelMap, Surfels, SurfelSettings
 
 GRID = np.array([131.0, 131.0, 80.2, 59.4])
@@ -54,7 +54,7 @@ def see(
     rng: np.random.Generator | None = None,
     grid: FloatArray = GRID,
     shape: tuple[int, int] = SHAPE,
-) -> Surface:
+) -> FrameSurface:
     """The nearest of the walls at each pixel; with the noise of NOISE where `rng` is given."""
     directions = rays(grid, shape) @ T_map_camera[:3, :3].T
     depth_m, normal = np.full(shape, np.inf), np.zeros((*shape, 3))
@@ -69,7 +69,7 @@ def see(
     color = np.stack([grey, 0.5 * grey, 255 - grey], axis=-1)
     if rng is not None:
         depth_m = np.where(depth_m > 0, depth_m + NOISE.sigma_m(depth_m) * rng.standard_normal(shape), 0.0)
-    return Surface(*(image.astype(np.float32) for image in (depth_m, normal, grey, color)))
+    return FrameSurface(*(image.astype(np.float32) for image in (depth_m, normal, grey, color)))
 
 
 def kept_keyframes(count: int) -> KeyframeStore:
@@ -81,7 +81,7 @@ def kept_keyframes(count: int) -> KeyframeStore:
 
 
 def fuse(
-    surfel_map: SurfelMap, view: Surface, T_map_camera: FloatArray, stamp_s: float, keyframe: int | None = None
+    surfel_map: SurfelMap, view: FrameSurface, T_map_camera: FloatArray, stamp_s: float, keyframe: int | None = None
 ) -> FusedFrame:
     number = None if keyframe is None else KeyframeId(keyframe)
     return surfel_map.fuse(view, GRID, T_map_camera, stamp_s, NOISE, keyframe=number)

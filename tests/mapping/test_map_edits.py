@@ -94,12 +94,12 @@ def test_edits_are_carried_to_a_map_of_some_of_the_keyframes() -> None:
     zones = [MapEdit(EditKind.KEEP_OUT, SQUARE + [2.0, 0.0]).anchored(KeyframeId(k), T[k]) for k in (1, 2)]
     edits = MapEdits((*zones, MapEdit(EditKind.WIPED, SQUARE)))
     numbers = np.array([0, 1, -1, 2])
-    carried = edits.carried(T, numbers)
+    carried = edits.transferred(T, numbers)
     assert [edit.keyframe for edit in carried.edits] == [1, 2, None]
     for before, after in zip(edits.edits, carried.edits, strict=True):
         assert_allclose(after.polygon_now(T[[0, 1, 3]]), before.polygon_now(T), atol=1e-12)
     # In the frame of another map all of them must hang on something.
-    elsewhere = edits.carried(T, numbers, is_same_frame=False)
+    elsewhere = edits.transferred(T, numbers, is_same_frame=False)
     assert [edit.keyframe for edit in elsewhere.edits] == [1, 2, 0]
     T_other = se3.from_plane(5.0, 1.0, 1.0)
     for before, after in zip(edits.edits, elsewhere.edits, strict=True):
@@ -138,21 +138,21 @@ def test_an_area_says_nothing_of_cells() -> None:
 
 def test_an_area_moves_with_the_nearest_keyframe_and_keeps_its_name_wherever_it_hangs() -> None:
     T = np.array([se3.from_plane(x, 0.0, 0.3) for x in (9.0, 0.5, -7.0)])
-    hung = area("kitchen").hung_on_nearest(T, np.array([0, 1, 2]))
+    hung = area("kitchen").attached_to_nearest(T, np.array([0, 1, 2]))
     assert hung.keyframe == 1
-    assert area("kitchen").hung_on_nearest(T, np.array([0, 2])).keyframe == 2
-    assert area("kitchen").hung_on_nearest(T, np.array([], np.int64)).keyframe is None
+    assert area("kitchen").attached_to_nearest(T, np.array([0, 2])).keyframe == 2
+    assert area("kitchen").attached_to_nearest(T, np.array([], np.int64)).keyframe is None
     T_new_old = se3.from_plane(1.0, -2.0, 0.7)
     there = se3.apply(T_new_old, np.c_[SQUARE, np.zeros(4)])[:, :2]
     assert_allclose(hung.polygon_now(T_new_old @ T), there, atol=1e-12)
-    (carried,) = MapEdits((hung,)).carried(T, np.array([0, -1, 1])).edits
+    (carried,) = MapEdits((hung,)).transferred(T, np.array([0, -1, 1])).edits
     assert (carried.name, carried.keyframe) == ("kitchen", 1)
     assert_allclose(carried.polygon, SQUARE, atol=1e-12)
 
 
 def test_an_edit_on_a_keyframe_that_its_map_never_had_is_where_it_was_drawn() -> None:
     zone = MapEdit(EditKind.KEEP_OUT, SQUARE).anchored(KeyframeId(99), np.eye(4))
-    (carried,) = MapEdits((zone,)).carried(np.array([se3.from_plane(3.0, 0.0, 1.0)]), np.array([0])).edits
+    (carried,) = MapEdits((zone,)).transferred(np.array([se3.from_plane(3.0, 0.0, 1.0)]), np.array([0])).edits
     assert carried.keyframe == 0
     assert_array_equal(carried.polygon, SQUARE)
 

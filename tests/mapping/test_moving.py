@@ -176,13 +176,13 @@ def test_a_map_from_a_file_follows_a_store_from_where_its_keyframes_were(
 ) -> None:
     save_map(surfel_map, tmp_path / "a.surfels")
     surfel_map = load_map(tmp_path / "a.surfels")
-    surfel_map.hang_on(store)
+    surfel_map.attach_to(store)
     T_new_old = se3.exp([3.0, -2.0, 1.0, 0.3, -0.2, 0.5])
     later = kept_keyframes(3)
     later.move([FIRST, SECOND], store.T_map_keyframe)
     move(later, T_new_old, SECOND)
     back = load_map(tmp_path / "a.surfels")
-    back.hang_on(later)
+    back.attach_to(later)
     move(store, T_new_old, SECOND)
     for keyframe in (0, 1):
         expected = of_keyframe(surfel_map.surfels(), keyframe).position
@@ -191,7 +191,7 @@ def test_a_map_from_a_file_follows_a_store_from_where_its_keyframes_were(
     move(store, T_new_old, FIRST)
     assert_allclose(of_keyframe(back.surfels(), 0).position, of_keyframe(surfel_map.surfels(), 0).position, atol=2e-6)
     with pytest.raises(MapError, match="has 3 keyframes, the store 1"):
-        back.hang_on(kept_keyframes(1))
+        back.attach_to(kept_keyframes(1))
 
 
 def test_a_map_that_is_not_moved_is_the_same_to_the_last_bit(rng: np.random.Generator) -> None:

@@ -21,7 +21,7 @@ TABLE = np.array([se3.from_plane(x, 0.0, 0.2) for x in (0.0, 2.0, 4.0)])
 
 
 def test_a_place_moves_with_its_keyframe() -> None:
-    hung = KITCHEN.hung_on_nearest(TABLE, np.arange(3))
+    hung = KITCHEN.attached_to_nearest(TABLE, np.arange(3))
     assert hung.keyframe == 2
     assert_allclose(hung.pose_now(TABLE), KITCHEN.pose, atol=1e-12)
     moved = TABLE.copy()
@@ -30,14 +30,14 @@ def test_a_place_moves_with_its_keyframe() -> None:
     expected = T_new_old @ se3.from_plane(*KITCHEN.pose)
     assert_allclose(hung.pose_now(moved)[:2], expected[:2, 3])
     assert_allclose(hung.pose_now(moved)[2], 0.6)
-    anywhere = DESK.hung_on_nearest(TABLE, np.arange(3)).pose_now(moved)
+    anywhere = DESK.attached_to_nearest(TABLE, np.arange(3)).pose_now(moved)
     assert np.isnan(anywhere[2])
     with pytest.raises(ArgumentError, match="there is no pose of keyframe 2"):
         hung.pose_now(TABLE[:2])
 
 
 def test_names_are_written_and_read_again(tmp_path: Path) -> None:
-    poses = NamedPoses((KITCHEN.hung_on_nearest(TABLE, np.arange(2)), DESK, NamedPose("Büro  im Hof", np.zeros(3))))
+    poses = NamedPoses((KITCHEN.attached_to_nearest(TABLE, np.arange(2)), DESK, NamedPose("Büro  im Hof", np.zeros(3))))
     poses.save(tmp_path / "places.json")
     found = NamedPoses.load(tmp_path / "places.json")
     assert found.names == ("Büro im Hof", "desk", "kitchen")
@@ -72,15 +72,15 @@ def test_what_is_no_pose_is_refused(pose: Any) -> None:
 
 
 def test_names_are_carried_to_a_map_of_some_of_the_keyframes() -> None:
-    hung = [NamedPose(f"at {k}", TABLE[k, :2, 3]).hung_on_nearest(TABLE, np.array([k])) for k in range(3)]
+    hung = [NamedPose(f"at {k}", TABLE[k, :2, 3]).attached_to_nearest(TABLE, np.array([k])) for k in range(3)]
     astray = NamedPose("astray", np.array([0.1, 0.0]), KeyframeId(9), np.eye(4))
-    carried = NamedPoses((*hung, astray, DESK)).carried(TABLE, np.array([-1, 0, 1]))
+    carried = NamedPoses((*hung, astray, DESK)).transferred(TABLE, np.array([-1, 0, 1]))
     numbers = {one.name: one.keyframe for one in carried}
     assert numbers == {"at 0": 0, "at 1": 0, "at 2": 1, "astray": 0, "desk": None}
     for one in carried:
         before = next(pose for pose in (*hung, astray, DESK) if pose.name == one.name)
         assert_allclose(one.pose_now(TABLE[1:])[:2], before.pose[:2], atol=1e-12)
-    elsewhere = NamedPoses((DESK,)).carried(TABLE, np.array([-1, 0, 1]), is_same_frame=False)
+    elsewhere = NamedPoses((DESK,)).transferred(TABLE, np.array([-1, 0, 1]), is_same_frame=False)
     assert [one.keyframe for one in elsewhere] == [0]
 
 

@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 
 from wheelsight.core.calibration_parts import DepthNoise
 from wheelsight.core.geometry import FloatArray
-from wheelsight.core.keyframes import Surface
+from wheelsight.core.keyframes import FrameSurface
 from wheelsight.mapping import SurfelMap
 
 CAMERA = synthetic.CAMERA
@@ -40,7 +40,7 @@ def test_the_model_of_a_room_is_where_its_surfaces_are():
         exact_m = synthetic.render_room(T)[1]
         color, depth_m = synthetic.render_room(T, depth_noise=True)
         grey = (color @ [0.299, 0.587, 0.114]).astype(np.float32)
-        image = Surface(depth_m, normals_of(exact_m), grey, color.astype(np.float32))
+        image = FrameSurface(depth_m, normals_of(exact_m), grey, color.astype(np.float32))
         surfel_map.fuse(image, GRID, T, stamp_s, DepthNoise())
         points = (CAMERA.rays() * exact_m[..., None]).reshape(-1, 3)[::97]
         seen.append(points @ T[:3, :3].T + T[:3, 3])

@@ -10,7 +10,7 @@ from mapping.scenes import FRAME_S, GRID, NOISE, SHAPE, Wall, fuse, look_at, mad
 from scipy.spatial import KDTree
 
 from wheelsight.core.errors import MapError
-from wheelsight.core.keyframes import Surface
+from wheelsight.core.keyframes import FrameSurface
 from wheelsight.mapping import SurfelMap, Surfels, surfels
 
 FRAMES = 20
@@ -328,7 +328,7 @@ def test_what_cannot_be_fused_is_refused_and_leaves_the_map_as_it_was(changed, w
     surfel_map, view = made_map(), see([Wall(2.0)], pose())
     fuse(surfel_map, view, pose(), 1.0)
     before = contents(surfel_map)
-    images = {name: image for name, image in changed.items() if name in Surface.__slots__}
+    images = {name: image for name, image in changed.items() if name in FrameSurface.__slots__}
     how = {"intrinsics": GRID, "T_map_camera": pose(), "stamp_s": 2.0} | {
         name: value for name, value in changed.items() if name not in images
     }

@@ -7,7 +7,7 @@ from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import Match, SpeedVariances
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.slam.drive_graph import SeenAgain
-from wheelsight.slam.loop_closing import ClosedLoops, Unused, carried, correct, corrected_by
+from wheelsight.slam.loop_closing import ClosedLoops, Unused, in_map, correct, corrected_by
 from wheelsight.slam.loop_gate import LoopReport
 from wheelsight.slam.solvers import OwnPoseGraph
 
@@ -130,7 +130,7 @@ def test_a_pose_before_another_piece_goes_with_its_own_keyframe_alone():
     lived = Trajectory(stamps_s, np.tile(np.eye(4), (5, 1, 1)))
     T_map_odom = np.stack([se3.from_plane(x_m, 0.0, 0.0) for x_m in (0.0, 10.0)])
     blended, apart = (
-        carried(lived, np.array([0.0, 4.0]), T_map_odom, begins) for begins in (None, np.array([False, True]))
+        in_map(lived, np.array([0.0, 4.0]), T_map_odom, begins) for begins in (None, np.array([False, True]))
     )
     np.testing.assert_allclose(blended.positions_m[:, 0], [0.0, 2.5, 5.0, 7.5, 10.0])
     np.testing.assert_allclose(apart.positions_m[:, 0], [0.0, 0.0, 0.0, 0.0, 10.0])

@@ -19,13 +19,23 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from wheelsight.core.errors import ArgumentError, MapError
+from wheelsight.core.errors import MapError
 from wheelsight.core.files import StrPath, write_text
 from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, IntArray, se3
 from wheelsight.core.inputs import Kind
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.io.ros_map import FREE, OCCUPIED
-from wheelsight.mapping.named_poses import checked_name, free_names, name_given_twice, read_list
+from wheelsight.mapping.named_poses import (
+    check_anchor,
+    checked_name,
+    free_names,
+    keyframe_number,
+    motion_of_anchor,
+    name_given_twice,
+    nearest_anchor,
+    read_list,
+    transferred,
+)
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
 
 # Version 1 has no areas, and older programs read it. Files without areas are written as version 1.
@@ -86,35 +96,28 @@ class MapEdit:
             raise MapError(f"name is {self.name!r} of {self.kind}", fix="areas have a name, no others do")
         if self.name is not None:
             object.__setattr__(self, "name", checked_name(self.name))
-        if (self.keyframe is None) != (self.T_map_keyframe is None):
-            raise MapError("an anchor is a keyframe and its pose", fix="give both, or neither")
-        if self.T_map_keyframe is not None and not se3.is_valid(self.T_map_keyframe):
-            raise MapError(f"the pose of keyframe {self.keyframe} is no rigid motion", fix="give SE(3), (4, 4)")
+        check_anchor(self)
 
     def anchored(self, keyframe: KeyframeId, T_map_keyframe: ArrayLike) -> MapEdit:
         """Return the edit attached to a keyframe that is now at (4, 4)."""
         return replace(self, keyframe=keyframe, T_map_keyframe=np.array(T_map_keyframe, float))
 
-    def hung_on_nearest(self, T_map_keyframe: ArrayLike, among: IntArray) -> MapEdit:
+    def attached_to_nearest(self, T_map_keyframe: ArrayLike, among: IntArray) -> MapEdit:
         """Return the edit attached to the nearest of keyframes `among` (N,), given poses (K, 4, 4) of all.
 
         The polygon stays where it is now. Without keyframes, the edit is attached to none.
         """
-        if not len(among):
-            return replace(self, keyframe=None, T_map_keyframe=None)
-        table = np.asarray(T_map_keyframe, float)
-        off_m = np.linalg.norm(table[among, :2, 3] - self.polygon.mean(axis=0), axis=1)
-        nearest = int(among[np.argmin(off_m)])
-        return self.anchored(KeyframeId(nearest), table[nearest])
+        return replace(self, **nearest_anchor(self.polygon.mean(axis=0), T_map_keyframe, among))
+
+    def moved_to_now(self, T_map_keyframe: FloatArray) -> MapEdit:
+        """Return the edit with its polygon at the current keyframe pose."""
+        return replace(self, polygon=self.polygon_now(T_map_keyframe))
 
     def polygon_now(self, T_map_keyframe: ArrayLike) -> FloatArray:
         """Return the corners (N, 2) at the current keyframe pose, given poses (K, 4, 4) by number."""
-        if self.keyframe is None or self.T_map_keyframe is None:
+        T_new_old = motion_of_anchor(self, T_map_keyframe)
+        if T_new_old is None:
             return self.polygon
-        table = np.asarray(T_map_keyframe, float)
-        if self.keyframe >= len(table) or not np.isfinite(table[self.keyframe]).all():
-            raise ArgumentError(f"there is no pose of keyframe {self.keyframe}", fix="give those of the edits' map")
-        T_new_old = table[self.keyframe] @ se3.invert(self.T_map_keyframe)
         corners = np.c_[self.polygon, np.zeros(len(self.polygon))]
         return np.asarray(se3.apply(T_new_old, corners)[:, :2])
 
@@ -193,7 +196,7 @@ class MapEdits:
                 limits[window][inside] = edit.limit_m_s
         return limits
 
-    def carried(self, T_map_keyframe: ArrayLike, numbers: IntArray, *, is_same_frame: bool = True) -> MapEdits:
+    def transferred(self, T_map_keyframe: ArrayLike, numbers: IntArray, *, is_same_frame: bool = True) -> MapEdits:
         """Return the edits for a map made of this one's keyframes.
 
         Edits of a removed keyframe are attached to the nearest remaining one; if its pose is unknown, as drawn.
@@ -203,22 +206,7 @@ class MapEdits:
             numbers: (K,) number of each keyframe in the other map; -1 if removed.
             is_same_frame: if False, edits without a keyframe are attached to the nearest one, too.
         """
-        table, kept = np.asarray(T_map_keyframe, float), np.flatnonzero(numbers >= 0)
-        carried = []
-        for edit in self.edits:
-            # A file may name keyframes that its map never had.
-            number = -1 if edit.keyframe is None or edit.keyframe >= len(numbers) else int(numbers[edit.keyframe])
-            if edit.keyframe is None and is_same_frame:
-                carried.append(edit)
-            elif number >= 0:
-                carried.append(replace(edit, keyframe=KeyframeId(number)))
-            elif len(kept):
-                is_lost = edit.keyframe is not None and not np.isfinite(table[edit.keyframe : edit.keyframe + 1]).any()
-                now = replace(edit, polygon=edit.polygon if is_lost else edit.polygon_now(table))
-                hung = now.hung_on_nearest(table, kept)
-                assert hung.keyframe is not None
-                carried.append(replace(hung, keyframe=KeyframeId(int(numbers[hung.keyframe]))))
-        return MapEdits(tuple(carried))
+        return MapEdits(transferred(self.edits, T_map_keyframe, numbers, is_same_frame))
 
     def save(self, path: StrPath) -> None:
         """Write the edits as JSON, atomically. Raises OutputError."""
@@ -263,9 +251,7 @@ def _edit(fields: Any) -> MapEdit:
     limit, keyframe, T, called = (fields.get(name) for name in _FIELDS[2:])
     if limit is not None and (isinstance(limit, bool) or not isinstance(limit, int | float)):
         raise MapError(f"limit_m_s is {limit!r}", fix="metres a second")
-    if keyframe is not None and (type(keyframe) is not int or keyframe < 0):
-        raise MapError(f"keyframe is {keyframe!r}", fix="the number of a keyframe")
-    number = None if keyframe is None else KeyframeId(keyframe)
+    number = keyframe_number(keyframe, "keyframe")
     pose = None if T is None else _numbers(T, "T_map_keyframe", (4, 4))
     polygon = _numbers(fields.get("polygon"), "polygon", (-1, 2))
     return MapEdit(EditKind(fields["kind"]), polygon, limit, number, pose, called)

@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,34 +58,27 @@ class NamedPose:
             raise MapError(problem, fix="x and y in metres in the frame map, and a heading")
         at.setflags(write=False)
         object.__setattr__(self, "pose", at)
-        if (self.keyframe is None) != (self.T_map_keyframe is None):
-            raise MapError("an anchor is a keyframe and its pose", fix="give both, or neither")
-        if self.T_map_keyframe is not None and not se3.is_valid(self.T_map_keyframe):
-            raise MapError(f"the pose of keyframe {self.keyframe} is no rigid motion", fix="give SE(3), (4, 4)")
+        check_anchor(self)
 
     def pose_now(self, T_map_keyframe: ArrayLike) -> FloatArray:
         """Return the pose (3,) at the current keyframe pose, given poses (K, 4, 4) by number.
 
         Raises ArgumentError if the pose of its keyframe is missing.
         """
-        if self.keyframe is None or self.T_map_keyframe is None:
+        T_new_old = motion_of_anchor(self, T_map_keyframe)
+        if T_new_old is None:
             return self.pose
-        table = np.asarray(T_map_keyframe, float)
-        if self.keyframe >= len(table) or not np.isfinite(table[self.keyframe]).all():
-            raise ArgumentError(f"there is no pose of keyframe {self.keyframe}", fix="give those of the pose's map")
-        T_new_old = table[self.keyframe] @ se3.invert(self.T_map_keyframe)
         x, y, yaw = self.pose
         at = T_new_old @ se3.from_plane(x, y, 0.0 if np.isnan(yaw) else yaw)
         return np.array([at[0, 3], at[1, 3], np.nan if np.isnan(yaw) else np.arctan2(at[1, 0], at[0, 0])])
 
-    def hung_on_nearest(self, T_map_keyframe: ArrayLike, among: IntArray) -> NamedPose:
+    def moved_to_now(self, T_map_keyframe: FloatArray) -> NamedPose:
+        """Return the pose at the current keyframe pose."""
+        return replace(self, pose=self.pose_now(T_map_keyframe))
+
+    def attached_to_nearest(self, T_map_keyframe: ArrayLike, among: IntArray) -> NamedPose:
         """Return the pose attached to the nearest of keyframes `among` (N,), given poses (K, 4, 4) of all."""
-        table = np.asarray(T_map_keyframe, float)
-        if not len(among):
-            return replace(self, keyframe=None, T_map_keyframe=None)
-        off_m = np.linalg.norm(table[among, :2, 3] - self.pose[:2], axis=1)
-        nearest = int(among[np.argmin(off_m)])
-        return replace(self, keyframe=KeyframeId(nearest), T_map_keyframe=table[nearest].copy())
+        return replace(self, **nearest_anchor(self.pose[:2], T_map_keyframe, among))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,24 +126,9 @@ class NamedPoses:
         gone = self.named(name)
         return NamedPoses(tuple(one for one in self.poses if one is not gone))
 
-    def carried(self, T_map_keyframe: ArrayLike, numbers: IntArray, *, is_same_frame: bool = True) -> NamedPoses:
-        """Return the poses for a map made of this one's keyframes, by the rules of `MapEdits.carried`."""
-        table, kept = np.asarray(T_map_keyframe, float), np.flatnonzero(numbers >= 0)
-        carried = []
-        for one in self.poses:
-            # A file may name keyframes that its map never had.
-            number = -1 if one.keyframe is None or one.keyframe >= len(numbers) else int(numbers[one.keyframe])
-            if one.keyframe is None and is_same_frame:
-                carried.append(one)
-            elif number >= 0:
-                carried.append(replace(one, keyframe=KeyframeId(number)))
-            elif len(kept):
-                is_lost = one.keyframe is not None and not np.isfinite(table[one.keyframe : one.keyframe + 1]).any()
-                now = replace(one, pose=one.pose if is_lost else one.pose_now(table))
-                hung = now.hung_on_nearest(table, kept)
-                assert hung.keyframe is not None
-                carried.append(replace(hung, keyframe=KeyframeId(int(numbers[hung.keyframe]))))
-        return NamedPoses(tuple(carried))
+    def transferred(self, T_map_keyframe: ArrayLike, numbers: IntArray, *, is_same_frame: bool = True) -> NamedPoses:
+        """Return the poses for a map made of this one's keyframes, by the rules of `MapEdits.transferred`."""
+        return NamedPoses(transferred(self.poses, T_map_keyframe, numbers, is_same_frame))
 
     def beside(self, other: NamedPoses) -> NamedPoses:
         """Return both. If both have the same name, the other one's gets a number appended."""
@@ -179,21 +157,18 @@ class NamedPoses:
         try:
             if len(listed) > _MOST_NAMES:
                 raise MapError(f"holds {len(listed):,} names, more than {_MOST_NAMES:,}", fix="is it the right file?")
-            return cls(tuple(_pose(fields) for fields in listed))
+            poses = []
+            for fields in listed:
+                if not isinstance(fields, dict) or not set(fields) <= set(_FIELDS):
+                    raise MapError("a place has wrong fields", fix=f"its fields are {', '.join(_FIELDS)}")
+                name, pose, keyframe, T = (fields.get(field) for field in _FIELDS)
+                number = keyframe_number(keyframe, f"keyframe of {name!r}")
+                T = None if T is None else _numbers(T, f"T_map_keyframe of {name!r}", ((4, 4),))
+                at = _numbers(pose, f"{name!r}", ((2,), (3,)))
+                poses.append(NamedPose(name if isinstance(name, str) else "", at, number, T))
+            return cls(tuple(poses))
         except MapError as error:
             raise MapError(error.problem, path=path, fix=error.fix) from error
-
-
-def _pose(fields: Any) -> NamedPose:
-    """Return the pose of JSON fields. Raises MapError."""
-    if not isinstance(fields, dict) or not set(fields) <= set(_FIELDS):
-        raise MapError("a place has wrong fields", fix=f"its fields are {', '.join(_FIELDS)}")
-    name, pose, keyframe, T = (fields.get(field) for field in _FIELDS)
-    if keyframe is not None and (type(keyframe) is not int or keyframe < 0):
-        raise MapError(f"keyframe of {name!r} is {keyframe!r}", fix="the number of a keyframe")
-    number = None if keyframe is None else KeyframeId(keyframe)
-    anchor = None if T is None else _numbers(T, f"T_map_keyframe of {name!r}", ((4, 4),))
-    return NamedPose(name if isinstance(name, str) else "", _numbers(pose, f"{name!r}", ((2,), (3,))), number, anchor)
 
 
 def _numbers(value: Any, name: str, shapes: tuple[tuple[int, ...], ...]) -> FloatArray:
@@ -204,6 +179,59 @@ def _numbers(value: Any, name: str, shapes: tuple[tuple[int, ...], ...]) -> Floa
     if found.shape not in shapes or not np.isfinite(found).all():
         raise MapError(f"{name} is no pose", fix="finite numbers: [x, y] or [x, y, yaw]; of a keyframe (4, 4)")
     return found
+
+
+_Annotation = TypeVar("_Annotation")  # a `NamedPose` or a `MapEdit`
+
+
+def check_anchor(one: Any) -> None:
+    """Raise MapError for a keyframe without its pose, a pose without its keyframe, or an invalid pose."""
+    if (one.keyframe is None) != (one.T_map_keyframe is None):
+        raise MapError("an anchor is a keyframe and its pose", fix="give both, or neither")
+    if one.T_map_keyframe is not None and not se3.is_valid(one.T_map_keyframe):
+        raise MapError(f"the pose of keyframe {one.keyframe} is no rigid motion", fix="give SE(3), (4, 4)")
+
+
+def motion_of_anchor(one: Any, T_map_keyframe: ArrayLike) -> FloatArray | None:
+    """Return T_new_old (4, 4) of an annotation's keyframe, given poses (K, 4, 4) by number; None if it has none.
+
+    Raises ArgumentError if the keyframe's pose is missing.
+    """
+    if one.keyframe is None or one.T_map_keyframe is None:
+        return None
+    table = np.asarray(T_map_keyframe, float)
+    if one.keyframe >= len(table) or not np.isfinite(table[one.keyframe]).all():
+        raise ArgumentError(f"there is no pose of keyframe {one.keyframe}", fix="give those of the annotation's map")
+    return np.asarray(table[one.keyframe] @ se3.invert(one.T_map_keyframe))
+
+
+def nearest_anchor(xy_map: FloatArray, T_map_keyframe: ArrayLike, among: IntArray) -> dict[str, Any]:
+    """Return the anchor of a point (2,): the nearest of keyframes `among` (N,) with its pose; None without any."""
+    if not len(among):
+        return {"keyframe": None, "T_map_keyframe": None}
+    table = np.asarray(T_map_keyframe, float)
+    nearest = int(among[np.argmin(np.linalg.norm(table[among, :2, 3] - xy_map, axis=1))])
+    return {"keyframe": KeyframeId(nearest), "T_map_keyframe": table[nearest].copy()}
+
+
+def transferred(
+    annotations: Iterable[_Annotation], T_map_keyframe: ArrayLike, numbers: IntArray, is_same_frame: bool
+) -> tuple[_Annotation, ...]:
+    """Return annotations for a map made of this one's keyframes; see `MapEdits.transferred`."""
+    table, kept = np.asarray(T_map_keyframe, float), np.flatnonzero(numbers >= 0)
+    found = []
+    for one in cast(Iterable[Any], annotations):
+        # A file may name keyframes that its map never had.
+        number = -1 if one.keyframe is None or one.keyframe >= len(numbers) else int(numbers[one.keyframe])
+        if one.keyframe is None and is_same_frame:
+            found.append(one)
+        elif number >= 0:
+            found.append(replace(one, keyframe=KeyframeId(number)))
+        elif len(kept):
+            is_lost = one.keyframe is not None and not np.isfinite(table[one.keyframe : one.keyframe + 1]).any()
+            attached = (one if is_lost else one.moved_to_now(table)).attached_to_nearest(table, kept)
+            found.append(replace(attached, keyframe=KeyframeId(int(numbers[attached.keyframe]))))
+    return tuple(found)
 
 
 LONGEST_NAME = 60
@@ -240,6 +268,13 @@ def free_names(names: Iterable[str | None], taken: Iterable[str]) -> Iterator[st
         if found is not None:
             used.add(found)
         yield found
+
+
+def keyframe_number(value: Any, what: str) -> KeyframeId | None:
+    """Return the number of a keyframe in JSON, or None. Raises MapError."""
+    if value is not None and (type(value) is not int or value < 0):
+        raise MapError(f"{what} is {value!r}", fix="the number of a keyframe")
+    return None if value is None else KeyframeId(value)
 
 
 def name_given_twice(names: Iterable[str]) -> str | None:

@@ -15,7 +15,7 @@ from wheelsight.core.calibration_parts import DepthNoise
 from wheelsight.core.checks import why_not_metres
 from wheelsight.core.errors import MapError
 from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, Int32Array, se3
-from wheelsight.core.keyframes import KeyframeId, KeyframeStore, PredictedView, Surface
+from wheelsight.core.keyframes import FrameSurface, KeyframeId, KeyframeStore, PredictedView
 from wheelsight.core.settings import ASKED, CHOSEN, ON_SIMULATOR, Settings, setting
 from wheelsight.core.threads import Rows
 from wheelsight.mapping import fusion_kernels as fusion
@@ -162,7 +162,7 @@ class SurfelMap:
 
     def fuse(
         self,
-        surface: Surface,
+        surface: FrameSurface,
         intrinsics: FloatArray,
         T_map_camera: FloatArray,
         stamp_s: float,
@@ -402,7 +402,7 @@ class SurfelMap:
         """Set the count of dropped surfels and the keyframe poses (K, 4, 4), for a map read from a file."""
         self.blocks.dropped, self._T_map_keyframe = dropped, T_map_keyframe
 
-    def hang_on(self, store: KeyframeStore) -> None:
+    def attach_to(self, store: KeyframeStore) -> None:
         """Attach a map from a file to a store: move surfels to its keyframe poses, now and from now on.
 
         Raises MapError if the store has fewer keyframes than the map.
@@ -612,7 +612,7 @@ def rays_of(grid: FloatArray, shape: tuple[int, ...]) -> tuple[Float32Array, Flo
     return x.astype(np.float32), y.astype(np.float32)
 
 
-def checked_frame(surface: Surface, far_m: float) -> Frame:
+def checked_frame(surface: FrameSurface, far_m: float) -> Frame:
     """Return the frame; raise MapError if its shapes differ or its depth is not in metres.
 
     Pixels with NaN depth add nothing.

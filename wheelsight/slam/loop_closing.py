@@ -327,7 +327,7 @@ def correct(
     report = LoopCloser(graph).offer_all(loops) if loops else LoopReport(())
     counts = {str(reason): count for reason, count in unused.items() if count}
     T_map_odom = graph.poses @ se3.invert(lived.T_frame_body[rows])
-    return Correction(carried(lived, lived.stamps_s[rows], T_map_odom), rows, graph.poses, report, counts)
+    return Correction(in_map(lived, lived.stamps_s[rows], T_map_odom), rows, graph.poses, report, counts)
 
 
 def _covariances(lived: Trajectory, stated: SpeedVariances | None) -> FloatArray:
@@ -395,7 +395,7 @@ def corrected_by(found: ClosedLoops, lived: Trajectory) -> Correction:
     both = [np.concatenate(columns) for columns in zip(of_keyframes, of_revisits, strict=True)]
     order = np.argsort(both[0], kind="stable")
     stamps_s, T_map_odom, begins, is_in_map = (column[order] for column in both)
-    corrected = carried(lived, stamps_s, T_map_odom, begins)
+    corrected = in_map(lived, stamps_s, T_map_odom, begins)
     if found.known:
         corrected = corrected.select(is_in_map[_before(lived.stamps_s, stamps_s)])
     T_map_new = found.T_map_odom @ lived.T_frame_body[rows]
@@ -404,7 +404,7 @@ def corrected_by(found: ClosedLoops, lived: Trajectory) -> Correction:
     return Correction(corrected, rows, np.concatenate([T_map_known, T_map_new]), found.loops, {})
 
 
-def carried(
+def in_map(
     lived: Trajectory, stamps_s: FloatArray, T_map_odom: FloatArray, begins: BoolArray | None = None
 ) -> Trajectory:
     """Return all trajectory poses in the map frame, given T_map_odom (K, 4, 4) at keyframe stamps (K,).

@@ -16,7 +16,7 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import MapError, OutputError
 from wheelsight.core.geometry import se3
 from wheelsight.core.keyframes import KeyframeId
-from wheelsight.slam.maps import MapFolder, MergedMap, info_of, lie_together, merge
+from wheelsight.slam.maps import MapFolder, MergedMap, info_of, in_largest_piece, merge
 from wheelsight.slam.maps.journal import read_journal
 
 MONDAY = RING[:6]
@@ -107,7 +107,7 @@ def test_another_camera_is_refused(maps: Path, tmp_path: Path) -> None:
 def test_a_map_without_keyframes_is_refused(maps: Path, tmp_path: Path) -> None:
     MapFolder.create(tmp_path / "empty", EXACT).close()
     monday, empty = MapFolder.open(maps / "monday"), MapFolder.open(tmp_path / "empty")
-    assert not lie_together(empty).any()
+    assert not in_largest_piece(empty).any()
     for both in ((monday, empty), (empty, monday)):
         with pytest.raises(MapError, match="empty: has no keyframes"):
             merge(*both, tmp_path / "new")

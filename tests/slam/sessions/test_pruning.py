@@ -16,7 +16,7 @@ from wheelsight.core.errors import MapError, OutputError
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.slam import RelativePose
-from wheelsight.slam.maps import MapFolder, fused_anew, info_of, prune
+from wheelsight.slam.maps import MapFolder, fuse_keyframes, info_of, prune
 
 # The second time it goes on where the first one ends.
 WAY = [*RING[:5], *(aside(T, 0.03) for T in RING[:7])]
@@ -69,7 +69,7 @@ def test_a_pruned_map_is_not_pruned_any_further(twice: Path, tmp_path: Path) -> 
 
 def test_surfels_stay_and_hang_on_who_shows_them(twice: Path, tmp_path: Path) -> None:
     folder = MapFolder.open(twice, read_only=False)
-    before = fused_anew(folder)
+    before = fuse_keyframes(folder)
     folder.save_surfels(before)
     folder.close()
     kept = MapFolder.open(twice).surfels()

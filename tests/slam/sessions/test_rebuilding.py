@@ -13,7 +13,7 @@ from wheelsight.core.errors import MapError
 from wheelsight.core.geometry import se3
 from wheelsight.core.keyframes import Keyframe, KeyframeId
 from wheelsight.core.settings import RecognitionSettings
-from wheelsight.slam.maps import MapFolder, fused_anew, rebuild
+from wheelsight.slam.maps import MapFolder, fuse_keyframes, rebuild
 
 RECOGNITION = RecognitionSettings()
 WALL_M = 2.0
@@ -44,7 +44,7 @@ def walled(tmp_path: Path) -> Path:
 
 def test_surfels_lie_where_keyframes_are_by_now(walled: Path) -> None:
     done: list[tuple[int, int]] = []
-    surfel_map = fused_anew(MapFolder.open(walled), on_keyframe=lambda k, of: done.append((k, of)))
+    surfel_map = fuse_keyframes(MapFolder.open(walled), on_keyframe=lambda k, of: done.append((k, of)))
     assert done == [(1, 3), (2, 3), (3, 3)]
     surfels, stable = surfel_map.surfels(), surfel_map.surfels("stable")
     assert_allclose(surfels.position[:, 2], WALL_M, atol=0.004)
@@ -73,7 +73,7 @@ def test_a_rebuilt_map_is_whole_and_leaves_out_what_is_outdated(walled: Path, tm
     assert new.header.source == "a wall"
     surfels = new.surfels()
     assert surfels is not None
-    assert len(surfels) == len(fused_anew(old))
+    assert len(surfels) == len(fuse_keyframes(old))
     made: list[int] = []
     assert len(new.recognizer(RECOGNITION, lambda k, of: made.append(k))) == 3
     assert made == []

@@ -566,9 +566,9 @@ def poses_of(words: Sequence[str], folder: MapFolder) -> list[FloatArray]:
         MapError: an unknown name (with the nearest name and all names), or an area without free floor.
     """
     from wheelsight.app.cli.map_contents import grid_of, names_of
-    from wheelsight.slam.maps.contents import edits_as_known
+    from wheelsight.slam.maps.contents import current_edits
 
-    names, edits = names_of(folder), edits_as_known(folder)
+    names, edits = names_of(folder), current_edits(folder)
     # Made once, and only where an area is asked for: it takes seconds.
     grid = cache(partial(grid_of, folder))
     return [_goal_of(word, names, edits, folder, grid) for word in words]

@@ -81,10 +81,10 @@ def _size(size: int | None, missing: str) -> str:
 _FORM = "X,Y,YAW_DEG in metres and degrees, such as 3.2,1.5,90; or X,Y for any heading"
 
 
-def change(source: Path, called: str, at: str | None) -> None:
+def name_place(source: Path, called: str, at: str | None) -> None:
     """Name a place, or forget the name where it is nowhere. Raises ConfigError, MapError, OutputError."""
     from wheelsight.mapping import NamedPose
-    from wheelsight.slam.maps import MapFolder, find_map, lie_together
+    from wheelsight.slam.maps import MapFolder, find_map, in_largest_piece
 
     pose = None if at is None else pose_of("--at", at)
     folder = MapFolder.open(find_map(source), read_only=False)
@@ -95,8 +95,8 @@ def change(source: Path, called: str, at: str | None) -> None:
             typer.echo(f"forgotten: {called}")
             return
         # A keyframe of unknown position must not carry a named pose.
-        sure = lie_together(folder).nonzero()[0]
-        hung = NamedPose(called, pose).hung_on_nearest(folder.store.T_map_keyframe, sure)
+        sure = in_largest_piece(folder).nonzero()[0]
+        hung = NamedPose(called, pose).attached_to_nearest(folder.store.T_map_keyframe, sure)
         folder.save_named_poses(known.with_pose(hung))
         on = "no keyframe" if hung.keyframe is None else f"keyframe {hung.keyframe}"
         typer.echo(f"{hung.name} is at {told(pose)}, and moves with {on}")
@@ -134,9 +134,9 @@ def places_of(folder: MapFolder) -> dict[str, FloatArray]:
 
 def names_of(folder: MapFolder) -> NamedPoses:
     """All that hang on keyframes that are there. Raises MapError."""
-    from wheelsight.slam.maps.contents import names_as_known
+    from wheelsight.slam.maps.contents import current_named_poses
 
-    return names_as_known(folder)
+    return current_named_poses(folder)
 
 
 def pose_of(option: str, text: str) -> FloatArray:
@@ -184,7 +184,7 @@ class Exports:
     everything: bool
 
 
-def export(folder: MapFolder, wanted: Exports, force: bool) -> None:
+def write_exports(folder: MapFolder, wanted: Exports, force: bool) -> None:
     """Write a map for other programs; nothing where any of it must not be written."""
     _check(wanted, force)
     if wanted.points is not None:
@@ -252,12 +252,12 @@ def _fused(folder: MapFolder) -> SurfelMap:
     from wheelsight.app.cli.compiling import compile_missing
     from wheelsight.app.cli.console import print_note
     from wheelsight.app.cli.progress import FrameProgress
-    from wheelsight.slam.maps import fused_anew
+    from wheelsight.slam.maps import fuse_keyframes
 
     print_note("the map has no surfels; they are fused of its keyframes")
     compile_missing(["dense"])
     with FrameProgress("fusing", None, unit="keyframes") as progress:
-        return fused_anew(folder, on_keyframe=progress.reach)
+        return fuse_keyframes(folder, on_keyframe=progress.reach)
 
 
 # The picture of a map
@@ -269,17 +269,17 @@ def write_picture(grid: OccupancyGrid, folder: MapFolder, out: Path) -> None:
     from wheelsight.mapping import EditKind
     from wheelsight.mapping.occupancy import PlanLine, PlanMark, picture_of, save_picture
     from wheelsight.slam.maps import driven_way
-    from wheelsight.slam.maps.contents import edits_as_known, names_as_known
+    from wheelsight.slam.maps.contents import current_edits, current_named_poses
 
     T, drawn = folder.store.T_map_keyframe, {EditKind.AREA: (0, 158, 115), EditKind.SPEED: (230, 159, 0)}
     lines = []
-    for edit in edits_as_known(folder).edits:
+    for edit in current_edits(folder).edits:
         if edit.kind in drawn:
             corners = edit.polygon_now(T)
             called = edit.name or f"{edit.limit_m_s:g} m/s"
             kind = "area" if edit.name else "speed zone"
             lines.append(PlanLine([*corners, corners[0]], drawn[edit.kind], kind, text=called))
-    names = names_as_known(folder)
+    names = current_named_poses(folder)
     places = [(name, names.named(name).pose_now(T)[:2]) for name in names.names]
     marks = [PlanMark(xy, "square", drawn[EditKind.AREA], "place", name) for name, xy in places]
     image = picture_of(grid, [stretch[:, :2] for stretch in driven_way(folder)], lines, marks, has_axes=True)

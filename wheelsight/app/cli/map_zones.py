@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from wheelsight.slam.maps import MapFolder
 
 
-def change(source: Path, asked: AskedZone) -> None:
+def change_zones(source: Path, asked: AskedZone) -> None:
     """Draw what is asked, or forget it. Raises ConfigError, MapError, AreaError, OutputError."""
     from wheelsight.slam.maps import MapFolder, find_map
-    from wheelsight.slam.maps.contents import edits_as_known
+    from wheelsight.slam.maps.contents import current_edits
 
     drawn = drawn_by(asked)
     folder = MapFolder.open(find_map(source), read_only=False)
     try:
-        known = edits_as_known(folder)
+        known = current_edits(folder)
         changed = _added(folder, known, drawn) if asked.forget is None else [_forgotten(folder, known, asked.forget)]
         _renew_occupancy(folder, changed)
     finally:
@@ -35,11 +35,11 @@ def change(source: Path, asked: AskedZone) -> None:
 
 def _added(folder: MapFolder, known: MapEdits, drawn: Sequence[MapEdit]) -> Sequence[MapEdit]:
     """Keep what was drawn, each hung on the nearest keyframe, and say so."""
-    from wheelsight.slam.maps import lie_together
+    from wheelsight.slam.maps import in_largest_piece
 
     # A keyframe of unknown position must not carry a zone.
-    sure, poses = lie_together(folder).nonzero()[0], folder.named_poses().names
-    hung = [edit.hung_on_nearest(folder.store.T_map_keyframe, sure) for edit in drawn]
+    sure, poses = in_largest_piece(folder).nonzero()[0], folder.named_poses().names
+    hung = [edit.attached_to_nearest(folder.store.T_map_keyframe, sure) for edit in drawn]
     for edit in hung:
         known = known.with_edit(edit)
     folder.save_edits(known)
@@ -112,9 +112,9 @@ def _warn_where_nobody_saw(what: str, polygon: FloatArray, T_map_keyframe: Float
 def print_zones(folder: MapFolder) -> None:
     """All edits of a map, each with its number and where it is by now. Raises MapError."""
     from wheelsight.app.cli.console import console, facts_table
-    from wheelsight.slam.maps.contents import edits_as_known
+    from wheelsight.slam.maps.contents import current_edits
 
-    known = edits_as_known(folder)
+    known = current_edits(folder)
     if not len(known):
         typer.echo("the map has no zones: wheelsight map zone MAP --keep-out X,Y X,Y X,Y")
         return

@@ -16,7 +16,7 @@ from wheelsight.core.files import StrPath, check_name, output_error
 from wheelsight.core.geometry import se3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.runtime import needed
-from wheelsight.slam.maps import lie_together
+from wheelsight.slam.maps import in_largest_piece
 
 
 def export_octomap(
@@ -34,7 +34,7 @@ def export_octomap(
     octomap, path = needed("octomap"), Path(path)
     check_name(path)
     kept = source.need_map()
-    numbers = [KeyframeId(int(number)) for number in np.flatnonzero(lie_together(kept))]
+    numbers = [KeyframeId(int(number)) for number in np.flatnonzero(in_largest_piece(kept))]
     if not numbers:
         raise MapError("has no keyframes that hang together", path=kept.path, fix="drive on, and export again")
     body = "camera" if kept.calibration.T_base_camera is None else "base"

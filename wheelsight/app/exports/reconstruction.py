@@ -29,7 +29,7 @@ from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.io.recordings import Recording
 from wheelsight.io.recordings.bags.writing import T_LINK_OPTICAL
-from wheelsight.slam.maps import MapFolder, lie_together
+from wheelsight.slam.maps import MapFolder, in_largest_piece
 
 # nerfstudio
 
@@ -194,7 +194,7 @@ def write_views(source: Exported, folder: Path, on_view: OnView) -> list[Keyfram
     Raises MapError without keyframes, OutputError, and RecordingError if the recording cannot be read on.
     """
     kept = source.need_map()
-    numbers = [KeyframeId(int(number)) for number in np.flatnonzero(lie_together(kept))]
+    numbers = [KeyframeId(int(number)) for number in np.flatnonzero(in_largest_piece(kept))]
     if not numbers:
         raise MapError("has no keyframes that hang together", path=kept.path, fix="drive on, and export again")
     for below in (IMAGES, DEPTHS):

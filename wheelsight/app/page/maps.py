@@ -20,8 +20,8 @@ from wheelsight.core.keyframes import KeyframeStore
 from wheelsight.core.robots import Robot
 from wheelsight.mapping import NamedPose, NamedPoses, OccupancyGrid, roomiest_place
 from wheelsight.navigation import Transition
-from wheelsight.slam.maps import MAP_FOLDER, MapFolder, find_map, lie_together
-from wheelsight.slam.maps.contents import edits_as_known, names_as_known
+from wheelsight.slam.maps import MAP_FOLDER, MapFolder, find_map, in_largest_piece
+from wheelsight.slam.maps.contents import current_edits, current_named_poses
 
 NEW = "a new map"
 
@@ -122,9 +122,9 @@ class KnownPlaces:
         self._path, self._areas = path, dict[str, FloatArray]()
         with closing(MapFolder.open(path)) as folder:
             table = folder.store.T_map_keyframe
-            self._where = _where(names_as_known(folder), table)
+            self._where = _where(current_named_poses(folder), table)
             if grid is not None:
-                edits = edits_as_known(folder)
+                edits = current_edits(folder)
                 found = {area.name or "": roomiest_place(grid, area.polygon_now(table)) for area in edits.areas}
                 self._areas = {name: np.array([*at, np.nan]) for name, at in found.items() if at is not None}
 
@@ -137,10 +137,10 @@ class KnownPlaces:
         with closing(MapFolder.open(self._path, read_only=False)) as folder:
             table = folder.store.T_map_keyframe
             # A keyframe of unknown position must not carry a named pose.
-            hung = NamedPose(name, pose).hung_on_nearest(table, np.flatnonzero(lie_together(folder)))
+            hung = NamedPose(name, pose).attached_to_nearest(table, np.flatnonzero(in_largest_piece(folder)))
             named = folder.named_poses().with_pose(hung)
             folder.save_named_poses(named)
-            self._where = _where(names_as_known(folder), table)
+            self._where = _where(current_named_poses(folder), table)
 
 
 class NewPlaces:
@@ -160,7 +160,7 @@ class NewPlaces:
     def name(self, name: str, pose: FloatArray) -> None:
         """See `Places`."""
         table = self._store.T_map_keyframe.copy()
-        self.named = self.named.with_pose(NamedPose(name, pose).hung_on_nearest(table, np.arange(len(table))))
+        self.named = self.named.with_pose(NamedPose(name, pose).attached_to_nearest(table, np.arange(len(table))))
 
 
 def _by_the_wall(config: Config) -> Config:

@@ -47,7 +47,7 @@ from wheelsight.navigation import (
 from wheelsight.navigation.goals import words_of
 from wheelsight.navigation.localization import Localization
 from wheelsight.slam.maps import MAP_FOLDER, MapFolder, driven_way, find_map, occupancy_of
-from wheelsight.slam.maps.contents import edits_as_known
+from wheelsight.slam.maps.contents import current_edits
 
 # How long a robot that was stopped is stepped on, until it stands.
 _STOPPING_S = 5.0
@@ -245,7 +245,7 @@ def drive_in_map(
         grid = occupancy_of(folder, on_keyframe=on_keyframe)
         near_m = near_floor_m(calibration, config) if trusts_floor else 0.0
         poses, driven = folder.store.T_map_keyframe, driven_way(folder)
-        floor = KnownFloor(grid, edits_as_known(folder), poses, driven, outline, near_m)
+        floor = KnownFloor(grid, current_edits(folder), poses, driven, outline, near_m)
         navigator = Navigator(watched, localization, floor, config.navigation, planning=planning, **how)
         # The name of the run's folder, if the map is in one
         map_path = folder.path.resolve()

@@ -24,7 +24,7 @@ from wheelsight.mapping.export import Plan, cloud_of, plan_of, upward
 from wheelsight.mapping.surfels import Parts
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.loop_closing import ClosedLoops, corrected_by
-from wheelsight.slam.maps import MapFolder, find_map, lie_together
+from wheelsight.slam.maps import MapFolder, find_map, in_largest_piece
 from wheelsight.slam.place_recognition import KnownMap
 
 # The run's own map
@@ -216,7 +216,7 @@ def open_known(
     folder = MapFolder.open(find_map(given.path), read_only=not given.extend, settings=config.sessions)
     try:
         folder.check_camera(calibration, config.recording.depth_factor)
-        together = lie_together(folder)
+        together = in_largest_piece(folder)
         if not together.any():
             raise MapError("has no keyframes", path=folder.path, fix="make a map by a run with --map surfels")
         # Only keyframes that are connected are recognised.

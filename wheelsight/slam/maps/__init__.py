@@ -8,16 +8,16 @@ from wheelsight.slam.maps.contents import (
     MapInfo,
     driven_way,
     find_map,
+    in_largest_piece,
     info_of,
     is_map,
-    lie_together,
     occupancy_of,
     save_occupancy,
 )
 from wheelsight.slam.maps.folder import MapFolder, discard_map
 from wheelsight.slam.maps.journal import DRIVE, FolderContents, Health, MapCamera, MapHeader
 from wheelsight.slam.maps.keyframes import KeptKeyframes
-from wheelsight.slam.maps.rebuilding import MergedMap, PrunedMap, fused_anew, merge, prune, rebuild
+from wheelsight.slam.maps.rebuilding import MergedMap, PrunedMap, fuse_keyframes, merge, prune, rebuild
 from wheelsight.slam.maps.records import Place
 from wheelsight.slam.maps.writer import MapWriter, SeenKeyframe, odometry_edge
 from wheelsight.slam.settings import SessionSettings
@@ -41,10 +41,10 @@ __all__ = [
     "discard_map",
     "driven_way",
     "find_map",
-    "fused_anew",
+    "fuse_keyframes",
+    "in_largest_piece",
     "info_of",
     "is_map",
-    "lie_together",
     "merge",
     "occupancy_of",
     "odometry_edge",

@@ -106,17 +106,17 @@ class MapAnnotations:
             folder.save_named_poses(self.poses)
 
 
-def edits_as_known(folder: MapFolder) -> MapEdits:
+def current_edits(folder: MapFolder) -> MapEdits:
     """Return the edits of a map at their current poses. Those of a lost keyframe stay where they were drawn.
 
     Raises MapError.
     """
-    return folder.map_edits().carried(folder.store.T_map_keyframe, _own_numbers(folder))
+    return folder.map_edits().transferred(folder.store.T_map_keyframe, _own_numbers(folder))
 
 
-def names_as_known(folder: MapFolder) -> NamedPoses:
+def current_named_poses(folder: MapFolder) -> NamedPoses:
     """Return the named poses of a map, likewise. Raises MapError."""
-    return folder.named_poses().carried(folder.store.T_map_keyframe, _own_numbers(folder))
+    return folder.named_poses().transferred(folder.store.T_map_keyframe, _own_numbers(folder))
 
 
 def _own_numbers(folder: MapFolder) -> IntArray:
@@ -125,8 +125,8 @@ def _own_numbers(folder: MapFolder) -> IntArray:
     return np.where(there, np.arange(len(there)), -1)
 
 
-def carried(folder: MapFolder, kept: IntArray, first: int = 0, *, is_same_frame: bool = True) -> MapAnnotations:
-    """Return the annotations of a map for a new map made of its parts; see `MapEdits.carried`. Raises MapError.
+def transferred(folder: MapFolder, kept: IntArray, first: int = 0, *, is_same_frame: bool = True) -> MapAnnotations:
+    """Return the annotations of a map for a new map made of its parts; see `MapEdits.transferred`. Raises MapError.
 
     Args:
         folder: the annotated map.
@@ -139,8 +139,8 @@ def carried(folder: MapFolder, kept: IntArray, first: int = 0, *, is_same_frame:
     of_kept = new_numbers(kept, max(int(kept.max(initial=-1)) + 1, first + len(there)))
     numbers[there] = of_kept[first : first + len(there)]
     T = folder.store.T_map_keyframe
-    edits = folder.map_edits().carried(T, numbers, is_same_frame=is_same_frame)
-    return MapAnnotations(edits, folder.named_poses().carried(T, numbers, is_same_frame=is_same_frame))
+    edits = folder.map_edits().transferred(T, numbers, is_same_frame=is_same_frame)
+    return MapAnnotations(edits, folder.named_poses().transferred(T, numbers, is_same_frame=is_same_frame))
 
 
 def new_numbers(kept: IntArray, count: int) -> IntArray:
@@ -194,7 +194,7 @@ def recognizer_of(parts: MapParts, settings: RecognitionSettings | None, on_keyf
     return made
 
 
-def lie_together(folder: MapFolder) -> BoolArray:
+def in_largest_piece(folder: MapFolder) -> BoolArray:
     """Return (N,) which keyframes belong to the largest piece connected by certain edges."""
     there = are_there(folder)
     together = np.zeros(len(there), bool)
@@ -252,13 +252,13 @@ def occupancy_of(
             large.
     """
     made = mapper or OccupancyMapper(folder.calibration, settings or folder.settings.occupancy)
-    together = lie_together(folder)
+    together = in_largest_piece(folder)
     todo = [KeyframeId(int(number)) for number in np.flatnonzero(together) if number not in made]
     for done, number in enumerate(todo, start=1):
         made.keep(number, folder.store[number])
         on_keyframe(done, len(todo))
     made.move(folder.store.T_map_keyframe, together)
-    return edits_as_known(folder).applied(made.grid(), folder.store.T_map_keyframe)
+    return current_edits(folder).applied(made.grid(), folder.store.T_map_keyframe)
 
 
 def save_occupancy(
@@ -291,7 +291,7 @@ def driven_way(folder: MapFolder) -> tuple[FloatArray, ...]:
     The robot drove about straight between successive poses of a path. Between paths, its way is unknown or belongs to
     another drive.
     """
-    numbers = np.flatnonzero(lie_together(folder))
+    numbers = np.flatnonzero(in_largest_piece(folder))
     if not len(numbers):
         return ()
     T = folder.store.T_map_keyframe[numbers]

@@ -329,7 +329,7 @@ class MapFolder:
         if len(surfel_map.T_map_keyframe) > len(self.store):
             fix = "rebuild it: wheelsight map rebuild"
             raise MapError("hangs on keyframes that the map does not have", path=path, fix=fix)
-        surfel_map.hang_on(self.store)
+        surfel_map.attach_to(self.store)
         return surfel_map
 
     def _descriptors(self, number: KeyframeId) -> UInt64Array:

@@ -12,11 +12,11 @@ from scipy.spatial import cKDTree
 from wheelsight.core.errors import MapError
 from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import IntArray, se3, so3
-from wheelsight.core.keyframes import KeyframeId, KeyframeStore, Surface
+from wheelsight.core.keyframes import FrameSurface, KeyframeId, KeyframeStore
 from wheelsight.core.settings import RecognitionSettings
 from wheelsight.core.threads import Rows
 from wheelsight.mapping import SurfelMap, SurfelSettings
-from wheelsight.places.recognition import Recognizer, ViewMaker, known_grey
+from wheelsight.places.recognition import ViewMaker, known_grey
 from wheelsight.places.verification import shown_share
 from wheelsight.slam.drive_graph import PieceGraph
 from wheelsight.slam.graph import RelativePose, anchor
@@ -26,12 +26,12 @@ from wheelsight.slam.maps.contents import (
     Progress,
     add_occupancy,
     are_there,
-    carried,
-    edits_as_known,
-    names_as_known,
+    current_edits,
+    current_named_poses,
     new_numbers,
     pieces_of,
     recognizer_of,
+    transferred,
     write_parts,
 )
 from wheelsight.slam.maps.folder import MapFolder, make_room, map_being_made
@@ -45,7 +45,7 @@ from wheelsight.vision.dense.settings import DenseSettings
 _NEAR_M, _NEAR_RAD, _COVERED = 0.2, 0.25, 0.7
 # Frames that a keyframe counts as when surfels are fused from keyframes alone: two keyframes make a surfel stable.
 _REBUILD_FRAMES = 6
-_FIX = "give maps that show a place in common, from two views at least"
+_FIX_EMPTY = "give a map of a drive that kept some"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,111 +91,86 @@ def merge(
             read. Nothing is written.
         OutputError: the folder cannot be written.
     """
-    _refuse_unlike(first, second)
-    make_room(out)
-    pair = _Pair(MapParts.of(first), MapParts.of(second))
-    if len(pair.first) == len(first.store):
-        known = first.recognizer(recognition, lambda done, total: on_keyframe("recognition", done, total))
-    else:
-        known = recognizer_of(pair.first, recognition, on_keyframe)
-    store = pair.both.store(first.settings.memory_keyframes)
-    watcher = PlaceWatcher(store, first.calibration, 0.0, recognition, known)
-    pieces = pair.pieces()
-    graph = _graph_of(pair, pieces)
-    _close_loops(pair, watcher, graph, on_keyframe)
-    kept = np.flatnonzero(graph.pieces == 0)
-    if kept.max() < len(pair.first):
-        problem = f"nothing of {second.path} is recognised in it"
-        if pair.found:
-            of_all = f"{len(pair.found)} of {len(pair.second)} keyframes of {second.path}"
-            problem = f"cannot be joined: {of_all} are recognised in it, and no two agree on where that lies"
-        raise MapError(problem, path=first.path, fix=_FIX)
-    # Edges between pieces are too uncertain to optimise by.
-    between = [edge for edge in pair.both.edges if pieces[edge.first] != pieces[edge.second]]
-    parts = replace(pair.both, T_map_keyframe=graph.poses, edges=(*graph.edges, *between)).some(kept)
-    surfel_map = fused_of(parts, first, surfels, lambda done, total: on_keyframe("fusing", done, total))
-    source = " and ".join(filter(None, (first.header.source, second.header.source)))
-    # The second map's annotations all refer to keyframes, since its frame is dropped.
-    of_first, of_second = carried(first, kept), carried(second, kept, len(pair.first), is_same_frame=False)
-    annotations = MapAnnotations(of_first.edits.beside(of_second.edits), of_first.poses.beside(of_second.poses))
-    made = _recognizer_of_all(parts, pair, watcher, recognition, on_keyframe), surfel_map, annotations
-    with map_being_made(out, MERGE, first, source) as new:
-        write_parts(parts, new, made, on_keyframe)
-        add_occupancy(new, on_keyframe)
-    number_of_first = int(np.count_nonzero(kept < len(pair.first)))
-    across = sum(pair.is_across(edge) for edge in graph.edges)
-    counts = (number_of_first, len(kept) - number_of_first), (across, len(graph.report().refused))
-    return MergedMap(MapFolder.open(out, settings=first.settings), *counts, len(pair.both) - len(kept))
-
-
-def _refuse_unlike(first: MapFolder, second: MapFolder) -> None:
-    """Raise MapError for different cameras and for a map without keyframes."""
     why = first.header.camera.why_other(second.header.camera)
     if why is not None:
         problem = f"is of another camera than {second.path}: {why}"
         raise MapError(problem, path=first.path, fix="give two maps of one camera")
     for folder in (first, second):
         if not any(True for _ in folder.store):
-            raise MapError("has no keyframes", path=folder.path, fix="give a map of a drive that kept some")
+            raise MapError("has no keyframes", path=folder.path, fix=_FIX_EMPTY)
+    make_room(out)
+    of_first, of_second = MapParts.of(first), MapParts.of(second)
+    both, count = of_first.beside(of_second), len(of_first)
+    if count == len(first.store):
+        known = first.recognizer(recognition, lambda done, total: on_keyframe("recognition", done, total))
+    else:
+        known = recognizer_of(of_first, recognition, on_keyframe)
+    watcher = PlaceWatcher(both.store(first.settings.memory_keyframes), first.calibration, 0.0, recognition, known)
+    pieces = pieces_of(of_first)
+    pieces = np.concatenate([pieces, pieces_of(of_second) + pieces.max(initial=-1) + 1])
+    graph, recognised = _joined_graph(both, count, pieces, watcher, on_keyframe)
+    kept = np.flatnonzero(graph.pieces == 0)
+    if kept.max() < count:
+        problem = f"nothing of {second.path} is recognised in it"
+        if recognised:
+            of_all = f"{recognised} of {len(of_second)} keyframes of {second.path}"
+            problem = f"cannot be joined: {of_all} are recognised in it, and no two agree on where that lies"
+        raise MapError(problem, path=first.path, fix="give maps that show a place in common, from two views at least")
+    # Edges between pieces are too uncertain to optimise by.
+    between = [edge for edge in both.edges if pieces[edge.first] != pieces[edge.second]]
+    parts = replace(both, T_map_keyframe=graph.poses, edges=(*graph.edges, *between)).some(kept)
+    stamps_s = {KeyframeId(number): place.stamp_s for number, place in enumerate(parts.places)}
+    store = parts.store(first.settings.memory_keyframes)
+    surfel_map = _fused(store, stamps_s, first, surfels, lambda done, total: on_keyframe("fusing", done, total))
+    # The second map's annotations all refer to keyframes, since its frame is dropped.
+    mine, others = transferred(first, kept), transferred(second, kept, count, is_same_frame=False)
+    annotations = MapAnnotations(mine.edits.beside(others.edits), mine.poses.beside(others.poses))
+    if len(parts) < len(both):
+        recognizer = recognizer_of(parts, recognition, on_keyframe)
+    else:  # the first map's recognizer, since the numbers are unchanged
+        recognizer = watcher.recognizer
+        for done, number in enumerate(range(count, len(parts)), start=1):
+            watcher.pass_by(KeyframeId(number))
+            on_keyframe("recognition", done, len(of_second))
+    source = " and ".join(filter(None, (first.header.source, second.header.source)))
+    with map_being_made(out, MERGE, first, source) as new:
+        write_parts(parts, new, (recognizer, surfel_map, annotations), on_keyframe)
+        add_occupancy(new, on_keyframe)
+    from_first = int(np.count_nonzero(kept < count))
+    across = sum((edge.first < count) != (edge.second < count) for edge in graph.edges)
+    counts = (from_first, len(kept) - from_first), (across, len(graph.report().refused))
+    return MergedMap(MapFolder.open(out, settings=first.settings), *counts, len(both) - len(kept))
 
 
-class _Pair:
-    """Two maps, each by itself and combined under common keyframe numbers."""
-
-    def __init__(self, first: MapParts, second: MapParts) -> None:
-        self.first, self.second, self.both = first, second, first.beside(second)
-        self.found: list[int] = []  # recognized keyframes of the second map
-
-    def is_across(self, edge: RelativePose) -> bool:
-        """Return whether an edge connects the two maps."""
-        return (edge.first < len(self.first)) != (edge.second < len(self.first))
-
-    def pieces(self) -> IntArray:
-        """Return the piece (N,) of each keyframe of both maps; those of the second map have higher numbers."""
-        of_first, of_second = (pieces_of(parts) for parts in (self.first, self.second))
-        return np.concatenate([of_first, of_second + of_first.max(initial=-1) + 1])
-
-
-def _graph_of(pair: _Pair, pieces: IntArray) -> PieceGraph:
-    """Return a graph of both maps with a prior on each piece's first keyframe.
+def _joined_graph(
+    both: MapParts, count: int, pieces: IntArray, watcher: PlaceWatcher, on_keyframe: Progress
+) -> tuple[PieceGraph, int]:
+    """Return a graph of two maps, joined by loops, and the number of recognized keyframes of the second map.
 
     The prior of the first map's largest piece is permanent, the others last until loops join their pieces.
+
+    Args:
+        both: keyframes of both maps.
+        count: number of keyframes of the first map.
+        pieces: (N,) piece of each keyframe.
+        watcher: recognizes keyframes of the first map.
+        on_keyframe: as in `merge`.
     """
-    graph = PieceGraph()
-    for T_map_keyframe, piece in zip(pair.both.T_map_keyframe, pieces.tolist(), strict=True):
+    graph, recognised = PieceGraph(), 0
+    for T_map_keyframe, piece in zip(both.T_map_keyframe, pieces.tolist(), strict=True):
         graph.add(T_map_keyframe, piece)
     for piece, number in zip(*np.unique(pieces, return_index=True), strict=True):
-        prior = anchor(KeyframeId(int(number)), pair.both.T_map_keyframe[number])
+        prior = anchor(KeyframeId(int(number)), both.T_map_keyframe[number])
         graph.add_prior(prior, until_joined=bool(piece))
-    graph.add_edges([edge for edge in pair.both.edges if pieces[edge.first] == pieces[edge.second]])
-    return graph
-
-
-def _close_loops(pair: _Pair, watcher: PlaceWatcher, graph: PieceGraph, on_keyframe: Progress) -> None:
-    """Recognize each keyframe of the second map in the first, and check the loops."""
-    for done, number in enumerate(range(len(pair.first), len(pair.both)), start=1):
+    graph.add_edges([edge for edge in both.edges if pieces[edge.first] == pieces[edge.second]])
+    for done, number in enumerate(range(count, len(both)), start=1):
         found = watcher.recognised(KeyframeId(number))
         if found:
-            pair.found.append(number)
+            recognised += 1
             graph.close(found)
-        on_keyframe("recognising", done, len(pair.second))
+        on_keyframe("recognising", done, len(both) - count)
     graph.review()
-
-
-def _recognizer_of_all(
-    parts: MapParts,
-    pair: _Pair,
-    watcher: PlaceWatcher,
-    recognition: RecognitionSettings | None,
-    on_keyframe: Progress,
-) -> Recognizer:
-    """Return a recognizer of the new map's keyframes; extends the first map's one if the numbers are unchanged."""
-    if len(parts) < len(pair.both):
-        return recognizer_of(parts, recognition, on_keyframe)
-    for done, number in enumerate(range(len(pair.first), len(parts)), start=1):
-        watcher.pass_by(KeyframeId(number))
-        on_keyframe("recognition", done, len(pair.second))
-    return watcher.recognizer
+    return graph, recognised
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -235,15 +210,22 @@ def prune(
     make_room(out)
     parts = MapParts.of(folder)
     if not len(parts):
-        raise MapError("has no keyframes", path=folder.path, fix="give a map of a drive that kept some")
+        raise MapError("has no keyframes", path=folder.path, fix=_FIX_EMPTY)
     shown_by = _shown_by(parts, folder, lambda done, total: on_keyframe("comparing", done, total))
     numbers = np.arange(len(parts))
     kept = np.flatnonzero(shown_by == numbers)
     edges = without(parts.edges, np.flatnonzero(shown_by != numbers).tolist())
     left = replace(parts, edges=edges).some(kept)
     recognizer = recognizer_of(left, recognition, on_keyframe)
-    hangs_on = new_numbers(kept, len(parts))[shown_by]
-    made = recognizer, _moved_surfels(folder, left, hangs_on), carried(folder, kept)
+    old, surfel_map = folder.surfels(), None
+    if old is not None:
+        # By the folder's keyframe numbers; surfels of a keyframe lost to damage are attached to none.
+        of_parts, surfels = np.full(len(folder.store) + 1, -1), old.surfels()
+        of_parts[np.flatnonzero(are_there(folder))] = new_numbers(kept, len(parts))[shown_by]
+        surfel_map = SurfelMap(old.settings)
+        surfel_map.add(replace(surfels, keyframe=of_parts[surfels.keyframe].astype(np.int32)), old.stamp_s)
+        surfel_map.restore(old.dropped, left.T_map_keyframe)
+    made = recognizer, surfel_map, transferred(folder, kept)
     with map_being_made(out, PRUNE, folder) as new:
         write_parts(left, new, made, on_keyframe)
         add_occupancy(new, on_keyframe)
@@ -272,21 +254,6 @@ def _shown_by(parts: MapParts, folder: MapFolder, on_keyframe: Callable[[int, in
     return shown_by
 
 
-def _moved_surfels(folder: MapFolder, left: MapParts, hangs_on: IntArray) -> SurfelMap | None:
-    """Return the map's surfels, unmoved, attached to the new map's keyframes `hangs_on` (N,); None without surfels."""
-    old = folder.surfels()
-    if old is None:
-        return None
-    surfels = old.surfels()
-    # By the folder's keyframe numbers; surfels of a keyframe lost to damage are attached to none.
-    of_parts = np.full(len(folder.store) + 1, -1)
-    of_parts[np.flatnonzero(are_there(folder))] = hangs_on
-    new = SurfelMap(old.settings)
-    new.add(replace(surfels, keyframe=of_parts[surfels.keyframe].astype(np.int32)), old.stamp_s)
-    new.restore(old.dropped, left.T_map_keyframe)
-    return new
-
-
 def rebuild(
     folder: MapFolder,
     out: StrPath,
@@ -311,8 +278,8 @@ def rebuild(
         OutputError: the folder cannot be written.
     """
     make_room(out)
-    annotations = MapAnnotations(edits_as_known(folder), names_as_known(folder))
-    surfel_map = fused_anew(folder, surfels, lambda done, total: on_keyframe("fusing", done, total))
+    annotations = MapAnnotations(current_edits(folder), current_named_poses(folder))
+    surfel_map = fuse_keyframes(folder, surfels, lambda done, total: on_keyframe("fusing", done, total))
     with map_being_made(out, REBUILD, folder) as new:
         numbers = list(folder.store)
         for done, number in enumerate(numbers, start=1):
@@ -328,7 +295,7 @@ def rebuild(
     return MapFolder.open(out, settings=folder.settings)
 
 
-def fused_anew(
+def fuse_keyframes(
     folder: MapFolder,
     settings: SurfelSettings | None = None,
     on_keyframe: Callable[[int, int], None] = lambda done, total: None,
@@ -348,14 +315,6 @@ def fused_anew(
     return _fused(folder.store, stamps_s, folder, settings, on_keyframe)
 
 
-def fused_of(
-    parts: MapParts, like: MapFolder, settings: SurfelSettings | None, on_keyframe: Callable[[int, int], None]
-) -> SurfelMap:
-    """Return surfels fused from the keyframes of parts, with the camera and settings of a map. Raises MapError."""
-    stamps_s = {KeyframeId(number): place.stamp_s for number, place in enumerate(parts.places)}
-    return _fused(parts.store(like.settings.memory_keyframes), stamps_s, like, settings, on_keyframe)
-
-
 def _fused(
     store: KeyframeStore,
     stamps_s: Mapping[KeyframeId, float],
@@ -366,14 +325,14 @@ def _fused(
     """Return surfels fused from the keyframes that have a stamp, in order of stamps."""
     noise, numbers = like.calibration.depth_noise, sorted(stamps_s, key=lambda number: stamps_s[number])
     if not numbers:
-        raise MapError("has no keyframes", path=like.path, fix="give a map of a drive that kept some")
+        raise MapError("has no keyframes", path=like.path, fix=_FIX_EMPTY)
     surfel_map, dense = SurfelMap(settings, store, keeps_unstable=True), DenseSettings()
     maker = ReferenceMaker(noise, dense, Rows(dense.threads))
     for done, number in enumerate(numbers, start=1):
         keyframe = store[number]
         how = (keyframe.stamp_s, noise, _REBUILD_FRAMES, number)
         level = Level(keyframe.intrinsics, keyframe.depth_m, known_grey(keyframe))
-        surface = Surface(level.depth_m, maker.normals(level), level.grey)
+        surface = FrameSurface(level.depth_m, maker.normals(level), level.grey)
         surfel_map.fuse(surface, keyframe.intrinsics, store.pose(number), *how)
         on_keyframe(done, len(numbers))
     return surfel_map
@@ -387,13 +346,13 @@ def without(edges: Sequence[RelativePose], left_out: Iterable[int]) -> tuple[Rel
     most certain, and none if a measured edge is more certain. Edges composed with the same edge share its error, so
     several would count it repeatedly.
     """
-    graph = _Edges(edges)
+    graph = _EdgeTable(edges)
     for number in left_out:
         graph.contract(number)
     return graph.all()
 
 
-class _Edges:
+class _EdgeTable:
     def __init__(self, edges: Sequence[RelativePose]) -> None:
         self._edges: dict[int, RelativePose] = dict(enumerate(edges))
         self._count, self._measured = len(edges), len(edges)
@@ -415,21 +374,20 @@ class _Edges:
         by = surest if surest.second == number else inverse(surest)
         for edge in of_it:
             onward = edge if edge.first == number else inverse(edge)
-            if edge is not surest and onward.second != by.first:
-                self._carry(composed(by, onward))
-
-    def _carry(self, new: RelativePose) -> None:
-        """Add a composed edge, unless a more certain one connects the same keyframes."""
-        beside = sorted(self._of[new.first] & self._of[new.second])
-        if any(_volume(self._edges[key]) <= _volume(new) for key in beside):
-            return
-        for key in beside:
-            if key >= self._measured:
-                self._taken(key)
-        self._edges[self._count] = new
-        for end in (new.first, new.second):
-            self._of[end].add(self._count)
-        self._count += 1
+            if edge is surest or onward.second == by.first:
+                continue
+            # Add the composed edge, unless a more certain one connects the same keyframes.
+            new = composed(by, onward)
+            beside = sorted(self._of[new.first] & self._of[new.second])
+            if any(_volume(self._edges[key]) <= _volume(new) for key in beside):
+                continue
+            for key in beside:
+                if key >= self._measured:
+                    self._taken(key)
+            self._edges[self._count] = new
+            for end in (new.first, new.second):
+                self._of[end].add(self._count)
+            self._count += 1
 
     def _taken(self, key: int) -> RelativePose:
         edge = self._edges.pop(key)
