@@ -69,7 +69,7 @@ def test_a_bare_image_needs_its_resolution(tmp_path: Path) -> None:
     assert (plan.resolution_m, plan.origin) == (0.02, (0, 0, 0))
     with pytest.raises(MapError, match="is an image without a scale"):
         read_ros_map(tmp_path / "a.pgm")
-    with pytest.raises(MapError, match="tells its resolution itself"):
+    with pytest.raises(MapError, match="states its own resolution"):
         read_ros_map(tmp_path / "map.yaml", 0.02)
     with pytest.raises(MapError, match="--resolution is nan"):
         read_ros_map(tmp_path / "a.pgm", math.nan)
@@ -100,7 +100,7 @@ def test_colours_count_by_their_mean_and_an_opaque_alpha_channel_not_at_all(tmp_
         (("image: a.pgm", "image: [1]"), ":1: image is [1] ("),
         (("image: a.pgm", "image: !!python/object:os.system x"), ":1: has the tag "),
         (("image: a.pgm", "image: ["), ": is not YAML: "),
-        ((YAML, "- 1\n"), ": holds no names and values ("),
+        ((YAML, "- 1\n"), ": has no names and values ("),
     ],
 )
 def test_a_field_that_is_wrong_is_named_with_its_line(tmp_path: Path, change: tuple[str, str], problem: str) -> None:
@@ -331,7 +331,7 @@ def test_an_image_that_was_left_behind_is_the_one_of_that_name_beside_the_map(tm
     np.testing.assert_array_equal(plan.occupancy, plain)
     assert len(said) == 1
     assert "is missing" in said[0]
-    assert said[0].endswith(f"{tmp_path / 'a.pgm'} is taken")
+    assert said[0].endswith(f"{tmp_path / 'a.pgm'} is used")
 
 
 def test_separators_of_windows_lead_into_a_folder_beside_the_map(tmp_path: Path) -> None:
@@ -378,8 +378,8 @@ def test_map_savers_grey_stays_unknown_where_thresholds_make_it_free(tmp_path: P
     plain = read_ros_map(written(tmp_path)).occupancy
     plan, said = warned(written(tmp_path, YAML.replace("0.196", free_thresh)))
     assert plan.occupancy[1].tolist() == plain[1].tolist() == [OCCUPIED, UNKNOWN, FREE, FREE]
-    problem = f"1 cells are of map_saver's grey for unknown, and free by free_thresh {free_thresh}"
-    assert said == [f"{tmp_path / 'map.yaml'}: {problem}: they are taken as unknown; set free_thresh to 0.196"]
+    problem = f"1 cells have map_saver's grey for unknown, and are free by free_thresh {free_thresh}"
+    assert said == [f"{tmp_path / 'map.yaml'}: {problem}: they are read as unknown; set free_thresh to 0.196"]
     assert plan.occupancy[0, 2] == FREE  # 206 is no grey of map_saver
 
 

@@ -69,7 +69,7 @@ def test_a_live_device_streams_and_tells_what_it_lacks() -> None:
     assert told["pixel"] == [0, 0, 255]
     assert told["shape"] == [240, 320, 3]
     assert not told["is_registered"]
-    for said in ("no 640×480 at 30 Hz; it gives 320×240 at 30 Hz", "does not register", "tells no field of view"):
+    for said in ("no 640×480 at 30 Hz; it gives 320×240 at 30 Hz", "does not register", "states no field of view"):
         assert any(said in warning for warning in told["warnings"])
 
 

@@ -136,7 +136,7 @@ def test_the_link_takes_plain_text_for_a_board(tmp_path: Path) -> None:
 
 def test_what_is_there_already_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text("mine")
-    with pytest.raises(DeviceError, match="is there already, and is no link"):
+    with pytest.raises(DeviceError, match="exists, and is no link"):
         SimulatedController(tmp_path, "robot.yaml")
     assert (tmp_path / "robot.yaml").read_text() == "mine"
     with SimulatedController(tmp_path), pytest.raises(DeviceError, match="leads to another terminal"):

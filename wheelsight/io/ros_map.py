@@ -21,24 +21,23 @@ from wheelsight.core.geometry import MOST_PIXELS, ByteArray, FloatArray, se2
 from wheelsight.core.inputs import Kind, is_there, line_of, picture_size, read_bytes, read_yaml, scan_count
 
 OCCUPIED, FREE, UNKNOWN = 100, 0, -1
-# What map_server's documentation and `map_saver` write; they hold where a YAML file tells no others.
+# The thresholds that map_server documents and map_saver writes; defaults where a YAML file states none.
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
 
 Mode = Literal["trinary", "scale", "raw"]
 
 _MODES = ("trinary", "scale", "raw")
-# What map_saver paints. Its grey for unknown cells is unknown at 0.196 and free at 0.25, which Nav2's own map_saver
-# writes as free_thresh beside it.
+# The grey values of map_saver. That of unknown cells is free by the free_thresh of 0.25 that Nav2's map_saver writes.
 _BLACK, _GREY, _WHITE = 0, 205, 254
 _YAML_SUFFIXES = (".yaml", ".yml")
 _PICTURE = Kind("a map's image", most_mb=128, missing="the map's image is missing", fix="put it where image: says")
 _LARGEST_CELL_M = 10.0
 _LARGEST_SPAN_M = 10_000.0
 _OPAQUE, _DEEPEST = 255, 65535
-# A portable grey or colour map states which value is white. Decoders differ in whether they scale by it.
+# A portable grey or colour map states the value of white. Not all decoders scale by it.
 _PNM_WHITE = re.compile(rb"P[2356](?:(?:\s+|#[^\n]*\n)+\d{1,9}){2}(?:\s+|#[^\n]*\n)+(\d{1,5})\s")
 _PNM_REACH = 2048
-# As C and C++ programs print NaN: nan, -nan, -nan(ind), 1.#QNAN.
+# NaN as C and C++ programs print it: nan, -nan, -nan(ind), 1.#QNAN.
 _NOT_A_NUMBER = re.compile(r"[-+]?(\.?nan\b.*|1\.#.*)", re.IGNORECASE)
 
 _log = logging.getLogger(__name__)
@@ -46,11 +45,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class RosMap:
-    """What is free and what is occupied of a floor.
+    """An occupancy grid.
 
     Attributes:
-        occupancy: (H, W) int8 as `nav_msgs/OccupancyGrid` has it: 0 free to 100 occupied, -1 unknown; row 0 is the
-            least y, as no image has it.
+        occupancy: (H, W) int8 as in `nav_msgs/OccupancyGrid`: 0 free to 100 occupied, -1 unknown; row 0 has the least
+            y, unlike in an image.
         resolution_m: side of a cell.
         origin: x and y in metres and yaw in radians of the corner of cell (0, 0) in the frame `map`.
     """
@@ -60,7 +59,7 @@ class RosMap:
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def to_map(self, cells: ArrayLike) -> FloatArray:
-        """Points (..., 2) in `map`, metres, of (column, row) (..., 2) in cells; whole numbers are corners of cells."""
+        """Points (..., 2) in `map`, metres, of (column, row) (..., 2) in cells; integers are corners of cells."""
         R_map_grid, t = self._T_map_grid[:2, :2], self._T_map_grid[:2, 2]
         return np.asarray(self.resolution_m * np.asarray(cells, float) @ R_map_grid.T + t)
 
@@ -79,29 +78,29 @@ def read_ros_map(
 ) -> RosMap:
     """Read a map_server map by its YAML file, or a bare image by its resolution.
 
-    Cells come out as those of Nav2's map_server, with one exception. A cell's occupancy is 1 - the mean of its colours
-    (the mean itself with `negate`), as a share of the image's white: 255, 65535, or what a PGM states. In mode
-    `trinary` it is occupied from `occupied_thresh` on, free up to `free_thresh`, and unknown between; `scale` has
-    shares between the two; in both, what is transparent is unknown. `raw` takes pixel values 0 to 100 of 255 as they
-    are, others as unknown. Of images in colours Nav2 weighs red, green and blue, as this does not.
+    The occupancy of a cell is 1 - the mean of its colours, or the mean with `negate`, relative to white: 255, 65535, or
+    the value that a PGM states. Mode `trinary` makes it occupied from `occupied_thresh`, free up to `free_thresh`, and
+    unknown between; `scale` interpolates between the two. Transparent pixels are unknown in both. `raw` takes pixel
+    values 0 to 100 of 255 as percent, others as unknown.
 
-    The exception: map_saver's grey for unknown cells, 205, stays unknown in a trinary map whose `free_thresh` makes it
-    free, such as the 0.25 that Nav2's map_saver writes.
+    Cells equal those of Nav2's map_server, with two exceptions. map_saver's grey for unknown cells, 205, stays unknown
+    in a trinary map whose `free_thresh` makes it free, such as the 0.25 of Nav2's map_saver. Nav2 weighs red, green and
+    blue of colour images; this function does not.
 
     Args:
-        path: of the YAML file, or of a PNG or PGM image, which is read as `trinary`, its lower left corner at (0, 0).
+        path: of the YAML file, or of a PNG or PGM image, read as `trinary` with its lower left corner at (0, 0).
         resolution_m: side of a cell of a bare image; a YAML file states its own.
-        warn: called with a sentence where the map is not taken as it is written: an image of that name beside the YAML
-            file in the place of one that is missing, map_saver's grey as above, a yaw that is NaN as 0.
+        warn: called with a sentence for each deviation from the file: a missing image that another one beside the YAML
+            file replaces, map_saver's grey as above, a yaw of NaN that becomes 0.
 
     Raises:
-        MapError: naming file, line and fix: a file that is missing or damaged, a field that is wrong, an image of more
-            pixels than a map has; a bare one that is transparent, or of 16 bits without free cells.
+        MapError: a file is missing or damaged, a field is invalid, the image has too many pixels; or a bare image is
+            transparent, or has 16 bits and no free cells. Names file, line and fix.
     """
     path = Path(path)
     if path.suffix.lower() in _YAML_SUFFIXES:
         if resolution_m is not None:
-            raise MapError("tells its resolution itself", path=path, fix="leave out --resolution")
+            raise MapError("states its own resolution", path=path, fix="leave out --resolution")
         about = _Description.of(read_yaml(path, MapError), path, warn)
     elif resolution_m is None:
         raise MapError("is an image without a scale", path=path, fix="give --resolution in metres, or its map.yaml")
@@ -122,24 +121,21 @@ def read_ros_map(
 
 
 def write_ros_map(ros_map: RosMap, path: StrPath, mode: Mode = "trinary") -> tuple[Path, Path]:
-    """Write a map as Nav2's map_saver does, so that map_server gets the same cells: a YAML file, an image beside it.
+    """Write a map as Nav2's map_saver does: a YAML file and an image beside it. Returns their paths.
 
-    `trinary` and `raw` are written as PGM; `scale` as PNG, whose unknown cells are transparent. In `trinary` what lies
-    between both thresholds becomes unknown; `raw` and `scale` keep every percent.
+    `trinary` and `raw` are written as PGM; `scale` as PNG with transparent unknown cells. In `trinary`, cells between
+    both thresholds become unknown; `raw` and `scale` keep every percent.
 
-    The image comes first, and an old YAML file goes before it: whatever happens in between, no file tells the wrong
-    place of another one's image.
+    An old YAML file is removed before the image is written, so that no YAML file ever describes another map's image.
 
     Args:
-        ros_map: at least one cell.
+        ros_map: with at least one cell.
         path: of the YAML file.
         mode: of the file.
 
-    Returns the paths of both files.
-
     Raises:
-        MapError: a path that does not end in .yaml or .yml, or another mode.
-        OutputError: one of them cannot be written.
+        MapError: the path does not end in .yaml or .yml, or the mode is unknown.
+        OutputError: a file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() not in _YAML_SUFFIXES:
@@ -154,7 +150,7 @@ def write_ros_map(ros_map: RosMap, path: StrPath, mode: Mode = "trinary") -> tup
     except OSError as error:
         raise output_error(error, path) from error
     write_bytes(image, code.tobytes())
-    # Of shares a reader makes thresholds of its own: those that keep each of them are 0 and 1.
+    # The thresholds 0 and 1 keep every share of mode `scale`.
     free, occupied = (0.0, 1.0) if mode == "scale" else (FREE_THRESHOLD, OCCUPIED_THRESHOLD)
     fields: dict[str, Any] = {"image": image.name, "mode": mode, "resolution": float(ros_map.resolution_m)}
     fields |= {"origin": [float(part) for part in ros_map.origin], "negate": 0}
@@ -164,7 +160,7 @@ def write_ros_map(ros_map: RosMap, path: StrPath, mode: Mode = "trinary") -> tup
 
 
 def _painted(occupancy: NDArray[np.int8], mode: Mode) -> ByteArray:
-    """The image of occupancy (H, W), whose row 0 is the upper one."""
+    """The image of an occupancy (H, W) whose row 0 is the top."""
     percent = occupancy.astype(np.int64)
     is_known = (percent >= FREE) & (percent <= OCCUPIED)
     if mode == "raw":
@@ -178,7 +174,7 @@ def _painted(occupancy: NDArray[np.int8], mode: Mode) -> ByteArray:
 
 
 def read_plan_image(path: StrPath) -> ByteArray:
-    """An image (H, W, 3) uint8, or (H, W) where it is grey; row 0 is its upper one. Raises MapError."""
+    """An image (H, W, 3) uint8, or (H, W) if it is grey; row 0 is the top. Raises MapError."""
     image, white = _read_image(path)
     if image.dtype != np.uint8:
         raise _sixteen_bits(path)
@@ -189,7 +185,7 @@ def read_plan_image(path: StrPath) -> ByteArray:
 
 
 def _opaque(image: NDArray[Any], white: int, path: StrPath) -> NDArray[Any]:
-    """Without its alpha channel. Raises MapError for one that is transparent anywhere."""
+    """The image without its alpha channel. Raises MapError where any pixel is transparent."""
     if image.ndim == 3 and image.shape[2] == 4:
         if (image[..., 3] != white).any():
             raise MapError("is transparent in places", path=path, fix="save it without alpha channel, on white or grey")
@@ -202,7 +198,7 @@ def _sixteen_bits(path: StrPath) -> MapError:
 
 
 def _read_image(path: StrPath) -> tuple[NDArray[Any], int]:
-    """(H, W), (H, W, 3) or, with alpha, (H, W, 4) of uint8 or uint16, and the value that is white."""
+    """The image (H, W), (H, W, 3) or, with alpha, (H, W, 4) of uint8 or uint16, and the value of white."""
     data = read_bytes(path, _PICTURE, MapError)
     size = picture_size(data)
     if size is None:
@@ -215,9 +211,9 @@ def _read_image(path: StrPath) -> tuple[NDArray[Any], int]:
         white = int(stated[1])
         if not 0 < white < 1 << 16:
             raise MapError(f"says that {white} is white", path=path, fix="1 to 65535; save it again")
-        # Values come as they stand, whether this decoder scales or not.
+        # Decoders then do not scale.
         full = b"255" if white < 1 << 8 else b"65535"
-        # A text file may end without a break, which OpenCV takes for cut off.
+        # OpenCV takes a text file without a final newline as truncated.
         data = data[: stated.start(1)] + full + data[stated.end(1) :] + b"\n"
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -233,7 +229,7 @@ def _read_image(path: StrPath) -> tuple[NDArray[Any], int]:
 
 @dataclass(frozen=True, slots=True)
 class _Description:
-    """What the YAML file of a map states."""
+    """The contents of a map's YAML file."""
 
     image: Path
     resolution_m: float
@@ -245,9 +241,9 @@ class _Description:
 
     @classmethod
     def of(cls, document: Any, path: Path, warn: Callable[[str], None]) -> _Description:
-        """Raises MapError naming the line of a field that is wrong."""
+        """The validated description. Raises MapError naming the line of an invalid field."""
         if not isinstance(document, dict):
-            raise MapError("holds no names and values", path=path, fix="image, resolution, origin")
+            raise MapError("has no names and values", path=path, fix="image, resolution, origin")
         fields = _Fields(document, path)
         image = document.get("image")
         if not isinstance(image, str) or not image.strip():
@@ -274,13 +270,13 @@ class _Description:
 
 @dataclass(frozen=True, slots=True)
 class _Fields:
-    """Names and values of a YAML file, and where they stand in it."""
+    """Names and values of a YAML file, and their lines."""
 
     values: dict[Any, Any]
     path: Path
 
     def number(self, name: str, default: float | None = None) -> float:
-        """A field's number; `default` where the field is missing, if there is one."""
+        """The number of a field, or `default` where the field is missing."""
         value = self.values.get(name, default)
         number = _number(value)
         if number is None:
@@ -288,13 +284,13 @@ class _Fields:
         return number
 
     def origin(self, warn: Callable[[str], None]) -> tuple[float, float, float]:
-        """Where the lower left corner lies; a yaw of NaN is 0, with a warning."""
+        """The pose of the lower left corner. A yaw of NaN becomes 0, with a warning."""
         value = self.values.get("origin")
         parts: list[Any] = value if isinstance(value, list) else []
         numbers = [_number(part) for part in parts]
         if len(parts) == 3 and _NOT_A_NUMBER.fullmatch(str(parts[2]).strip()):
             line = line_of(self.path, ("origin",), MapError)
-            warn(f"{self.path}:{line}: the origin's yaw is {parts[2]}, no number; 0 is taken")
+            warn(f"{self.path}:{line}: the origin's yaw is {parts[2]}, no number; 0 is used")
             numbers[2] = 0.0
         x_m, y_m, yaw_rad = numbers if len(numbers) == 3 else (None, None, None)
         if x_m is None or y_m is None or yaw_rad is None:
@@ -302,7 +298,7 @@ class _Fields:
         return x_m, y_m, yaw_rad
 
     def error(self, name: str, fix: str) -> MapError:
-        """That a field is wrong, or missing."""
+        """The error of an invalid or missing field."""
         if name not in self.values:
             return MapError(f"field {name} is missing", path=self.path, fix=fix)
         line = line_of(self.path, (name,), MapError)
@@ -310,7 +306,7 @@ class _Fields:
 
 
 def _number(value: Any) -> float | None:
-    """A finite number, from text too (YAML 1.1 reads 1e-3, without a dot, as text); None for anything else."""
+    """A finite number, also from text (YAML 1.1 reads 1e-3, without a dot, as text); None for other values."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         return None
     try:
@@ -321,9 +317,9 @@ def _number(value: Any) -> float | None:
 
 
 def _image_of(name: str, path: Path, warn: Callable[[str], None]) -> Path:
-    """The image that a YAML file names; where there is none, that of the same name beside it, with a warning.
+    """The image that a YAML file names. If it is missing, the one of the same name beside the file, with a warning.
 
-    A map that moved to another computer keeps the folder, the separators or the case of the old one in its YAML file.
+    The YAML file of a map from another computer may have that computer's folder, separators or case.
     """
     stated = path.parent / name
     if is_there(stated):
@@ -331,26 +327,21 @@ def _image_of(name: str, path: Path, warn: Callable[[str], None]) -> Path:
     last = re.split(r"[\\/]", name)[-1]
     below = path.parent / name.replace("\\", "/")
     beside = path.parent / last
-    alike = (one for one in _names_in(path.parent) if one.lower() == last.lower())
-    for found in (below, beside, *(path.parent / one for one in alike)):
+    try:
+        names = sorted(entry.name for entry in path.parent.iterdir())
+    except OSError:
+        names = []
+    for found in (below, beside, *(path.parent / one for one in names if one.lower() == last.lower())):
         if last and is_there(found):
-            warn(f"{path}: its image {name} is missing; {found} is taken")
+            warn(f"{path}: its image {name} is missing; {found} is used")
             return found
     return stated
 
 
-def _names_in(folder: Path) -> list[str]:
-    """Of all files, in order; none where the folder cannot be listed."""
-    try:
-        return sorted(entry.name for entry in folder.iterdir())
-    except OSError:
-        return []
-
-
 def _occupancy(image: NDArray[Any], white: int, about: _Description, warn: Callable[[str], None]) -> NDArray[np.int8]:
-    """(H, W) of an image, turned over so that row 0 is the lowest.
+    """The occupancy (H, W) of an image, with row 0 at the bottom.
 
-    In single precision and with thresholds that count themselves, as Nav2 computes since 2025.
+    Single precision and inclusive thresholds, as in Nav2 since 2025.
     """
     image = image[::-1]
     grey = image if image.ndim == 2 else image[..., :3].mean(axis=2)
@@ -369,11 +360,11 @@ def _occupancy(image: NDArray[Any], white: int, about: _Description, warn: Calla
     if image.ndim == 3 and image.shape[2] == 4:
         found = np.where(image[..., 3] < white, UNKNOWN, found)
     if about.mode == _MODES[0] and not about.negate:
-        # Of a map whose floor is white, as map_saver paints it: where no cell is whiter, this grey may be its floor.
+        # Only in a map with a white floor, as map_saver paints it. Without whiter cells, this grey may be the floor.
         is_grey = (grey == _GREY) & (white == _OPAQUE) & (found == FREE)
         count = int(is_grey.sum())
         if count and (grey >= _WHITE).any():
-            problem = f"{count} cells are of map_saver's grey for unknown, and free by free_thresh {about.free:g}"
-            warn(f"{problem}: they are taken as unknown; set free_thresh to {FREE_THRESHOLD:g}")
+            problem = f"{count} cells have map_saver's grey for unknown, and are free by free_thresh {about.free:g}"
+            warn(f"{problem}: they are read as unknown; set free_thresh to {FREE_THRESHOLD:g}")
             found[is_grey] = UNKNOWN
     return found.astype(np.int8)

@@ -13,7 +13,7 @@ from wheelsight.core.calibration import Calibration, save_calibration
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import CalibrationError, ConfigError, RecordingError
 from wheelsight.core.messages import WheelSpeeds, YawRate
-from wheelsight.io.recordings.bags.wheel_readings import Joints, JointSpeeds, wheel_joints
+from wheelsight.io.recordings.bags.wheel_readings import Joints, joint_speeds, wheel_joints
 from wheelsight.wheels import WheelOdometry
 
 LEFT, RIGHT = "left_wheel_joint", "right_wheel_joint"
@@ -139,7 +139,7 @@ def test_joints_that_are_no_wheels() -> None:
 
 
 def test_a_wheel_that_turned_past_one_turn_does_not_wrap() -> None:
-    speeds = JointSpeeds(Joints((LEFT,), (RIGHT,)))
+    speeds = joint_speeds(Joints((LEFT,), (RIGHT,)))
     make = Messages(is_ros1=False)
     assert speeds.add(0.0, make.joints(0.0, [LEFT, RIGHT], [8.0, 8.0])) is None
     found = not_none(speeds.add(1.0, make.joints(1.0, [LEFT, RIGHT], [12.0, 12.0])))

@@ -1,6 +1,6 @@
-"""OniPlayer: an `.oni` file that OpenNI2 plays in a process of its own, since damaged files crash or hang that library.
+"""`OniPlayer` plays an `.oni` file through OpenNI2 in another process, since damaged files crash or hang the library.
 
-The process answers in plain numbers and arrays, which are checked here: what takes it over gains nothing by that.
+The process sends numbers and arrays, which are validated here, so that a file that takes it over gains nothing.
 `python -m wheelsight.io.devices.oni_player FILE SETTINGS` is that process.
 """
 
@@ -35,13 +35,13 @@ _COPY = "copy the file again"
 _COMMAND = [sys.executable, "-m", "wheelsight.io.devices.oni_player"]
 # A start loads Python and numpy: 1 s, and more on a busy computer.
 _OPENING_S = 30.0
-# Without any word, which comes before the file is opened, and five times a second while it plays.
+# Longest silence. The process sends a message before it opens the file, and five times a second while it plays.
 _HANGING_S = 5.0
 _READ_S, _PIECE_BYTES = 0.2, 1 << 20
-_MOST_MEMORY = 1 << 30  # bytes beside what Python and numpy take
+_MOST_MEMORY = 1 << 30  # bytes, beside those of Python and numpy
 _LENGTH = struct.Struct("<I")
 _MOST_TEXT = 1 << 16
-# Of one image in each part of an answer: name, type, values a pixel.
+# The images of a message: name, type, channels.
 _PARTS = (("color", np.uint8, 3), ("depth_m", np.float32, 1), ("infrared", np.uint16, 1))
 
 
@@ -50,55 +50,63 @@ class OniPlayer:
 
     Args:
         path: of the file.
-        settings: as of `OpenNI2Driver`.
+        settings: as for `OpenNI2Driver`.
     """
 
     def __init__(self, path: str, settings: LiveCameraSettings) -> None:
         self._path, self._settings = path, settings
         self._process: subprocess.Popen[bytes] | None = None
-        self._got, self._wanted = bytearray(), 0  # of the next answer, as far as it has come, and its bytes
+        self._got, self._wanted = bytearray(), 0  # received bytes of the next message, and its size
         self._silent_s = 0.0
 
     def open(self) -> OpenedDevice:
-        """As `CameraDriver` has it. Raises DeviceError where the file is none, or OpenNI2 crashes or hangs on it."""
+        """As `CameraDriver` has it. Raises DeviceError where the file is invalid, or OpenNI2 crashes or hangs on it."""
         open_binary(self._path, _FILE, DeviceError).close()
         self.close()
-        here = str(Path(__file__).parents[3])
-        paths = os.pathsep.join(part for part in (here, os.environ.get("PYTHONPATH")) if part)
+        paths = os.pathsep.join(filter(None, (str(Path(__file__).parents[3]), os.environ.get("PYTHONPATH"))))
         self._process = subprocess.Popen(
             [*_COMMAND, self._path, self._settings.model_dump_json()],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             env=os.environ | {"PYTHONPATH": paths},
-            start_new_session=True,  # Ctrl-C is for this process, which then ends that one
+            start_new_session=True,  # this process handles Ctrl-C and ends the other one
         )
         self._got, self._wanted, self._silent_s = bytearray(), 0, 0.0
+        hanging_s = _OPENING_S
         try:
-            return self._opened()
+            while True:
+                message, _ = self._receive(_READ_S, hanging_s)
+                if message is None:
+                    continue
+                self._refuse_end(message)
+                hanging_s = _HANGING_S
+                if "name" in message:
+                    calibration = parse_calibration(str(message["calibration"]), self._path)
+                    return OpenedDevice(str(message["name"]), calibration, tuple(map(str, message["warnings"])))
         except (InputError, ValueError, TypeError, LookupError) as error:
             self.close()
             if isinstance(error, DeviceError):
                 raise
-            problem = error.problem if isinstance(error, InputError) else f"OpenNI2 gives no sound answer: {error}"
+            problem = error.problem if isinstance(error, InputError) else f"OpenNI2 sends an invalid message: {error}"
             raise DeviceError(problem, path=self._path, fix=_COPY) from error
 
     def read(self, timeout_s: float) -> DeviceImages | None:
-        """As `CameraDriver` has it. Raises RecordingError where OpenNI2 fails, crashes or hangs: that is final."""
+        """As `CameraDriver` has it. Raises RecordingError, which is final, where OpenNI2 fails, crashes or hangs."""
         ends_s = time.monotonic() + timeout_s
         try:
             while (left_s := ends_s - time.monotonic()) > 0:
-                answer, data = self._answer(left_s, _HANGING_S)
-                if answer is not None and "images" in answer:
-                    return _images(answer, data)
-                if answer is not None:
-                    self._refuse_end(answer)
+                message, data = self._receive(left_s, _HANGING_S)
+                if message is not None and "images" in message:
+                    return _images(message, data)
+                if message is not None:
+                    self._refuse_end(message)
         except PlaybackEndedError:
             raise
         except DeviceError as error:
             raise RecordingError(error.problem, path=self._path, fix=error.fix) from error
         except (ValueError, TypeError, LookupError) as error:
-            raise RecordingError(f"OpenNI2 gives no sound answer: {error}", path=self._path, fix=_COPY) from error
+            raise RecordingError(f"OpenNI2 sends an invalid message: {error}", path=self._path, fix=_COPY) from error
         return None
 
     def close(self) -> None:
@@ -111,26 +119,15 @@ class OniPlayer:
                 assert pipe is not None
                 pipe.close()
 
-    def _opened(self) -> OpenedDevice:
-        hanging_s = _OPENING_S
-        while True:
-            answer, _ = self._answer(_READ_S, hanging_s)
-            if answer is None:
-                continue
-            self._refuse_end(answer)
-            hanging_s = _HANGING_S
-            if "name" in answer:
-                calibration = parse_calibration(str(answer["calibration"]), self._path)
-                return OpenedDevice(str(answer["name"]), calibration, tuple(map(str, answer["warnings"])))
-
-    def _refuse_end(self, answer: dict[str, Any]) -> None:
-        if answer.get("is_over"):
+    def _refuse_end(self, message: dict[str, Any]) -> None:
+        """Raise the end of the file, or an error, that a message reports."""
+        if message.get("is_over"):
             raise PlaybackEndedError("the file is over", path=self._path)
-        if "error" in answer:
-            raise DeviceError(str(answer["error"]), path=self._path, fix=str(answer["fix"]) or _COPY)
+        if "error" in message:
+            raise DeviceError(str(message["error"]), path=self._path, fix=str(message["fix"]) or _COPY)
 
-    def _answer(self, timeout_s: float, hanging_s: float) -> tuple[dict[str, Any] | None, bytearray]:
-        """The next answer and its arrays; None after a while without one. Raises RecordingError, ValueError."""
+    def _receive(self, timeout_s: float, hanging_s: float) -> tuple[dict[str, Any] | None, bytearray]:
+        """The next message and its arrays; None after the timeout. Raises RecordingError, ValueError."""
         found = self._taken()
         if found is None:
             assert self._process is not None
@@ -139,18 +136,21 @@ class OniPlayer:
             if select.select([self._process.stdout], [], [], timeout_s)[0]:
                 piece = os.read(self._process.stdout.fileno(), _PIECE_BYTES)
                 if not piece:
-                    raise self._died()
+                    code = self._process.wait()
+                    how = f"crashed by {_signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
+                    raise RecordingError(f"OpenNI2 {how} on this file", path=self._path, fix=_COPY)
                 self._got += piece
                 self._silent_s = 0.0
             else:
                 self._silent_s += time.monotonic() - began_s
                 if self._silent_s >= hanging_s:
-                    raise self._hung()
+                    self.close()
+                    raise RecordingError("OpenNI2 hung on this file and was ended", path=self._path, fix=_COPY)
             found = self._taken()
         return (None, bytearray()) if found is None else found
 
     def _taken(self) -> tuple[dict[str, Any], bytearray] | None:
-        """An answer that has come whole. Raises ValueError where it is damaged."""
+        """A message that is complete, or None. Raises ValueError where it is damaged."""
         if len(self._got) < max(self._wanted, _LENGTH.size):
             return None
         (length,) = _LENGTH.unpack_from(self._got)
@@ -159,41 +159,31 @@ class OniPlayer:
         begin = _LENGTH.size + length
         if len(self._got) < begin:
             return None
-        answer = parse_json(bytes(self._got[_LENGTH.size : begin]))
-        if not isinstance(answer, dict):
-            raise ValueError("no answer")
-        end = begin + sum(int(np.prod(shape)) * np.dtype(dtype).itemsize for _, shape, dtype in _shapes(answer))
+        message = parse_json(bytes(self._got[_LENGTH.size : begin]))
+        if not isinstance(message, dict):
+            raise ValueError("no message")
+        end = begin + sum(int(np.prod(shape)) * np.dtype(dtype).itemsize for _, shape, dtype in _shapes(message))
         if len(self._got) < end:
             self._wanted = end
             return None
         data = self._got[begin:end]
         del self._got[:end]
         self._wanted = 0
-        return answer, data
-
-    def _died(self) -> RecordingError:
-        assert self._process is not None
-        code = self._process.wait()
-        how = f"crashed by {_signal(-code)}" if code < 0 else f"ended with exit code {code}"
-        return RecordingError(f"OpenNI2 {how} on this file", path=self._path, fix=_COPY)
-
-    def _hung(self) -> RecordingError:
-        self.close()
-        return RecordingError("OpenNI2 hung on this file and was ended", path=self._path, fix=_COPY)
+        return message, data
 
 
-def _signal(number: int) -> str:
+def _signal_name(number: int) -> str:
     try:
         return signal.Signals(number).name
     except ValueError:
         return f"signal {number}"
 
 
-def _shapes(answer: dict[str, Any]) -> list[tuple[str, tuple[int, ...], Any]]:
-    """Name, shape and type of an answer's arrays. Raises ValueError for those that no camera has."""
+def _shapes(message: dict[str, Any]) -> list[tuple[str, tuple[int, ...], Any]]:
+    """Name, shape and type of a message's arrays. Raises ValueError for an implausible shape."""
     found: list[tuple[str, tuple[int, ...], Any]] = []
     for name, dtype, channels in _PARTS:
-        size = answer.get("images", {}).get(name)
+        size = message.get("images", {}).get(name)
         if size is None:
             continue
         height, width = size
@@ -205,76 +195,70 @@ def _shapes(answer: dict[str, Any]) -> list[tuple[str, tuple[int, ...], Any]]:
     return found
 
 
-def _images(answer: dict[str, Any], data: bytearray) -> DeviceImages:
+def _images(message: dict[str, Any], data: bytearray) -> DeviceImages:
     arrays: dict[str, NDArray[Any]] = {}
     at = 0
-    for name, shape, dtype in _shapes(answer):
+    for name, shape, dtype in _shapes(message):
         size = int(np.prod(shape)) * np.dtype(dtype).itemsize
         arrays[name] = np.frombuffer(data, dtype, int(np.prod(shape)), at).reshape(shape)
         at += size
-    color_s, depth_s = (None if answer[name] is None else float(answer[name]) for name in ("color_s", "depth_s"))
-    sequence = None if answer["sequence"] is None else int(answer["sequence"])
+    color_s, depth_s = (None if message[name] is None else float(message[name]) for name in ("color_s", "depth_s"))
+    sequence = None if message["sequence"] is None else int(message["sequence"])
     return DeviceImages(arrays["color"], arrays["depth_m"], color_s, depth_s, sequence, arrays.get("infrared"))
 
 
 def play(path: str, settings: LiveCameraSettings, output: BinaryIO) -> None:
-    """What the process does: answer what the file holds until it is over."""
+    """Send the frames of a file until its end: the work of the other process."""
     from wheelsight.io.devices.openni2 import OpenNI2Driver
 
     driver = OpenNI2Driver(path, settings)
-    _say(output, {})
+    _send(output, {})
     try:
         opened = driver.open()
         text = yaml.safe_dump(calibration_fields(opened.calibration), sort_keys=False)
-        _say(output, {"name": opened.name, "calibration": text, "warnings": list(opened.warnings)})
+        _send(output, {"name": opened.name, "calibration": text, "warnings": list(opened.warnings)})
         while True:
             images = driver.read(_READ_S)
             if images is None:
-                _say(output, {})
+                _send(output, {})
                 continue
             arrays = {name: getattr(images, name) for name, _, _ in _PARTS}
             there = {name: np.ascontiguousarray(array) for name, array in arrays.items() if array is not None}
             about = {"color_s": images.color_s, "depth_s": images.depth_s, "sequence": images.sequence}
             sizes = {name: array.shape[:2] for name, array in there.items()}
-            _say(output, {"images": sizes, **about}, *there.values())
+            _send(output, {"images": sizes, **about}, *there.values())
     except PlaybackEndedError:
-        _say(output, {"is_over": True})
+        _send(output, {"is_over": True})
     except InputError as error:
-        _say(output, {"error": error.problem, "fix": error.fix or ""})
+        _send(output, {"error": error.problem, "fix": error.fix or ""})
 
 
-def _say(output: BinaryIO, answer: dict[str, Any], *arrays: NDArray[Any]) -> None:
-    text = json.dumps(answer).encode()
+def _send(output: BinaryIO, message: dict[str, Any], *arrays: NDArray[Any]) -> None:
+    text = json.dumps(message).encode()
     output.write(_LENGTH.pack(len(text)) + text)
     for array in arrays:
         output.write(array.data)
     output.flush()
 
 
-def _end_with_parent() -> None:
-    """A thread: end once the other end of standard input is closed, as it is when that process ends in any way."""
-    while os.read(sys.stdin.fileno(), 1):
-        pass
-    os._exit(0)
-
-
-def _limit() -> None:
-    """Bound what a damaged file can take of memory and disk."""
+def main() -> None:
+    """The other process, whose output only `OniPlayer` reads."""
     import resource
 
+    def end_with_parent() -> None:
+        while os.read(sys.stdin.fileno(), 1):  # standard input is closed when the parent ends in any way
+            pass
+        os._exit(0)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
+    output = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(2, 1)  # messages of the library
+    settings = LiveCameraSettings.model_validate_json(sys.argv[2])
+    # Bound memory and disk: a damaged file may ask for any amount.
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with Path("/proc/self/statm").open() as stream:
         taken = int(stream.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     resource.setrlimit(resource.RLIMIT_AS, (taken + _MOST_MEMORY, taken + _MOST_MEMORY))
-
-
-def main() -> None:
-    """The process; its output is for `OniPlayer` alone."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    output = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(2, 1)  # what the library prints
-    settings = LiveCameraSettings.model_validate_json(sys.argv[2])
-    _limit()
     with suppress(BrokenPipeError):
         play(sys.argv[1], settings, output)
     os._exit(0)  # the library may crash as it ends

@@ -1,7 +1,5 @@
-"""A wheel controller in Python behind a pseudo-terminal, with the real protocols: to practise with, and for tests.
-
-It counts, obeys, restarts and can be unplugged. Framed, it answers commands as the firmware does; as plain text it
-prints the lines of the Arduino sketch and takes no commands. Pseudo-terminals exist on Linux and macOS.
+"""`SimulatedController`, a wheel controller behind a pseudo-terminal with the protocols of the firmware, for practice
+and tests. Pseudo-terminals exist on Linux and macOS.
 """
 
 from __future__ import annotations
@@ -37,17 +35,20 @@ PERIOD_S = 0.02
 WATCHDOG_S = 0.25
 PORT_NAME = "ttyWHEELS"
 
-_BODY_BYTES = {LinkCommand.DRIVE: 4, LinkCommand.STOP: 0, LinkCommand.GET_VERSION: 0, LinkCommand.RESET_COUNTS: 0}
-_BODY_BYTES |= {LinkCommand.SET_FORMAT: 1}
+_BODY_BYTES = {
+    LinkCommand.DRIVE: 4,
+    LinkCommand.STOP: 0,
+    LinkCommand.GET_VERSION: 0,
+    LinkCommand.RESET_COUNTS: 0,
+    LinkCommand.SET_FORMAT: 1,
+}
 _DONE, _UNKNOWN, _WRONG_LENGTH, _OUT_OF_RANGE = range(4)
-_LONGEST_COMMAND = 64  # bytes that wait for their zero; more is noise
-# A wheelchair's motors: they reach 63 % of a commanded speed within this time.
-_MOTOR_LAG_S = 0.15
-_HEADER = b"time_us,left,right\r\n"
+_LONGEST_COMMAND = 64  # bytes before a zero; more are noise
+_MOTOR_LAG_S = 0.15  # a wheelchair's motors reach 63 % of a commanded speed within this time
 
 
 class Leg(NamedTuple):
-    """A part of a practice drive: both wheels roll so far within so many seconds, from rest to rest."""
+    """A part of a practice drive: duration, and the distance that each wheel rolls, from rest to rest."""
 
     seconds: float
     left_m: float
@@ -55,37 +56,25 @@ class Leg(NamedTuple):
 
 
 def lap(wheels: Wheels) -> tuple[Leg, ...]:
-    """2 m ahead, about on the spot to the left, back, about: it ends where it began, and stands 3 s before."""
-    about_m = math.pi * wheels.track_width_m / 2
-    ahead, about = Leg(5.0, 2.0, 2.0), Leg(5.0, -about_m, about_m)
-    stand = Leg(1.0, 0.0, 0.0)
-    return Leg(3.0, 0.0, 0.0), ahead, stand, about, stand, ahead, stand, about
+    """After 3 s at rest: 2 m forward, half a turn to the left, 2 m back, half a turn; it ends at its start."""
+    half_m = math.pi * wheels.track_width_m / 2
+    ahead, turn, rest = Leg(5.0, 2.0, 2.0), Leg(5.0, -half_m, half_m), Leg(1.0, 0.0, 0.0)
+    return Leg(3.0, 0.0, 0.0), ahead, rest, turn, rest, ahead, rest, turn
 
 
 def turns(wheels: Wheels) -> tuple[Leg, ...]:
-    """The left wheel turns forward by one whole turn and back, then the right one: what a hand does at first."""
+    """One turn of the left wheel forward and back, then of the right wheel, as by hand."""
     left_m, right_m = 2 * math.pi * wheels.left_radius_m, 2 * math.pi * wheels.right_radius_m
-    stand = Leg(3.0, 0.0, 0.0)
-    return (
-        stand,
-        Leg(3.0, left_m, 0),
-        stand,
-        Leg(3.0, -left_m, 0),
-        stand,
-        Leg(3.0, 0, right_m),
-        stand,
-        Leg(3, 0, -right_m),
-    )
+    ways = ((left_m, 0.0), (-left_m, 0.0), (0.0, right_m), (0.0, -right_m))
+    return tuple(leg for way in ways for leg in (Leg(3.0, 0.0, 0.0), Leg(3.0, *way)))
 
 
 class Practice:
-    """Both wheels of a robot to practise with: legs again and again, until DRIVE commands it for the first time.
-
-    Called by the controller with duties in permille and seconds passed; returns the pulses of both wheels in them.
+    """Motors that repeat a practice drive until the first DRIVE, and then follow the commands.
 
     Args:
-        wheels: what a pulse is.
-        legs: driven without end; none stand.
+        wheels: with the distance of a pulse.
+        legs: of the drive; empty to stand.
         full_speed_m_s: of both wheels at full duty.
     """
 
@@ -100,7 +89,7 @@ class Practice:
         self._sent = (0, 0)
 
     def __call__(self, duties: tuple[int, int], seconds: float) -> tuple[int, int]:
-        """Pulses of left and right since the last call; parts of a pulse are kept for the next one."""
+        """Pulses of both wheels during `seconds` under duties in permille. Fractions are carried over."""
         self._is_commanded |= duties != (0, 0)
         if self._is_commanded:
             share = 1 - math.exp(-seconds / _MOTOR_LAG_S)
@@ -110,14 +99,14 @@ class Practice:
             self._driven_m = (self._driven_m[0] + left * seconds, self._driven_m[1] + right * seconds)
         else:
             self._passed_s += seconds
-            self._driven_m = self._way_m()
+            self._driven_m = self._practice_m()
         counts = [round(way / unit) for way, unit in zip(self._driven_m, self._m_per_tick, strict=True)]
         pulses = counts[0] - self._sent[0], counts[1] - self._sent[1]
         self._sent = counts[0], counts[1]
         return pulses
 
-    def _way_m(self) -> tuple[float, float]:
-        """How far both wheels have rolled along the legs by now; speed begins and ends each leg at zero."""
+    def _practice_m(self) -> tuple[float, float]:
+        """The distance of both wheels along the legs. The speed is zero at both ends of a leg."""
         length_s = sum(leg.seconds for leg in self._legs)
         if not length_s:
             return 0.0, 0.0
@@ -133,21 +122,21 @@ class Practice:
 
 
 class SimulatedController:
-    """Sends counts every 20 ms from a thread, as the firmware does; `port` stays the same through replugs.
+    """Sends counts every 20 ms from a thread and obeys commands, as the firmware. It can restart and be unplugged.
 
     Attributes:
-        port: a link to the pseudo-terminal.
+        port: a symbolic link to the pseudo-terminal; the same after it was plugged in again.
         left, right: the true counts, never reset.
-        speeds: pulses a period of both wheels.
-        motors: pulses of both wheels in so many seconds under duties in permille, in place of `speeds`; or None.
-        duties: of the last DRIVE, (0, 0) after STOP or the watchdog.
-        commands: all received, (type, body).
+        speeds: pulses of both wheels in a period.
+        motors: replaces `speeds`: gives the pulses of both wheels for duties in permille and a time; or None.
+        duties: of the last DRIVE; (0, 0) after STOP or the watchdog.
+        commands: all received commands, (type, body).
         is_muted, is_noisy, answers: whether it sends no counts; sends noise; answers commands.
-        is_plain: whether it prints `time,left,right` and takes no commands, as the Arduino sketch.
+        is_plain: whether it prints `time,left,right` and takes no commands, like the Arduino sketch.
         version: protocol, major, minor and flags of its answer to GET_VERSION.
 
     Raises:
-        DeviceError: there are no pseudo-terminals here, or the link cannot be made; says why.
+        DeviceError: the system has no pseudo-terminals, or the link cannot be made.
     """
 
     def __init__(
@@ -166,7 +155,7 @@ class SimulatedController:
         self._sequence = 0
         self._booted_s = time.monotonic()
         self._driven_s = 0.0
-        self._turned_s = time.monotonic()
+        self._counted_s = time.monotonic()
         self._master: int | None = None
         self._slave: int | None = None
         self._received = b""
@@ -177,14 +166,14 @@ class SimulatedController:
         self._thread.start()
 
     def plug(self) -> None:
-        """A new pseudo-terminal, under the old name. Raises DeviceError."""
+        """Make a new pseudo-terminal at the same port. Raises DeviceError."""
         try:
             import tty  # not on Windows
         except ImportError as error:
             raise DeviceError("this system has no pseudo-terminals", fix="Linux or macOS") from error
-        if self.port.exists():  # a link of one that was killed leads to nothing, and is replaced
+        if self.port.exists():  # the dangling link of a killed program is replaced
             what = "leads to another terminal" if self.port.is_symlink() else "is no link"
-            raise DeviceError(f"{self.port} is there already, and {what}", fix="another PATH, or remove it")
+            raise DeviceError(f"{self.port} exists, and {what}", fix="another PATH, or remove it")
         with self._lock:
             self._master, self._slave = os.openpty()
             tty.setraw(self._slave)
@@ -195,10 +184,10 @@ class SimulatedController:
             except OSError as error:
                 raise DeviceError(f"{self.port} cannot be made: {error.strerror}", fix="another PATH") from error
             if self.is_plain:
-                self.send(_HEADER)
+                self.send(b"time_us,left,right\r\n")
 
     def vanish(self) -> None:
-        """Both ends are closed, as when the plug is pulled; the controller counts on."""
+        """Close both ends, as when it is unplugged. The controller continues to count."""
         with self._lock:
             self.port.unlink(missing_ok=True)
             for end in (self._master, self._slave):
@@ -207,14 +196,14 @@ class SimulatedController:
             self._master = self._slave = None
 
     def restart(self) -> None:
-        """Clock, sequence and counts begin at zero; what was counted before is only in `left` and `right`."""
+        """Reset clock, sequence and counts; `left` and `right` stay."""
         with self._lock:
             self._booted_s = time.monotonic()
             self._sequence = 0
             self._zero = (self.left, self.right)
 
     def send(self, data: bytes) -> None:
-        """Put bytes on the line as they are; what the line has no room for is lost, as where no program reads it."""
+        """Send raw bytes. Those that do not fit are lost, as where no program reads."""
         with self._lock:
             if self._master is not None:
                 with suppress(BlockingIOError):
@@ -240,12 +229,13 @@ class SimulatedController:
             self._obey_until(next_s)
             next_s = max(next_s + PERIOD_S, time.monotonic() - PERIOD_S)
             with self._lock:
-                self._period()
+                self._send_counts()
 
-    def _period(self) -> None:
+    def _send_counts(self) -> None:
+        """Count the pulses of a period, and send them."""
         now_s = time.monotonic()
-        left, right = self.speeds if self.motors is None else self.motors(self.duties, now_s - self._turned_s)
-        self._turned_s = now_s
+        left, right = self.speeds if self.motors is None else self.motors(self.duties, now_s - self._counted_s)
+        self._counted_s = now_s
         self.left += left
         self.right += right
         if time.monotonic() - self._driven_s > WATCHDOG_S:
@@ -277,18 +267,15 @@ class SimulatedController:
                 continue
             with suppress(OSError, ValueError):
                 if select.select([master], [], [], min(left_s, 0.005))[0]:
-                    *pieces, rest = (self._received + self._read(master)).split(b"\0")
+                    with self._lock:  # once it is unplugged, its number may belong to another file
+                        data = os.read(master, 4096) if master == self._master else b""
+                    *pieces, rest = (self._received + data).split(b"\0")
                     self._received = rest[-_LONGEST_COMMAND:]
                     for piece in filter(None, pieces):
                         self._obey(piece)
 
-    def _read(self, master: int) -> bytes:
-        # Under the lock: once it has vanished, its number may be that of a file that is waited for.
-        with self._lock:
-            return os.read(master, 4096) if master == self._master else b""
-
     def _obey(self, piece: bytes) -> None:
-        """Do what a frame commands and answer it; one that is damaged, or sent to a plain board, changes nothing."""
+        """Execute and answer the command of a frame. Ignores a damaged frame, and any frame in plain text."""
         try:
             frame = cobs.decode(piece)
         except cobs.DecodeError:
@@ -325,7 +312,7 @@ def _duties(body: bytes) -> tuple[int, int]:
 
 
 def _status(kind: int, body: bytes) -> int:
-    """What the firmware answers."""
+    """The status that the firmware answers."""
     length = _BODY_BYTES.get(LinkCommand(kind)) if kind in set(LinkCommand) else None
     if length is None:
         return _UNKNOWN

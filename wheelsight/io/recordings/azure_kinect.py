@@ -26,14 +26,12 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.recordings.images import corrected_depth
 from wheelsight.io.recordings.recording import AssociationReport, Layout, OpenOptions, choose_calibration
 
-# What an Azure Kinect's calibration attachment says, and its depth laid onto its colour's pixels by that.
-#
-# Its lenses have eight coefficients, more than `PinholeCamera` has: colour is straightened, and depth registered to
-# it.
+# The calibration in the file. Its lenses have eight coefficients, more than `PinholeCamera`: colour is undistorted, and
+# depth registered to it.
 
 
 class _KinectMode(NamedTuple):
-    """The sensor's image scaled to `sensor` pixels, of which `size` are cut out from `corner` on."""
+    """A mode: the sensor's image is scaled to `sensor` pixels and cropped to `size` at `corner`."""
 
     sensor: tuple[int, int]
     corner: tuple[int, int]
@@ -47,7 +45,7 @@ _DEPTH_MODES = {
     "WFOV_2X2BINNED": _KinectMode((512, 512), (0, 0), (512, 512)),
     "WFOV_UNBINNED": _KinectMode((1024, 1024), (0, 0), (1024, 1024)),
 }
-# In metres, from the maker's data sheet: what it names for 15 to 95 % of reflectance.
+# From the maker's data sheet, for 15 to 95 % of reflectance.
 _RANGES_M = {
     "NFOV_2X2BINNED": (0.5, 5.46),
     "NFOV_UNBINNED": (0.5, 3.86),
@@ -64,19 +62,19 @@ _COLOR_MODES = {
 }
 _MODEL, _PARAMETERS = "CALIBRATION_LensDistortionModelBrownConrady", 14
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-9)
-# Focal lengths are in widths of the image, 0.2 to 1; coefficients of the camera's lenses are below 100.
+# Focal lengths of real cameras are 0.2 to 1 image widths; their coefficients are below 100.
 _MOST_PARAMETER, _LEAST_FOCAL = 1e4, 0.01
-# Beyond what a lens shows, undistorting finds nothing; where it does, it is right to far less than this.
+# Largest error of an undistorted point. Iteration diverges beyond the lens's field of view, and errs far less inside.
 _CONVERGED_PX = 0.05
 _FAR_M = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KinectLens:
-    """A camera of the attachment in one mode: K (3, 3), OpenCV's eight coefficients, size, and its place.
+    """A camera of the device in one mode: K (3, 3), OpenCV's eight coefficients, size and pose.
 
     Attributes:
-        reach: distance from the axis on the plane z = 1 up to which the coefficients hold.
+        reach: the largest distance from the axis on the plane z = 1 where the coefficients are valid.
         T_camera_device: (4, 4); the device's frame is the depth camera's.
     """
 
@@ -88,18 +86,18 @@ class KinectLens:
 
 
 def read_lenses(document: Any, depth_mode: str, color_size: tuple[int, int]) -> tuple[KinectLens, KinectLens]:
-    """Colour and depth camera of a recording in these modes. Raises CalibrationError naming what is missing."""
+    """The colour and depth cameras in these modes, by a calibration.json. Raises CalibrationError."""
     if depth_mode not in _DEPTH_MODES:
         raise CalibrationError(f"depth mode {depth_mode} measures no depth", fix=f"record {', '.join(_DEPTH_MODES)}")
     if color_size not in _COLOR_MODES:
-        raise CalibrationError(f"colour images of {color_size[0]}×{color_size[1]} are none of the camera's")
+        raise CalibrationError(f"colour images of {color_size[0]}×{color_size[1]} are none of the camera's modes")
     try:
         cameras = document["CalibrationInformation"]["Cameras"]
         by_place = {camera["Location"]: camera for camera in cameras}
         color = _lens(by_place["CALIBRATION_CameraLocationPV0"], _COLOR_MODES[color_size])
         return color, _lens(by_place["CALIBRATION_CameraLocationD0"], _DEPTH_MODES[depth_mode])
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError) as error:
-        raise CalibrationError(f"the calibration in it cannot be read: {error!r}") from error
+        raise CalibrationError(f"its calibration cannot be read: {error!r}") from error
 
 
 def _lens(camera: Any, mode: _KinectMode) -> KinectLens:
@@ -108,12 +106,12 @@ def _lens(camera: Any, mode: _KinectMode) -> KinectLens:
     if intrinsics["ModelType"] != _MODEL or parameters.shape != (_PARAMETERS,):
         raise ValueError(f"lens model {intrinsics['ModelType']} of {parameters.size} numbers")
     if not (np.abs(parameters) <= _MOST_PARAMETER).all() or parameters[2:4].min() <= _LEAST_FOCAL:
-        raise ValueError("numbers that are no lens's")
+        raise ValueError("numbers that are implausible for a lens")
     aspect = camera["SensorWidth"] / camera["SensorHeight"]
     if abs(aspect - mode.sensor[0] / mode.sensor[1]) > 1e-3:
         raise ValueError(f"a sensor of {camera['SensorWidth']}×{camera['SensorHeight']}")
     cx, cy, fx, fy = parameters[:4] * np.tile(mode.sensor, 2)
-    # The attachment counts from the image's corner, OpenCV and we from the first pixel's middle.
+    # The origin of the file is the image's corner, that of OpenCV and wheelsight the centre of the first pixel.
     cx, cy = cx - mode.corner[0] - 0.5, cy - mode.corner[1] - 0.5
     k1, k2, k3, k4, k5, k6, _, _, p2, p1 = parameters[4:]
     T_camera_device = np.eye(4)
@@ -129,10 +127,10 @@ def _lens(camera: Any, mode: _KinectMode) -> KinectLens:
 
 
 class KinectRegistration:
-    """Straightens colour, and lays depth onto its pixels.
+    """Undistorts colour and registers depth to it.
 
-    A depth pixel covers more than one of colour's; each is taken as four quarters of one depth, so that a surface has
-    no holes, and where several fall on a pixel the nearest counts, as it hides the others.
+    A depth pixel covers more than one colour pixel. Each is projected as four quarters, so that surfaces have no holes.
+    Where several fall on a pixel, the nearest occludes the others.
     """
 
     def __init__(self, color: KinectLens, depth: KinectLens) -> None:
@@ -146,7 +144,7 @@ class KinectRegistration:
         self._t: Float32Array = T_color_depth[:3, 3].astype(np.float32)
 
     def calibration(self, depth_mode: str, serial: str) -> Calibration:
-        """Of the images that come out."""
+        """The calibration of the undistorted and registered images."""
         (fx, _, cx), (_, fy, cy), _ = self._color.K.tolist()
         camera = PinholeCamera(*self._color.size, fx, fy, cx, cy)
         near_m, far_m = _RANGES_M[depth_mode]
@@ -154,13 +152,13 @@ class KinectRegistration:
         source = f"the calibration in the recording, of the Azure Kinect {serial}"
         return Calibration.registered_camera(camera, depth_noise=noise, source=source)
 
-    def straightened(self, color: ByteArray) -> ByteArray:
-        """The colour image without its lens' distortion; what the lens did not see repeats the border."""
+    def undistorted(self, color: ByteArray) -> ByteArray:
+        """The colour image without distortion. Pixels outside the lens's image repeat the border."""
         done = cv2.remap(color, self._map_u, self._map_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(done, np.uint8)
 
     def registered(self, depth_mm: UInt16Array) -> Float32Array:
-        """Depth in metres along colour's axis on the straightened colour's pixels, 0 where nothing was measured."""
+        """Depth (H, W) in metres on the pixels of the undistorted colour image, 0 without a measurement."""
         width, height = self._color.size
         z_m = np.repeat(np.repeat(depth_mm, 2, axis=0), 2, axis=1).reshape(-1) * np.float32(1e-3)
         is_seen = (z_m > 0) & np.isfinite(self._rays[:, 2])
@@ -178,7 +176,7 @@ class KinectRegistration:
 
 
 def _quarter_rays(depth: KinectLens) -> FloatArray:
-    """Directions (4·H·W, 3) with z = 1 of the quarters of depth pixels, row by row; NaN beyond the lens' reach."""
+    """Rays (4·H·W, 3) with z = 1 of the quarters of depth pixels, row by row; NaN outside the lens's reach."""
     width, height = depth.size
     u, v = np.meshgrid(np.arange(2 * width) / 2 - 0.25, np.arange(2 * height) / 2 - 0.25)
     px = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
@@ -196,7 +194,7 @@ def _quarter_rays(depth: KinectLens) -> FloatArray:
 
 
 def _distorted(xy: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """Where a lens shows points (N, 2) of the plane z = 1; OpenCV's also takes derivatives, and seconds."""
+    """The distorted points (N, 2) of points (N, 2), both on the plane z = 1. OpenCV's projection takes far longer."""
     k1, k2, p1, p2, k3, k4, k5, k6 = coefficients
     x, y = xy.T
     r2 = x**2 + y**2
@@ -205,25 +203,24 @@ def _distorted(xy: FloatArray, coefficients: FloatArray) -> FloatArray:
     return np.stack([x * radial + moved[0], y * radial + moved[1]], axis=1)
 
 
-# Recordings of an Azure Kinect: one Matroska file (.mkv) with colour, depth and the device's calibration.
-
+# The recording
 
 _COLOR, _DEPTH = "COLOR", "DEPTH"
 _SEGMENT, _HEAD = b"\x18\x53\x80\x67", 4096
-_MOST_ATTACHED = 1 << 20  # bytes; a calibration has 4 000
+_MOST_ATTACHED = 1 << 20  # bytes; a calibration has 4000
 _MKV = Kind("an .mkv", 1 << 40)
 _COPY = "copy the file again"
 
 
 class AzureKinectReader:
-    """A file of `k4arecorder`, or of another program that writes what it writes."""
+    """Reads files of `k4arecorder`."""
 
     name = "azure_kinect"
     layout = Layout.FILE
     needs = "an .mkv"
 
     def recognises(self, folder: Path) -> bool:
-        """Whether it is a file of that name."""
+        """Whether it is an .mkv file, by its name."""
         return folder.suffix.lower() == ".mkv" and folder.is_file()
 
     def open(self, folder: Path, options: OpenOptions) -> AzureKinectRecording:
@@ -259,7 +256,7 @@ class AzureKinectReader:
 
 @dataclass(frozen=True, slots=True)
 class _KinectPair:
-    """A frame: when colour was taken, and the times of both in the file's own units, by which they are found."""
+    """A frame: its stamp, and the times of both images in the file's units, which identify the packets."""
 
     stamp_s: float
     color_pts: int
@@ -269,7 +266,7 @@ class _KinectPair:
 
 @dataclass(frozen=True, eq=False)
 class AzureKinectRecording:
-    """A `Recording`. Frames are straightened and registered as they are asked for."""
+    """A `Recording`. Frames are undistorted and registered during iteration."""
 
     name: str
     path: Path
@@ -285,12 +282,12 @@ class AzureKinectRecording:
 
     @property
     def body(self) -> str:
-        """The frame a trajectory describes: "base" where the calibration says T_base_camera, else "camera"."""
+        """The frame its trajectory describes: "base" where the calibration has T_base_camera, else "camera"."""
         return "camera" if self.calibration.T_base_camera is None else "base"
 
     @property
     def frame_count(self) -> int:
-        """How many frames `events()` will yield, skipped ones included."""
+        """The number of frames that `events()` yields, skipped ones included."""
         return len(self.pairs)
 
     def events(self, *, images: bool = True) -> Iterator[Event]:
@@ -307,35 +304,35 @@ class AzureKinectRecording:
                 color[packet.pts] = packet
             elif kind == _DEPTH and packet.pts in wanted:
                 depth[packet.pts] = packet
-            while index < len(self.pairs) and self._has(self.pairs[index], color, depth):
+            while index < len(self.pairs):
                 pair = self.pairs[index]
+                if pair.color_pts not in color or pair.depth_pts not in depth:
+                    break
                 yield self._frame(pair, index, color.pop(pair.color_pts), depth.pop(pair.depth_pts))
                 index += 1
         for left in range(index, len(self.pairs)):
-            yield SkippedFrame(self.pairs[left].stamp_s, "the file was cut off since it was opened", left)
-
-    @staticmethod
-    def _has(pair: _KinectPair, color: dict[int, Any], depth: dict[int, Any]) -> bool:
-        return pair.color_pts in color and pair.depth_pts in depth
+            yield SkippedFrame(self.pairs[left].stamp_s, "the file was truncated after it was opened", left)
 
     def _frame(self, pair: _KinectPair, index: int, color: Any, depth: Any) -> RgbdFrame | SkippedFrame:
-        depth_mm = _depth_of(bytes(depth), self.depth_size)
-        if depth_mm is None:
+        width, height = self.depth_size
+        data = bytes(depth)
+        if len(data) != 2 * width * height:
             return SkippedFrame(pair.stamp_s, "depth image is cut off", index)
+        depth_mm = np.frombuffer(data, ">u2").reshape(height, width).astype(np.uint16)
         if not depth_mm.any():
             return SkippedFrame(pair.stamp_s, NOTHING_MEASURED, index)
         pixels = _color_of(color)
         camera, _ = self.calibration.cameras
         if pixels is None or pixels.shape != (camera.height, camera.width, 3):
             return SkippedFrame(pair.stamp_s, "colour image is damaged", index)
-        seen, depth_m = self.registration.straightened(pixels), self.registration.registered(depth_mm)
+        seen, depth_m = self.registration.undistorted(pixels), self.registration.registered(depth_mm)
         depth_m = corrected_depth(seen, depth_m, self.calibration, (self.path, self.path))
         return RgbdFrame(pair.stamp_s, seen, depth_m, index, pair.depth_late_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Listed:
-    """What a file holds."""
+    """The contents of a file, without images."""
 
     color_pts: list[int]
     depth_pts: list[int]
@@ -352,53 +349,54 @@ class _Listed:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """The file's container, and its faults as RecordingError.
+    """The file's container; errors are raised as RecordingError.
 
-    It is opened as Matroska alone, from a file that is open: FFmpeg also reads lists of other files, and opens devices
-    and addresses by their names.
+    An open file is passed, as Matroska only: FFmpeg would also follow lists of files, and open devices and addresses.
     """
     av = needed("av")
     with open_binary(path, _MKV, RecordingError) as stream:
         try:
             with av.open(stream, format="matroska") as container:
                 yield container
-        # PyAV has no attributes, or None, where a file lacks what they are made of.
+        # Attributes of PyAV are missing or None in incomplete files.
         except (av.error.FFmpegError, OSError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
             raise RecordingError(f"is no Matroska file that can be read: {error}", path=path, fix=_COPY) from error
 
 
 def _streams(container: Any, path: Path) -> dict[str, Any]:
-    """Video streams by the names that the recorder gives them. Raises RecordingError."""
+    """The colour and depth streams by name. Raises RecordingError where one is missing or invalid."""
     found = {str(stream.metadata.get("title", "")): stream for stream in container.streams.video}
     for name in (_COLOR, _DEPTH):
         if name not in found:
             there = ", ".join(sorted(found)) or "none"
             fix = "record colour and depth with k4arecorder"
             raise RecordingError(f"no stream is called {name}; there are: {there}", path=path, fix=fix)
-        _check(found[name], name, path)
+        stream = found[name]
+        if stream.codec_context is None:
+            raise RecordingError(f"its stream {name} has an unknown codec", path=path, fix=_COPY)
+        if not stream.time_base or not 0 < stream.width * stream.height <= MOST_PIXELS:
+            problem = f"its stream {name} is of {stream.width}×{stream.height} pixels, in units of {stream.time_base} s"
+            raise RecordingError(problem, path=path, fix=_COPY)
+        # An image states its own size, which may differ from its stream's.
+        stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
     return found
 
 
-def _check(stream: Any, name: str, path: Path) -> None:
-    """Raises RecordingError for a stream of which FFmpeg knows no codec, size or clock."""
-    if stream.codec_context is None:
-        raise RecordingError(f"its stream {name} is of an unknown codec", path=path, fix=_COPY)
-    if not stream.time_base or not 0 < stream.width * stream.height <= MOST_PIXELS:
-        problem = f"its stream {name} is of {stream.width}×{stream.height} pixels, in units of {stream.time_base} s"
-        raise RecordingError(problem, path=path, fix=_COPY)
-    # An image says its own size, which may be another than its stream's.
-    stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
-
-
 def _list(path: Path) -> _Listed:
-    """Read the file once, decoding nothing. Raises RecordingError."""
+    """The contents of a file. Decodes no images. Raises RecordingError."""
     with _opened(path) as container:
         streams = _streams(container, path)
         color, depth = streams[_COLOR], streams[_DEPTH]
         if color.time_base != depth.time_base:
             raise RecordingError("colour and depth have clocks of their own", path=path)
         stamps: dict[int, list[int]] = {color.index: [], depth.index: []}
-        is_whole = _list_packets(container, (color, depth), stamps)
+        av, is_whole = needed("av"), True
+        try:
+            for packet in container.demux(color, depth):
+                if packet.pts is not None and packet.size:
+                    stamps[packet.stream_index].append(packet.pts)
+        except av.error.FFmpegError:
+            is_whole = False
         return _Listed(
             color_pts=sorted(set(stamps[color.index])),
             depth_pts=sorted(set(stamps[depth.index])),
@@ -410,25 +408,13 @@ def _list(path: Path) -> _Listed:
             serial=str(container.metadata.get("K4A_DEVICE_SERIAL_NUMBER", "")),
             calibration=_calibration_in(container, path),
             has_imu=any(stream.metadata.get("title") == "IMU" for stream in container.streams),
-            # FFmpeg takes the end of a file that was cut off for its end.
+            # FFmpeg does not report that a file is cut off.
             is_cut_off=not is_whole or _ends_early(path),
         )
 
 
-def _list_packets(container: Any, streams: tuple[Any, Any], stamps: dict[int, list[int]]) -> bool:
-    """Whether the file could be read to its end."""
-    av = needed("av")
-    try:
-        for packet in container.demux(*streams):
-            if packet.pts is not None and packet.size:
-                stamps[packet.stream_index].append(packet.pts)
-    except av.error.FFmpegError:
-        return False
-    return True
-
-
 def _ends_early(path: Path) -> bool:
-    """Whether a file ends before its segment does, by the sizes that it states (RFC 8794, sections 4 and 6)."""
+    """Whether the file ends before its segment, by the stated sizes (RFC 8794, sections 4 and 6)."""
     with open_binary(path, _MKV, RecordingError) as stream:
         head = stream.read(_HEAD)
     length, at = _size_at(head, 4)
@@ -438,7 +424,7 @@ def _ends_early(path: Path) -> bool:
 
 
 def _size_at(data: bytes, at: int) -> tuple[int | None, int]:
-    """An element's size, None where it is not stated, and where its content begins."""
+    """An element's size, None where it is not stated, and the offset of its content."""
     if at >= len(data):
         return None, at
     bytes_of_it = 9 - data[at].bit_length()
@@ -448,7 +434,7 @@ def _size_at(data: bytes, at: int) -> tuple[int | None, int]:
 
 
 def _packets(path: Path) -> Iterator[tuple[str, Any]]:
-    """Colour and depth packets in the file's order; ends where the file is damaged."""
+    """Colour and depth packets in file order, up to any damage."""
     with _opened(path) as container:
         streams = _streams(container, path)
         names = {streams[name].index: name for name in (_COLOR, _DEPTH)}
@@ -464,6 +450,7 @@ def _packets(path: Path) -> Iterator[tuple[str, Any]]:
 
 
 def _calibration_in(container: Any, path: Path) -> Any:
+    """The attached calibration.json, parsed. Raises RecordingError where it is missing or invalid."""
     for stream in container.streams:
         if stream.type == "attachment" and str(stream.metadata.get("filename", "")) == "calibration.json":
             data = bytes(stream.data or b"").rstrip(b"\0")
@@ -471,11 +458,11 @@ def _calibration_in(container: Any, path: Path) -> Any:
                 return parse_json(data) if len(data) <= _MOST_ATTACHED else None
             except ValueError as error:
                 raise RecordingError(f"its calibration.json {error}", path=path) from error
-    raise RecordingError("holds no calibration.json", path=path, fix="record with k4arecorder, which attaches it")
+    raise RecordingError("has no calibration.json", path=path, fix="record with k4arecorder, which attaches it")
 
 
 def _pair(listed: _Listed, max_gap_s: float, path: Path) -> tuple[list[_KinectPair], AssociationReport]:
-    """Colour and depth of one moment. Raises RecordingError where there are none."""
+    """The pairs of colour and depth images. Raises RecordingError where there are none."""
     color_s, depth_s = (np.array(pts, float) * listed.tick_s for pts in (listed.color_pts, listed.depth_pts))
     found = associate(color_s, depth_s - listed.depth_delay_s, max_gap_s)
     if not len(found):
@@ -492,15 +479,8 @@ def _pair(listed: _Listed, max_gap_s: float, path: Path) -> tuple[list[_KinectPa
     return pairs, AssociationReport(len(color_s), len(depth_s), len(pairs), max_gap_s, largest_s)
 
 
-def _depth_of(data: bytes, size: tuple[int, int]) -> UInt16Array | None:
-    """(H, W) millimetres; they are written most significant byte first."""
-    width, height = size
-    if len(data) != 2 * width * height:
-        return None
-    return np.frombuffer(data, ">u2").reshape(height, width).astype(np.uint16)
-
-
 def _color_of(packet: Any) -> ByteArray | None:
+    """The colour image (H, W, 3) of a packet, or None where it is damaged."""
     av = needed("av")
     try:
         frames = packet.decode()

@@ -31,17 +31,15 @@ from wheelsight.io.recordings.recording import (
     express_for,
 )
 
-# Bytes of a .sens file, version 4, little-endian: its header, where each frame lies, and a frame's two images.
-#
-# A frame is a pose (16 float32, row by row, camera to world), stamps of colour and depth and sizes of both in bytes
-# (four uint64), then the two images. Only sizes are read when a file is opened: it has gigabytes.
-
+# A .sens file is little-endian: a header, then frames. A frame is a pose (16 float32, row by row, camera to world),
+# stamps of colour and depth and sizes of both in bytes (four uint64), then the two images. Opening reads no images: a
+# file has gigabytes.
 
 _VERSION = 4
 _MATRIX, _SIZES, _FRAME = struct.Struct("<16f"), struct.Struct("<iiIIIIfQ"), struct.Struct("<16fQQQQ")
 _LONGEST_NAME = 1024
-_MOST_FRAMES = 500_000  # as in a list of images
-_LARGEST_IMAGE = 1 << 27  # bytes, as an image's file
+_MOST_FRAMES = 500_000  # as for a list of images
+_LARGEST_IMAGE = 1 << 27  # bytes, as for an image file
 _COLOR_KINDS = {1: "PNG", 2: "JPEG"}
 _RAW, _ZLIB = 0, 1
 _COPY = "copy the file again"
@@ -50,7 +48,7 @@ _FILE = Kind("a .sens", 1 << 40)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensHeader:
-    """What stands before the frames. Sizes are width and height; T_base_color, T_base_depth are the extrinsics."""
+    """The header. Sizes are width and height; T_base_color and T_base_depth are the extrinsics."""
 
     sensor: str
     K_color: FloatArray
@@ -66,7 +64,7 @@ class SensHeader:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensFrame:
-    """Where a frame's colour begins, and how many bytes both images have; depth follows colour."""
+    """A frame: its pose, its stamp, the offset of its colour image, and the sizes of both. Depth follows colour."""
 
     T_frame_camera: FloatArray
     color_stamp: int
@@ -77,7 +75,7 @@ class SensFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensFile:
-    """A file's header and frames; `cut_off` says how many frames are missing, and is empty where none is."""
+    """Header and frames. `cut_off` is a warning where frames are missing, else empty."""
 
     header: SensHeader
     frames: tuple[SensFrame, ...]
@@ -85,7 +83,7 @@ class SensFile:
 
 
 def read_sens(path: Path) -> SensFile:
-    """Header and frames, no image. Raises RecordingError naming the file and the field."""
+    """Header and frames, without images. Raises RecordingError naming the file and the field."""
     try:
         with open_binary(path, _FILE, RecordingError) as stream:
             size = stream.seek(0, 2)
@@ -97,8 +95,8 @@ def read_sens(path: Path) -> SensFile:
     if not frames:
         raise RecordingError("is cut off before the end of its first frame", path=path, fix=_COPY)
     missing = header.frame_count - len(frames)
-    told = f"The file is cut off: {missing} of {header.frame_count} frames are missing." if missing else ""
-    return SensFile(header, tuple(frames), told)
+    cut_off = f"The file is cut off: {missing} of {header.frame_count} frames are missing." if missing else ""
+    return SensFile(header, tuple(frames), cut_off)
 
 
 def color_of(path: Path, frame: SensFrame) -> bytes:
@@ -152,7 +150,7 @@ def _read_header(stream: BinaryIO, path: Path) -> SensHeader:
 
 
 def _read_frames(stream: BinaryIO, header: SensHeader, size: int, path: Path) -> list[SensFrame]:
-    """The frames that are whole."""
+    """The complete frames."""
     frames: list[SensFrame] = []
     for number in range(header.frame_count):
         data = stream.read(_FRAME.size)
@@ -179,7 +177,7 @@ def _exactly(stream: BinaryIO, count: int, path: Path) -> bytes:
 
 
 def _read_at(path: Path, at: int, count: int) -> bytes:
-    """Bytes of the file, maybe fewer where it was cut off since; raises RecordingError where it cannot be read."""
+    """Bytes of the file; fewer where it was truncated meanwhile. Raises RecordingError where it cannot be read."""
     try:
         with open_binary(path, _FILE, RecordingError) as stream:
             stream.seek(at)
@@ -188,30 +186,32 @@ def _read_at(path: Path, at: int, count: int) -> bytes:
         raise RecordingError(f"cannot be read: {error.strerror}", path=path) from error
 
 
-# ScanNet's .sens: one file of cameras, JPEG colour, compressed depth and poses (Dai et al., CVPR 2017).
-
-
 _FRAMES_READ_AHEAD = 4
 _MICROSECONDS = 1e6
 _RIGID_TOLERANCE = 1e-2
 
 
 class ScanNetReader:
-    """A file of ScanNet's, or of another program that writes version 4 of its format."""
+    """Reads a .sens file of version 4."""
 
     name = "scannet"
     layout = Layout.FILE
     needs = "a .sens"
 
     def recognises(self, folder: Path) -> bool:
-        """Whether it is a file of that name."""
+        """Whether it is a .sens file, by its name."""
         return folder.suffix.lower() == ".sens" and folder.is_file()
 
     def open(self, folder: Path, options: OpenOptions) -> ScanNetRecording:
         """The recording in a file. Raises InputError naming it."""
         sens = read_sens(folder)
         warnings = [sens.cut_off] if sens.cut_off else []
-        stamps_s = _stamps_s(sens, options, warnings)
+        stamps = np.array([frame.color_stamp for frame in sens.frames], np.float64)
+        if options.rate_hz is None and (np.diff(stamps) > 0).all() and stamps[-1] > 0:
+            stamps_s = [float(stamp_s) for stamp_s in stamps / _MICROSECONDS]
+        else:  # some files have no stamps
+            rate_hz = rate_of(options, warnings)
+            stamps_s = [number / rate_hz for number in range(len(stamps))]
         calibration = choose_calibration(folder, options, lambda: _calibration(sens.header, folder))
         poses = [
             WrittenPose(stamp_s, frame.T_frame_camera, folder)
@@ -219,7 +219,7 @@ class ScanNetReader:
         ]
         truth = true_poses(poses, warnings)
         if truth is not None:
-            warnings.append("True poses are ScanNet's own reconstruction by BundleFusion, not motion capture.")
+            warnings.append("True poses are ScanNet's reconstruction by BundleFusion, not motion capture.")
         count = len(sens.frames)
         recording = ScanNetRecording(
             name=folder.stem,
@@ -238,7 +238,7 @@ class ScanNetReader:
 
 @dataclass(frozen=True, eq=False)
 class ScanNetRecording:
-    """A `Recording`. Frames are read from the file as they are asked for."""
+    """A `Recording`. Frames are read from the file during iteration."""
 
     name: str
     path: Path
@@ -255,26 +255,26 @@ class ScanNetRecording:
 
     @property
     def body(self) -> str:
-        """The frame a trajectory describes: "base" where the calibration says T_base_camera, else "camera"."""
+        """The frame its trajectory describes: "base" where the calibration has T_base_camera, else "camera"."""
         return "camera" if self.calibration.T_base_camera is None else "base"
 
     @property
     def frame_count(self) -> int:
-        """How many frames `events()` will yield, skipped ones included."""
+        """The number of frames that `events()` yields, skipped ones included."""
         return len(self.frames)
 
     def events(self, *, images: bool = True) -> Iterator[Event]:
-        """Frames in order of time, from the start at each call; none without `images`. Decoded a few ahead."""
+        """Frames in order of time, decoded a few ahead, from the start at each call; none without `images`."""
         listed = self.listed() if images else iter(())
         return read_ahead((event.read() for event in listed), _FRAMES_READ_AHEAD)
 
     def listed(self) -> Iterator[ListedFrame]:
-        """Frames that are still to be decoded."""
+        """Undecoded frames."""
         for index, (stamp_s, next_stamp_s) in enumerate(pairwise((*self.stamps_s, math.inf))):
             yield ListedFrame(stamp_s, next_stamp_s, partial(self._frame_or_reason, index))
 
     def read_frame(self, index: int) -> RgbdFrame:
-        """The frame at `index`. Raises RecordingError naming the file and what makes it unusable."""
+        """The frame at `index`. Raises RecordingError where it is unusable."""
         frame = self.frames[index]
         color = decoded_color(color_of(self.path, frame), self.path)
         units = depth_units_of(self.path, frame, self.header)
@@ -289,7 +289,7 @@ class ScanNetRecording:
             return SkippedFrame(self.stamps_s[index], error.problem, index)
 
     def tried(self) -> ScanNetRecording:
-        """Itself, with truth of its body. Raises RecordingError where neither first nor middle frame can be used."""
+        """The recording with its body's truth. Raises RecordingError where the first and middle frame are unusable."""
         middle = self._frame_or_reason(len(self.frames) // 2)
         if isinstance(middle, SkippedFrame):
             self.read_frame(0)
@@ -298,17 +298,8 @@ class ScanNetRecording:
         return replace(self, ground_truth=express_for(self.body, self.ground_truth, self.calibration))
 
 
-def _stamps_s(sens: SensFile, options: OpenOptions, warnings: list[str]) -> list[float]:
-    """Of colour, in microseconds in the file; where they do not grow, as in files that have none, by a rate."""
-    stamps = np.array([frame.color_stamp for frame in sens.frames], np.float64)
-    if options.rate_hz is None and (np.diff(stamps) > 0).all() and stamps[-1] > 0:
-        return [float(stamp_s) for stamp_s in stamps / _MICROSECONDS]
-    rate_hz = rate_of(options, warnings)
-    return [number / rate_hz for number in range(len(stamps))]
-
-
 def _calibration(header: SensHeader, path: Path) -> Calibration:
-    """Two cameras of their own sizes at nearly one place: the extrinsic of depth leads to colour's."""
+    """The calibration of both cameras. Raises CalibrationError where the header is implausible."""
     try:
         color, depth = (
             PinholeCamera(*size, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))

@@ -24,7 +24,7 @@ from wheelsight.core.runtime import needed
 BAG = Kind("a bag", 1 << 40)
 # Recorders close a chunk at 0.8 to 4 MB, or after one message that is larger. Three raw images of 4096×3072 fit.
 _MOST_UNPACKED = 128 << 20
-_MOST_PLAIN = 512 << 20  # uncompressed
+MOST_CHUNK = 512 << 20  # of a chunk in the file
 # An hour of a robot's chunks takes some 20 MB.
 MOST_INDEX = 256 << 20
 # One opening or pass unpacks _FREE_BYTES and _MOST_RATIO times the size of the file. Raw images of a simulated camera
@@ -220,9 +220,6 @@ class ChunkedReader(ABC):
             raise ValueError("is cut off")
         return data
 
-    def _packed(self, size: int) -> bytes:
-        return self._exactly(size, _MOST_PLAIN)
-
     def _refusal(self, problem: str) -> RecordingError:
         return RecordingError(problem, path=self.path, fix=_DAMAGED)
 
@@ -278,7 +275,11 @@ def store_of(type_: str, language: str, definition: str, is_ros1: bool) -> Any:
     if len(definition) > LONGEST_DEFINITION:
         raise RecordingError(f"its definition is longer than {LONGEST_DEFINITION >> 10} kB")
     store = typesys.get_typestore(typesys.Stores.EMPTY)
-    types = _defined(type_, language, definition, typesys)
+    if language == "MSG":
+        types = dict(typesys.get_types_from_msg(definition, type_))
+    else:  # IDL, in one or several parts
+        parts = [part.partition("\n")[2] for part in definition.split(_IDL_RULE) if part.startswith("IDL: ")]
+        types = {name: of for part in parts or [definition] for name, of in typesys.get_types_from_idl(part).items()}
     known = {**store.fielddefs, **types}
     _check(type_, known)
     standard = dict(typesys.get_typestore(typesys.Stores.ROS1_NOETIC if is_ros1 else typesys.Stores.LATEST).fielddefs)
@@ -288,14 +289,6 @@ def store_of(type_: str, language: str, definition: str, is_ros1: bool) -> Any:
         _compare(type_, known, type_, standard)
     store.register(types)
     return store
-
-
-def _defined(type_: str, language: str, definition: str, typesys: Any) -> dict[str, Any]:
-    """The types of a definition in ROS's own language, or of one or several parts in IDL."""
-    if language == "MSG":
-        return dict(typesys.get_types_from_msg(definition, type_))
-    parts = [part.partition("\n")[2] for part in definition.split(_IDL_RULE) if part.startswith("IDL: ")]
-    return {name: of for part in parts or [definition] for name, of in typesys.get_types_from_idl(part).items()}
 
 
 def _check(type_: str, types: Mapping[str, Any]) -> None:

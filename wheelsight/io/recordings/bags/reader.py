@@ -27,9 +27,9 @@ from wheelsight.io.recordings.bags.chunks import TF, are_measured
 from wheelsight.io.recordings.bags.images import camera_of
 from wheelsight.io.recordings.bags.recording import BagPlan, BagRecording
 from wheelsight.io.recordings.bags.stamps import TopicClock, clocks_of
-from wheelsight.io.recordings.bags.storage import Message, OpenBag, TransformTopic, open_bag, parts_of
+from wheelsight.io.recordings.bags.storage import Message, OpenBag, open_bag, parts_of
 from wheelsight.io.recordings.bags.topics import CALIBRATION, TEXT, Choices, ImageTopic, Roles, lacks, roles_of
-from wheelsight.io.recordings.bags.wheel_readings import JointSpeeds, JointTicks, SpeedReader, poses_stay_zero
+from wheelsight.io.recordings.bags.wheel_readings import JointTicks, SpeedReader, joint_speeds, poses_stay_zero
 from wheelsight.io.recordings.bags.wheel_topics import WheelTopic
 from wheelsight.io.recordings.clock_checks import FRAMES, WHEELS, MotionClock, stamp_warnings
 from wheelsight.io.recordings.recording import Layout, OpenOptions, RecordedTopic, load_camera
@@ -84,7 +84,7 @@ def _stated_wheels(bag: OpenBag, options: OpenOptions) -> Wheels | HolonomicWhee
     stated = None
     if _is_own(bag):
         with suppress(WheelsightError):
-            stated = parse_calibration(bag.decode(bag.first(CALIBRATION)[0]).data, bag.path).any_wheels
+            stated = _own_calibration(bag).any_wheels
     for path in _calibration_files(bag, options):
         with suppress(WheelsightError):
             stated = load_calibration(path).any_wheels or stated
@@ -100,6 +100,11 @@ def _calibration_files(bag: OpenBag, options: OpenOptions) -> list[StrPath]:
 def _is_own(bag: OpenBag) -> bool:
     """Whether wheelsight wrote the bag, which then carries the robot's calibration."""
     return any(topic.name == CALIBRATION and topic.type == TEXT and topic.count for topic in bag.topics)
+
+
+def _own_calibration(bag: OpenBag) -> Calibration:
+    """The calibration in a bag of wheelsight. Raises CalibrationError."""
+    return parse_calibration(bag.decode(bag.first(CALIBRATION)[0]).data, bag.path)
 
 
 def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
@@ -232,9 +237,16 @@ class BagRobot:
 
 def read_robot(bag: OpenBag, roles: Roles) -> BagRobot:
     """The robot by CameraInfo, /tf_static, the first messages of /tf, and the type of its wheels' topic."""
-    transforms = _read_transforms(bag, roles)
+    transforms = Transforms()
+    parts = {part.name for part in roles.transforms}
+    topics = [topic for topic in bag.topics if topic.type in TF and topic.count and topic.name not in parts]
+    # Static transforms come first.
+    for topic in sorted(topics, key=lambda topic: "static" not in topic.name):
+        is_static, messages = "static" in topic.name, bag.first(topic.name, min(topic.count, _TF_MESSAGES))
+        if not all(transforms.add(bag.decode(message).transforms, is_static) for message in messages):
+            break  # it is full
     warnings = list(transforms.warnings)
-    base = _base(bag, roles, transforms)
+    base = _base_frame(bag, roles, transforms)
     cameras, lacks = None, None
     if roles.color is not None and roles.depth is not None:
         try:
@@ -258,20 +270,7 @@ def read_robot(bag: OpenBag, roles: Roles) -> BagRobot:
     return BagRobot(calibration, base, transforms, tuple(warnings), lacks, *needs)
 
 
-def _read_transforms(bag: OpenBag, roles: Roles) -> Transforms:
-    """The tree of tf: static transforms first, then the first messages of the others."""
-    transforms = Transforms()
-    parts = {part.name for part in roles.transforms}
-    topics = [topic for topic in bag.topics if topic.type in TF and topic.count and topic.name not in parts]
-    for topic in sorted(topics, key=lambda topic: "static" not in topic.name):
-        is_static = "static" in topic.name
-        for message in bag.first(topic.name, min(topic.count, _TF_MESSAGES)):
-            if not transforms.add(bag.decode(message).transforms, is_static):
-                return transforms
-    return transforms
-
-
-def _base(bag: OpenBag, roles: Roles, transforms: Transforms) -> str | None:
+def _base_frame(bag: OpenBag, roles: Roles, transforms: Transforms) -> str | None:
     """The base frame: a usual name that tf connects to the camera, or the child frame of the odometry."""
     moved: list[str] = []
     if roles.source is not None and roles.source.kind == "odometry":
@@ -383,7 +382,7 @@ def _calibrated(bag: OpenBag, roles: Roles, robot: BagRobot, options: OpenOption
     calibration.yaml beside the bag, and the user's calibrations.
     """
     over = _calibration_files(bag, options)
-    known, own = robot.calibration, _own(bag, roles)
+    known, own = robot.calibration, _own_with_used_wheels(bag, roles)
     if own is not None:
         known = own if known is None else known.updated_by(own)
     if options.camera is not None:
@@ -401,11 +400,11 @@ def _calibrated(bag: OpenBag, roles: Roles, robot: BagRobot, options: OpenOption
     return calibration
 
 
-def _own(bag: OpenBag, roles: Roles) -> Calibration | None:
+def _own_with_used_wheels(bag: OpenBag, roles: Roles) -> Calibration | None:
     """The calibration in a bag of wheelsight; with wheels where their joints are used. Raises CalibrationError."""
     if not _is_own(bag):
         return None
-    calibration = parse_calibration(bag.decode(bag.first(CALIBRATION)[0]).data, bag.path)
+    calibration = _own_calibration(bag)
     return calibration if roles.joints is not None else replace(calibration, wheels=None)
 
 
@@ -420,7 +419,7 @@ def _wheels(
         ticks_per_turn = _ticks_per_turn(bag, roles, calibration)
         if ticks_per_turn is not None:
             return partial(JointTicks, roles.joints, ticks_per_turn), [], None
-        return partial(JointSpeeds, roles.joints), [f"{roles.wheels.name}: wheels are the joints {names}."], None
+        return partial(joint_speeds, roles.joints), [f"{roles.wheels.name}: wheels are the joints {names}."], None
     topic, source = roles.wheels.name, roles.source
     assert source is not None
     if source.is_holonomic:
@@ -443,7 +442,7 @@ def _wheels(
 
 def _ticks_per_turn(bag: OpenBag, roles: Roles, calibration: Calibration) -> float | None:
     """Counts per turn of the encoders in a bag of wheelsight that stores counts as joint angles; None in others."""
-    own = _own(bag, roles)
+    own = _own_with_used_wheels(bag, roles)
     if own is None or own.wheels is None or calibration.wheels is None or roles.wheels is None:
         return None
     has_speeds = len(bag.decode(bag.first(roles.wheels.name)[0]).velocity) > 0
@@ -541,7 +540,14 @@ def _truth(
             unusable += 1
     stamps_s, poses, child = list[float](), list[FloatArray](), ""
     for stamp_s, message in sorted([*settled, *clock.end()], key=lambda item: item[0]):
-        pose, child = _pose_of(bag.decode(message), part)
+        decoded = bag.decode(message)
+        stamped: Any = decoded if part is None else part.found_in(decoded)
+        child = str(getattr(stamped, "child_frame_id", "")).lstrip("/")
+        if hasattr(stamped, "transform"):
+            pose = motion_of(stamped.transform.translation, stamped.transform.rotation)
+        else:
+            posed = getattr(stamped.pose, "pose", stamped.pose)
+            pose = motion_of(posed.position, posed.orientation)
         if pose is None or (stamps_s and stamp_s <= stamps_s[-1]):
             unusable += 1
             continue
@@ -559,16 +565,6 @@ def _truth(
         warnings.append(f"{name}: its poses, {of}, are taken for those of the {body}.")
     T = np.stack(poses) if T_child_body is None else se3.compose(np.stack(poses), T_child_body)
     return Trajectory(np.array(stamps_s), T, body=body), warnings
-
-
-def _pose_of(message: Any, part: TransformTopic | None) -> tuple[FloatArray | None, str]:
-    """The pose (4, 4) of a message, None where it is invalid, and its child frame, empty where there is none."""
-    stamped: Any = message if part is None else part.found_in(message)
-    child = str(getattr(stamped, "child_frame_id", "")).lstrip("/")
-    if hasattr(stamped, "transform"):
-        return motion_of(stamped.transform.translation, stamped.transform.rotation), child
-    pose = getattr(stamped.pose, "pose", stamped.pose)
-    return motion_of(pose.position, pose.orientation), child
 
 
 # The tree of tf
@@ -620,7 +616,7 @@ class Transforms:
                 if first != parent:
                     self._warn(f"tf contradicts itself: {child} has the parents {first} and {parent}; {first} is used.")
                 self._T[pair] = T
-            elif self._differ(self._T[pair], T):
+            elif not _is_same_motion(self._T[pair], T):
                 if is_static or pair in self._static:
                     between = f"two static transforms lead from {parent} to {child}"
                     self._warn(f"tf contradicts itself: {between}; the first stands.")
@@ -646,14 +642,15 @@ class Transforms:
                     todo.append(parent)
         return reached.get(b)
 
-    def _differ(self, T: FloatArray, other: FloatArray) -> bool:
-        apart = se3.compose(se3.invert(T), other)
-        is_far = np.linalg.norm(apart[:3, 3]) > _TF_APART_M
-        return bool(is_far or so3.angle(apart[:3, :3]) > _TF_APART_RAD)
-
     def _warn(self, sentence: str) -> None:
         if sentence not in self.warnings and len(self.warnings) < _MOST_WARNINGS:
             self.warnings.append(sentence)
+
+
+def _is_same_motion(T: FloatArray, other: FloatArray) -> bool:
+    apart = se3.compose(se3.invert(T), other)
+    is_far = np.linalg.norm(apart[:3, 3]) > _TF_APART_M
+    return not (is_far or so3.angle(apart[:3, :3]) > _TF_APART_RAD)
 
 
 def motion_of(t: Any, q: Any) -> FloatArray | None:

@@ -8,8 +8,8 @@ import re
 import struct
 import tempfile
 from collections import deque
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path, PurePosixPath
@@ -147,23 +147,20 @@ class OpenBag:
                 wanted = [one for one in reader.connections if one.topic in topics or one.topic in carriers]
                 if wanted:
                     for connection, receipt_ns, data in reader.messages(wanted, start_ns, stop_ns):
-                        plain = self._plain(data, connection.topic, reader)
+                        if data[:4] == _ZSTD:
+                            data = self._decompressed(data, connection.topic, reader)
                         if connection.topic in topics:
-                            yield Message(connection.topic, receipt_ns, plain)
+                            yield Message(connection.topic, receipt_ns, data)
                         for part in parts:
-                            if (
-                                part.of == connection.topic
-                                and part.child.encode() in plain
-                                and self._carries(part, plain)
-                            ):
-                                yield Message(part.name, receipt_ns, plain)
+                            if part.of == connection.topic and part.child.encode() in data:
+                                with suppress(RecordingError):  # a damaged message
+                                    if part.found_in(self.decode(Message(part.of, 0, data))) is not None:
+                                        yield Message(part.name, receipt_ns, data)
         except Exception as error:
             raise _refusal(self.path, error) from error
 
-    def _plain(self, data: bytes, topic: str, reader: _Reader) -> bytes:
-        """The data of a message, decompressed where it is compressed by itself, which a bag may not state."""
-        if data[:4] != _ZSTD:
-            return data
+    def _decompressed(self, data: bytes, topic: str, reader: _Reader) -> bytes:
+        """The data of a message that is compressed by itself, which a bag may not state."""
         try:
             return reader.allowance.unpacked(data, "zstd")
         except ValueError as error:
@@ -227,12 +224,6 @@ class OpenBag:
         """Whether an Image of the RealSense SDK ends with its depth unit; see `reader.depth_units_m`."""
         return self.is_ros1 and topic.startswith("/device_") and data[12:17] == b"\x01\0\0\x001"
 
-    def _carries(self, part: TransformTopic, data: bytes) -> bool:
-        try:
-            return part.found_in(self.decode(Message(part.of, 0, data))) is not None
-        except RecordingError:
-            return False
-
     def _is_headless(self, topic: str) -> bool:
         """Whether a topic's messages have no header; False for a type that cannot be read."""
         if topic not in self._headless:
@@ -281,25 +272,20 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
         try:
             if path.is_dir() and parts == (path,):
                 parts = named_parts(path)
-            readers = [_reader_of(_whole(part, stack)) for part in parts]
-            for reader in readers:
-                stack.enter_context(reader)
+            readers: list[_Reader] = []
+            for part in parts:
+                file = _decompressed_file(part, stack) if is_packed(part) else part
+                kinds: dict[str, Callable[[Path], _Reader]] = {".bag": Ros1Reader, ".mcap": McapReader}
+                readers.append(kinds.get(file.suffix, SqliteReader)(file))
+                stack.enter_context(readers[-1])
             bag = OpenBag(path, readers, is_ros1, tuple(warning for reader in readers for warning in reader.warnings))
         except Exception as error:
             raise _refusal(path, error) from error
         yield bag
 
 
-def _reader_of(part: Path) -> _Reader:
-    if part.suffix == ".bag":
-        return Ros1Reader(part)
-    return McapReader(part) if part.suffix == ".mcap" else SqliteReader(part)
-
-
-def _whole(part: Path, stack: ExitStack) -> Path:
-    """The file to open: a compressed file is decompressed into a temporary folder. Raises RecordingError."""
-    if not is_packed(part):
-        return part
+def _decompressed_file(part: Path, stack: ExitStack) -> Path:
+    """A compressed file, decompressed into a temporary folder. Raises RecordingError."""
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="wheelsight-bag-")))
     target = folder / part.stem
     with open_binary(part, BAG, RecordingError) as source, target.open("wb") as unpacked:
@@ -374,7 +360,15 @@ def named_parts(folder: Path) -> tuple[Path, ...]:
     names = about.get("relative_file_paths") if isinstance(about, dict) else None
     if not isinstance(about, dict) or not isinstance(names, list) or not names:
         raise RecordingError("does not name the files of a bag", path=path, fix=_FIX)
-    _check(about, path)
+    version, storage = about.get("version"), about.get("storage_identifier")
+    if not isinstance(version, int) or not 0 < version <= _LATEST_VERSION:
+        raise RecordingError(f"is of version {version}; 1 to {_LATEST_VERSION} are read", path=path, fix=_FIX)
+    if storage not in _STORAGES:
+        raise RecordingError(f"its storage is {storage!r}; {' and '.join(_STORAGES)} are read", path=path, fix=_FIX)
+    form, mode = about.get("compression_format"), str(about.get("compression_mode") or "none").lower()
+    if mode != "none" and form != "zstd":
+        problem = f"its files are compressed as {form!r}; zstd is read"
+        raise RecordingError(problem, path=path, fix="decompress it first")
     # Old recorders write the folder too. The name alone cannot lead out of the folder.
     parts = [folder / PurePosixPath(str(name)).name for name in names]
     missing = [part.name for part in parts if not part.exists()]
@@ -385,20 +379,6 @@ def named_parts(folder: Path) -> tuple[Path, ...]:
         if not part.name.endswith(_ROS2):
             raise RecordingError(f"names {part.name}, which is no file of a bag", path=path, fix=_FIX)
     return tuple(dict.fromkeys(parts))
-
-
-def _check(about: dict[str, Any], path: Path) -> None:
-    """Raise RecordingError for an unknown version, storage or compression."""
-    version, storage = about.get("version"), about.get("storage_identifier")
-    if not isinstance(version, int) or not 0 < version <= _LATEST_VERSION:
-        raise RecordingError(f"is of version {version}; 1 to {_LATEST_VERSION} are read", path=path, fix=_FIX)
-    if storage not in _STORAGES:
-        raise RecordingError(f"its storage is {storage!r}; {' and '.join(_STORAGES)} are read", path=path, fix=_FIX)
-    form, mode = about.get("compression_format"), str(about.get("compression_mode") or "none").lower()
-    if mode != "none" and form != "zstd":
-        raise RecordingError(
-            f"its files are compressed as {form!r}; zstd is read", path=path, fix="decompress it first"
-        )
 
 
 def is_packed(part: Path) -> bool:

@@ -20,6 +20,7 @@ from wheelsight.core.runtime import needed
 from wheelsight.io.recordings.bags.chunks import (
     BAG,
     LONGEST_DEFINITION,
+    MOST_CHUNK,
     MOST_CONNECTIONS,
     MOST_INDEX,
     Allowance,
@@ -182,11 +183,11 @@ class McapReader(ChunkedReader):
     def _content(self, place: int) -> bytes:
         self._file.seek(place)
         if place in self._bounds:
-            return self._packed(self._bounds[place] - place)
+            return self._exactly(self._bounds[place] - place, MOST_CHUNK)
         kind, size = _HEAD.unpack(self._exactly(_HEAD.size, _MOST_DESCRIPTION))
         if kind != _CHUNK:
             raise ValueError("is none: its index leads elsewhere")
-        record = self._packed(size)
+        record = self._exactly(size, MOST_CHUNK)
         _, _, stated, crc = _CHUNK_HEAD.unpack_from(record)
         way, at = _text(record, _CHUNK_HEAD.size)
         (length,) = _U64.unpack_from(record, at)
@@ -318,7 +319,7 @@ class Ros1Reader(ChunkedReader):
         if header.get_uint8("op") != _ROS1_CHUNK:
             raise ValueError("is none: its index leads elsewhere")
         name, stated = header.get_string("compression"), header.get_uint32("size")
-        data = self._packed(_U32.unpack(self._exactly(4, 4))[0])
+        data = self._exactly(_U32.unpack(self._exactly(4, 4))[0], MOST_CHUNK)
         return self.allowance.unpacked(data, _WAYS.get(name, name), stated)
 
     def _walk(self, content: bytes, most: int) -> tuple[list[ChunkMessage], int]:

@@ -190,8 +190,18 @@ def roles_of(
         ConfigError: a chosen topic does not exist, is empty, or has another type.
         RecordingError: a first message is damaged.
     """
-    chosen = _chosen(bag, choices)
     filled = [topic for topic in bag.topics if topic.count]
+    types = {topic.name: topic.type for topic in filled}
+    chosen = dict(choices.topics)
+    for role, chosen_name in chosen.items():
+        if chosen_name == NONE or role == "wheels":
+            continue
+        of_type = ", ".join(topic.name for topic in filled if topic.type in _TYPES[role])
+        fix = f"there are: {of_type}" if of_type else f"the bag has none of {' or '.join(_TYPES[role])}"
+        if chosen_name not in types:
+            raise ConfigError(f"--topic {role}={chosen_name}: {bag.path.name} has no messages of it", fix=fix)
+        if types[chosen_name] not in _TYPES[role]:
+            raise ConfigError(f"--topic {role}={chosen_name} is of {types[chosen_name]}", fix=fix)
     warnings: list[str] = []
     color, depth = _cameras(bag, filled, chosen, warnings)
     infos = [topic.name for topic in filled if topic.type == INFO]
@@ -207,7 +217,14 @@ def roles_of(
     else:
         left_out = truth.of if isinstance(truth, TransformTopic) else truth
         source = _holonomic(bag, [topic for topic in filled if topic.name != left_out], choices, holonomic, warnings)
-    gyro = _gyro(filled, chosen, warnings)
+    gyro = chosen.get("gyro")
+    if gyro is None:
+        found = [topic.name for topic in filled if topic.type == IMU]
+        gyro = found[0] if found else None
+        if len(found) > 1:
+            warnings.append(f"{gyro} is taken for the gyroscope, not {', '.join(found[1:])}: see --topic gyro=….")
+    elif gyro == NONE:
+        gyro = None
     if source is not None and gyro is not None and "gyro" not in chosen and is_fused(source):
         warnings.append(f"{gyro} is left out: {source.topic.name} has it already, by its name: see --topic gyro=….")
         gyro = None
@@ -218,21 +235,6 @@ def roles_of(
     return Roles(
         color, depth, color_info, depth_info, wheels, source, gyro, name, transforms, (*warnings, *faults), (*faults,)
     )
-
-
-def _chosen(bag: OpenBag, choices: Choices) -> dict[str, str]:
-    """The chosen topics by role. Raises ConfigError where one has no messages or another type."""
-    known = {topic.name: topic for topic in bag.topics}
-    for role, name in choices.topics.items():
-        if name == NONE or role == "wheels":
-            continue
-        of_type = ", ".join(topic.name for topic in bag.topics if topic.type in _TYPES[role] and topic.count)
-        fix = f"there are: {of_type}" if of_type else f"the bag has none of {' or '.join(_TYPES[role])}"
-        if name not in known or not known[name].count:
-            raise ConfigError(f"--topic {role}={name}: {bag.path.name} has no messages of it", fix=fix)
-        if known[name].type not in _TYPES[role]:
-            raise ConfigError(f"--topic {role}={name} is of {known[name].type}", fix=fix)
-    return dict(choices.topics)
 
 
 def _cameras(
@@ -407,16 +409,6 @@ def _holonomic(
         what = "Wheels are not used" if taken is None else f"{taken.topic.name} is taken for the wheels, not {names}"
         warnings.append(f"{what}: see --topic wheels=….")
     return None if taken is None else replace(taken, is_holonomic=True)
-
-
-def _gyro(filled: Sequence[Topic], chosen: Mapping[str, str], warnings: list[str]) -> str | None:
-    """The gyroscope's topic: the chosen one, else the first by name."""
-    if "gyro" in chosen:
-        return None if chosen["gyro"] == NONE else chosen["gyro"]
-    found = [topic.name for topic in filled if topic.type == IMU]
-    if len(found) > 1:
-        warnings.append(f"{found[0]} is taken for the gyroscope, not {', '.join(found[1:])}: see --topic gyro=….")
-    return found[0] if found else None
 
 
 def lacks(roles: Roles, bag: OpenBag, path: Path) -> RecordingError:

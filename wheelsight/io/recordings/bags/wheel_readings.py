@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
@@ -74,20 +73,31 @@ class JointTicks:
         """See `SpeedReader`."""
 
 
-class _HeldSpeeds(ABC, Generic[_Content]):
+class HeldSpeeds(Generic[_Content]):
     """Speeds between consecutive messages, from the contents of both.
+
+    Args:
+        content_of: gives the content of a message, or None where its numbers are invalid.
+        between: gives the speeds between two messages: of the stamp of the first, both contents, and the time between.
+        after: gives the speeds after the last message, of its stamp and content.
 
     Attributes:
         unusable: the number of messages without valid numbers.
     """
 
-    def __init__(self) -> None:
+    def __init__(
+        self,
+        content_of: Callable[[Any], _Content | None],
+        between: Callable[[float, _Content, _Content, float], WheelSpeeds],
+        after: Callable[[float, _Content], WheelSpeeds],
+    ) -> None:
         self.unusable = 0
+        self._content_of, self._between, self._after = content_of, between, after
         self._last: tuple[float, _Content] | None = None
 
     def add(self, stamp_s: float, message: Any) -> WheelSpeeds | None:
         """See `SpeedReader`; a message that is not newer than the last one is ignored."""
-        content = self._content(message)
+        content = self._content_of(message)
         if content is None or (self._last is not None and stamp_s <= self._last[0]):
             self.unusable += content is None
             return None
@@ -98,21 +108,11 @@ class _HeldSpeeds(ABC, Generic[_Content]):
         """See `SpeedReader`."""
         return None if self._last is None else self._after(*self._last)
 
-    @abstractmethod
-    def _content(self, message: Any) -> _Content | None:
-        """The content of a message; None where its numbers are invalid."""
 
-    @abstractmethod
-    def _between(self, stamp_s: float, before: _Content, now: _Content, lasted_s: float) -> WheelSpeeds:
-        """The speeds between two messages, given the stamp of the first and the time between."""
-
-    @abstractmethod
-    def _after(self, stamp_s: float, last: _Content) -> WheelSpeeds:
-        """The speeds after the last message."""
-
-
-class PoseSpeeds(_HeldSpeeds[_PoseAndTwist]):
-    """Speeds of nominal wheels, from the increments between poses, or from twists.
+def pose_speeds(
+    wheels: Wheels, pose_of: Callable[[Any], _PoseAndTwist | None], by_twist: bool
+) -> HeldSpeeds[_PoseAndTwist]:
+    """Reads speeds of nominal wheels from the increments between poses, or from twists.
 
     Increments are preferred: they lose no motion where messages are far apart or were dropped.
 
@@ -122,21 +122,100 @@ class PoseSpeeds(_HeldSpeeds[_PoseAndTwist]):
         by_twist: whether to use twists, since poses stay at zero; each holds from its message on.
     """
 
-    def __init__(self, wheels: Wheels, pose_of: Callable[[Any], _PoseAndTwist | None], by_twist: bool) -> None:
-        super().__init__()
-        self._wheels, self._pose_of, self._by_twist = wheels, pose_of, by_twist
-
-    def _content(self, message: Any) -> _PoseAndTwist | None:
-        return self._pose_of(message)
-
-    def _between(self, stamp_s: float, before: _PoseAndTwist, now: _PoseAndTwist, lasted_s: float) -> WheelSpeeds:
-        if self._by_twist:
-            return self._after(stamp_s, before)
+    def between(stamp_s: float, before: _PoseAndTwist, now: _PoseAndTwist, lasted_s: float) -> WheelSpeeds:
+        if by_twist:
+            return after(stamp_s, before)
         ahead_m, _, turn_rad = increment(before, now)
-        return speeds_of_wheels(self._wheels, stamp_s, ahead_m / lasted_s, turn_rad / lasted_s)
+        return speeds_of_wheels(wheels, stamp_s, ahead_m / lasted_s, turn_rad / lasted_s)
 
-    def _after(self, stamp_s: float, last: _PoseAndTwist) -> WheelSpeeds:
-        return speeds_of_wheels(self._wheels, stamp_s, *last[1])
+    def after(stamp_s: float, last: _PoseAndTwist) -> WheelSpeeds:
+        return speeds_of_wheels(wheels, stamp_s, *last[1])
+
+    return HeldSpeeds(pose_of, between, after)
+
+
+def twist_speeds(wheels: Wheels) -> HeldSpeeds[tuple[float, float]]:
+    """Reads speeds of nominal wheels from measured velocities: the mean of two consecutive messages."""
+
+    def content_of(message: Any) -> tuple[float, float] | None:
+        twist = twist_of(message)
+        return None if twist is None else (twist[0], twist[2])
+
+    return HeldSpeeds(
+        content_of,
+        lambda stamp_s, a, b, _: speeds_of_wheels(wheels, stamp_s, (a[0] + b[0]) / 2, (a[1] + b[1]) / 2),
+        lambda stamp_s, last: speeds_of_wheels(wheels, stamp_s, *last),
+    )
+
+
+def field_speeds(numbers_of: Callable[[Any], Mapping[str, float]], sides: Joints) -> HeldSpeeds[tuple[float, ...]]:
+    """Reads speeds of the robot's own wheels from fields in rad/s.
+
+    Args:
+        numbers_of: gives the numbers of a message by name.
+        sides: names of the left and the right wheels' numbers.
+    """
+
+    def content_of(message: Any) -> tuple[float, ...] | None:
+        numbers = numbers_of(message)
+        of_sides = [[numbers.get(name, math.nan) for name in side] for side in (sides.left, sides.right)]
+        speeds = tuple(sum(side) / len(side) for side in of_sides)
+        return speeds if are_measured(speeds) else None
+
+    return HeldSpeeds(
+        content_of,
+        lambda stamp_s, before, now, _: WheelSpeeds(stamp_s, *((a + b) / 2 for a, b in zip(before, now, strict=True))),
+        lambda stamp_s, last: WheelSpeeds(stamp_s, *last),
+    )
+
+
+def joint_speeds(joints: Joints) -> HeldSpeeds[_AnglesAndSpeeds]:
+    """Reads speeds of the robot's own wheels from the angles of their joints, or from their speeds without angles."""
+    reader, count = JointReader((*joints.left, *joints.right)), len(joints.left)
+
+    def speeds(stamp_s: float, of_joints: Sequence[float]) -> WheelSpeeds:
+        left, right = of_joints[:count], of_joints[count:]
+        return WheelSpeeds(stamp_s, sum(left) / len(left), sum(right) / len(right))
+
+    def between(stamp_s: float, before: _AnglesAndSpeeds, now: _AnglesAndSpeeds, lasted_s: float) -> WheelSpeeds:
+        if not now[0] or not before[0]:
+            return speeds(stamp_s, before[1])
+        return speeds(stamp_s, [reader.turned(a, b) / lasted_s for a, b in zip(before[0], now[0], strict=True)])
+
+    def after(stamp_s: float, last: _AnglesAndSpeeds) -> WheelSpeeds:
+        return speeds(stamp_s, last[1] or [0.0] * len(joints.left + joints.right))
+
+    return HeldSpeeds(reader.read, between, after)
+
+
+class JointReader:
+    """Reads angles and speeds of joints by their names."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = names
+        self._farthest_rad = 0.0
+
+    def read(self, message: Any) -> _AnglesAndSpeeds | None:
+        """Angles and speeds of the joints; each may be empty. None where both are, or any number is invalid."""
+        places = {name: place for place, name in enumerate(message.name)}
+        wanted = [places.get(name) for name in self._names]
+        if None in wanted:
+            return None
+        angles, speeds = (
+            [float(values[place]) for place in wanted if place is not None] if len(values) == len(places) else []
+            for values in (message.position, message.velocity)
+        )
+        if not (angles or speeds) or not are_measured([*angles, *speeds]):
+            return None
+        self._farthest_rad = max(self._farthest_rad, *map(abs, angles or [0.0]))
+        return angles, speeds
+
+    def turned(self, before_rad: float, after_rad: float) -> float:
+        """The angle by which a joint turned. Angles that never exceed one turn are taken to wrap around."""
+        turned_rad = after_rad - before_rad
+        if abs(turned_rad) > math.pi and self._farthest_rad <= 2 * math.pi + _WRAP_SLACK:
+            return math.remainder(turned_rad, 2 * math.pi)
+        return turned_rad
 
 
 class CountedTicks:
@@ -235,101 +314,6 @@ class _Unrolled:
         return number + self._added
 
 
-class FieldSpeeds(_HeldSpeeds[tuple[float, ...]]):
-    """Speeds of the robot's own wheels, from fields in rad/s.
-
-    Args:
-        numbers_of: gives the numbers of a message by name.
-        sides: names of the left and the right wheels' numbers.
-    """
-
-    def __init__(self, numbers_of: Callable[[Any], Mapping[str, float]], sides: Joints) -> None:
-        super().__init__()
-        self._numbers_of, self._sides = numbers_of, sides
-
-    def _content(self, message: Any) -> tuple[float, ...] | None:
-        numbers = self._numbers_of(message)
-        sides = [[numbers.get(name, math.nan) for name in side] for side in (self._sides.left, self._sides.right)]
-        speeds = tuple(sum(side) / len(side) for side in sides)
-        return speeds if are_measured(speeds) else None
-
-    def _between(
-        self, stamp_s: float, before: tuple[float, ...], now: tuple[float, ...], lasted_s: float
-    ) -> WheelSpeeds:
-        return WheelSpeeds(stamp_s, *((a + b) / 2 for a, b in zip(before, now, strict=True)))
-
-    def _after(self, stamp_s: float, last: tuple[float, ...]) -> WheelSpeeds:
-        return WheelSpeeds(stamp_s, *last)
-
-
-class TwistSpeeds(_HeldSpeeds[tuple[float, float]]):
-    """Speeds of nominal wheels, from measured velocities: the mean of two consecutive messages."""
-
-    def __init__(self, wheels: Wheels) -> None:
-        super().__init__()
-        self._wheels = wheels
-
-    def _content(self, message: Any) -> tuple[float, float] | None:
-        twist = twist_of(message)
-        return None if twist is None else (twist[0], twist[2])
-
-    def _between(
-        self, stamp_s: float, before: tuple[float, float], now: tuple[float, float], lasted_s: float
-    ) -> WheelSpeeds:
-        return speeds_of_wheels(self._wheels, stamp_s, (before[0] + now[0]) / 2, (before[1] + now[1]) / 2)
-
-    def _after(self, stamp_s: float, last: tuple[float, float]) -> WheelSpeeds:
-        return speeds_of_wheels(self._wheels, stamp_s, *last)
-
-
-class JointSpeeds(_HeldSpeeds[_AnglesAndSpeeds]):
-    """Speeds of the robot's own wheels, from the angles of their joints, or from their speeds without angles."""
-
-    def __init__(self, joints: Joints) -> None:
-        super().__init__()
-        self._joints = joints
-        self._farthest_rad = 0.0
-
-    def _between(self, stamp_s: float, before: _AnglesAndSpeeds, now: _AnglesAndSpeeds, lasted_s: float) -> WheelSpeeds:
-        if not now[0] or not before[0]:
-            return self._speeds(stamp_s, before[1])
-        return self._speeds(stamp_s, [self.turned(a, b) / lasted_s for a, b in zip(before[0], now[0], strict=True)])
-
-    def _after(self, stamp_s: float, last: _AnglesAndSpeeds) -> WheelSpeeds:
-        return self._speeds(stamp_s, last[1] or [0.0] * len(self._joints.left + self._joints.right))
-
-    def _content(self, message: Any) -> _AnglesAndSpeeds | None:
-        return self.read(message)
-
-    def read(self, message: Any) -> _AnglesAndSpeeds | None:
-        """Angles and speeds of the joints, left ones first; each may be empty. None where both are, or are invalid."""
-        places = {name: place for place, name in enumerate(message.name)}
-        wanted = [places.get(name) for name in (*self._joints.left, *self._joints.right)]
-        if None in wanted:
-            return None
-        angles, speeds = (
-            [float(values[place]) for place in wanted if place is not None] if len(values) == len(places) else []
-            for values in (message.position, message.velocity)
-        )
-        if not (angles or speeds) or not are_measured([*angles, *speeds]):
-            return None
-        self._farthest_rad = max(self._farthest_rad, *map(abs, angles or [0.0]))
-        return angles, speeds
-
-    def turned(self, before_rad: float, after_rad: float) -> float:
-        """How far a joint turned. Angles that never exceed one turn are taken to wrap around."""
-        turned_rad = after_rad - before_rad
-        if abs(turned_rad) > math.pi and self._farthest_rad <= 2 * math.pi + _WRAP_SLACK:
-            return math.remainder(turned_rad, 2 * math.pi)
-        return turned_rad
-
-    def _speeds(self, stamp_s: float, of_joints: Sequence[float]) -> WheelSpeeds:
-        """The mean speed of each side's joints."""
-        count = len(self._joints.left)
-        left, right = of_joints[:count], of_joints[count:]
-        return WheelSpeeds(stamp_s, sum(left) / len(left), sum(right) / len(right))
-
-
 class BasePoses:
     """The pose of a holonomic base by its own odometry.
 
@@ -383,7 +367,7 @@ class AllCounts:
     def __init__(self, places: tuple[str, ...], bits: int = 0, ticks_per_turn: float | None = None) -> None:
         self.unusable, self._places = 0, places
         self._unrolled = [_Unrolled(bits) for _ in places]
-        self._joints = None if ticks_per_turn is None else JointSpeeds(Joints(places, ()))
+        self._joints = None if ticks_per_turn is None else JointReader(places)
         self._per_rad = 0.0 if ticks_per_turn is None else ticks_per_turn / (2 * math.pi)
         self._angles_rad = [0.0] * len(places)
         self._last: tuple[float, _AnglesAndSpeeds] | None = None
@@ -410,7 +394,7 @@ class AllCounts:
     def end(self) -> None:
         """See `SpeedReader`."""
 
-    def _of_joints(self, joints: JointSpeeds, stamp_s: float, message: Any) -> tuple[int, ...] | None:
+    def _of_joints(self, joints: JointReader, stamp_s: float, message: Any) -> tuple[int, ...] | None:
         """Counts from the integrated motion of joints; None where the message is invalid."""
         content = joints.read(message)
         if content is None:

@@ -23,18 +23,18 @@ from wheelsight.io.recordings.bags.wheel_readings import (
     BasePoses,
     CountedTicks,
     CountsApart,
-    FieldSpeeds,
     Joints,
-    PoseSpeeds,
     SpeedReader,
-    TwistSpeeds,
     columns_of,
     corner_joints,
+    field_speeds,
     fields_of,
     increment,
     planar_of,
     planar_of_transform,
+    pose_speeds,
     twist_of,
+    twist_speeds,
     wheel_joints,
 )
 
@@ -144,17 +144,17 @@ class WheelTopic:
         """
         sides = self.sides or Joints((), ())
         if self.kind == "odometry":
-            return partial(PoseSpeeds, nominal, planar_of, by_twist)
+            return partial(pose_speeds, nominal, planar_of, by_twist)
         if self.kind == "tf":
-            return partial(PoseSpeeds, nominal, self.planar_of_tf, False)
+            return partial(pose_speeds, nominal, self.planar_of_tf, False)
         if self.kind == "twist":
-            return partial(TwistSpeeds, nominal)
+            return partial(twist_speeds, nominal)
         if self.kind == "counts":
             return partial(CountsApart, self.bits)
         if self.kind == "columns":
             return partial(CountedTicks, columns_of, sides, self.bits)
         if self.unit == "rad/s":
-            return partial(FieldSpeeds, fields_of, sides)
+            return partial(field_speeds, fields_of, sides)
         per_number = 1e-3 / wheels.left_m_per_tick if self.unit == "mm" else 1.0
         return partial(CountedTicks, fields_of, sides, self.bits, per_number)
 
@@ -193,9 +193,10 @@ def sources_in(bag: OpenBag, topics: Sequence[Topic], sides: Joints | None, is_e
         is_estimated: whether poses, twists and tf are wheelsight's own estimate, and so not used.
     """
     found: list[WheelTopic] = []
+    names = {(topic.name, topic.type) for topic in topics}
     for topic in topics:
         with suppress(RecordingError):  # a message that cannot be read
-            found += _sources_of(bag, topic, topics, sides)
+            found += _sources_of(bag, topic, names, sides)
     if is_estimated:
         found = [source for source in found if source.kind not in ("odometry", "tf", "twist")]
     if any(topic.type == ODOMETRY for topic in topics):
@@ -203,8 +204,8 @@ def sources_in(bag: OpenBag, topics: Sequence[Topic], sides: Joints | None, is_e
     return sorted(found, key=lambda source: (source.rank, source.topic.name))
 
 
-def _sources_of(bag: OpenBag, topic: Topic, topics: Sequence[Topic], sides: Joints | None) -> Iterator[WheelTopic]:
-    """The sources in one topic. Raises RecordingError where a message cannot be read."""
+def _sources_of(bag: OpenBag, topic: Topic, names: set[tuple[str, str]], sides: Joints | None) -> Iterator[WheelTopic]:
+    """The sources in one topic, given names and types of all. Raises RecordingError where a message cannot be read."""
     if topic.type == ODOMETRY:
         by_name = not _WHEEL_WORDS.search(topic.name)
         rank = 9 if _NO_WHEELS.search(topic.name) else 7 if _FUSED.search(topic.name) else by_name
@@ -221,14 +222,14 @@ def _sources_of(bag: OpenBag, topic: Topic, topics: Sequence[Topic], sides: Join
     elif not _OF_ROS.match(topic.type):
         yield from _in_fields(bag, topic, None)
     elif _is_counted(topic.name):
-        yield from _counted(bag, topic, topics)
+        yield from _counted(bag, topic, names)
 
 
-def _counted(bag: OpenBag, topic: Topic, topics: Sequence[Topic]) -> Iterator[WheelTopic]:
+def _counted(bag: OpenBag, topic: Topic, names: set[tuple[str, str]]) -> Iterator[WheelTopic]:
     """Counts of two wheels: the right one in a topic of its own, or both in an array."""
     if match := _COUNT.fullmatch(topic.type):
         right = _other_side(topic.name)
-        if right is not None and any((other.name, other.type) == (right, topic.type) for other in topics):
+        if right is not None and (right, topic.type) in names:
             yield WheelTopic(topic, "counts", 3, right=right, bits=_bits(match))
     elif match := _ARRAY.fullmatch(topic.type):
         places = _places(bag, topic.name)
@@ -359,7 +360,11 @@ def chosen_source(bag: OpenBag, name: str, right: str | None, sides: Joints | No
     if topic.type == JOINTS:
         return WheelTopic(topic, "joints", 0, sides or _joints_in(bag, name))
     if topic.type in TF:
-        return _chosen_transform(bag, topic, sides)
+        if sides is None:
+            found = next(_in_tf(bag, topic), None)
+            return found or _refuse(bag, name, "no transform from odom to base_link", "PARENT,CHILD")
+        transform = counted_transform(bag, topic, sides.left[0].lstrip("/"), sides.right[0].lstrip("/"))
+        return WheelTopic(Topic(transform.name, topic.type, transform.count), "tf", 0, transform=transform)
     if match := _ARRAY.fullmatch(topic.type):
         places = sides or _places(bag, name) or _refuse(bag, name, "not two numbers that change", "0,1")
         return WheelTopic(topic, "columns", 0, places, bits=_bits(match))
@@ -381,15 +386,6 @@ def _chosen_counts(topic: Topic, right: str | None, known: Mapping[str, Topic]) 
         fix = "two topics of std_msgs Int16, Int32 or Int64"
         raise ConfigError(f"--topic wheels={topic.name},{right}: {types}", fix=fix)
     return WheelTopic(topic, "counts", 0, right=right, bits=_bits(match))
-
-
-def _chosen_transform(bag: OpenBag, topic: Topic, sides: Joints | None) -> WheelTopic:
-    """The source of a transform of tf. Raises ConfigError, RecordingError."""
-    if sides is None:
-        found = next(_in_tf(bag, topic), None)
-        return found or _refuse(bag, topic.name, "no transform from odom to base_link", "PARENT,CHILD")
-    transform = counted_transform(bag, topic, sides.left[0].lstrip("/"), sides.right[0].lstrip("/"))
-    return WheelTopic(Topic(transform.name, topic.type, transform.count), "tf", 0, transform=transform)
 
 
 def _refuse(bag: OpenBag, name: str, why: str, form: str) -> Any:
