@@ -12,7 +12,7 @@ import json
 import logging
 import math
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
@@ -97,27 +97,26 @@ def console(stderr: bool = False) -> Console:
     return made
 
 
-def print_error(message: str) -> None:
+def print_error(message: str, label: str = "error", style: str = "bold red") -> None:
     """Print "error: message" on stderr, on one line however narrow the terminal."""
-    _print_labelled("error", "bold red", message)
+    from rich.text import Text
+
+    console(stderr=True).print(Text.assemble((f"{label}: ", style), message))
 
 
 def print_warning(message: str) -> None:
     """Print "warning: message" on stderr, on one line however narrow the terminal."""
-    _print_labelled("warning", "yellow", message)
+    print_error(message, "warning", "yellow")
 
 
 def print_note(message: str) -> None:
     """Print a message about the work itself on stderr, unless -q was given."""
-    if QUIET.on:
-        return
-    console(stderr=True).print(message, markup=False)
+    if not QUIET.on:
+        console(stderr=True).print(message, markup=False)
 
 
 def print_json(document: Any) -> None:
     """Print nested values as JSON on stdout; numbers that JSON lacks (NaN) become null."""
-    import typer
-
     typer.echo(json.dumps(_without_nan(document), indent=2, allow_nan=False))
 
 
@@ -136,17 +135,24 @@ def facts_table(title: str, facts: Iterable[tuple[str, str]]) -> Table:
     return table
 
 
+def rows_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], style: str | None = "bold") -> Table:
+    """A table with a line below its head; all columns but the first are numbers."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style=style or "table.title", box=SIMPLE_HEAD)
+    for index, name in enumerate(head):
+        table.add_column(name, justify="right" if index else "left")
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
 def percent(share: float) -> str:
     """A share as a percentage that says 100 only when it is all; "unknown" for NaN."""
     if not math.isfinite(share):
         return "unknown"
     return "100 %" if share == 1 else f"{min(100 * share, 99.9):.1f} %"
-
-
-def _print_labelled(label: str, style: str, message: str) -> None:
-    from rich.text import Text
-
-    console(stderr=True).print(Text.assemble((f"{label}: ", style), message))
 
 
 def _without_nan(value: Any) -> Any:

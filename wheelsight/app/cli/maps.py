@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wheelsight.app.cli import map_tasks as work
-from wheelsight.app.cli.console import CliCommand, Group
-from wheelsight.app.cli.map_contents import Exports
-from wheelsight.app.cli.map_zones import AskedZone
+from wheelsight.app.cli.compiling import compile_missing
+from wheelsight.app.cli.console import CliCommand, Group, print_warning
+from wheelsight.app.cli.map_contents import Exports, name_place, print_info, print_names, write_exports
+from wheelsight.app.cli.map_zones import AskedZone, change_zones, print_zones
+from wheelsight.core.errors import ConfigError
 
-# wheelsight map zone
+if TYPE_CHECKING:
+    from wheelsight.slam.maps import MapFolder
 
 
 def zone(
@@ -45,10 +49,12 @@ def zone(
 
     wheelsight map zone home --forget 2
     """
-    work.zone(source, AskedZone(tuple(corners or ()), keep_out, speed, wipe, area, areas, forget))
-
-
-# wheelsight map
+    asked = AskedZone(tuple(corners or ()), keep_out, speed, wipe, area, areas, forget)
+    asked.check()
+    if asked.option is None:
+        print_zones(_opened(source))
+    else:
+        change_zones(source, asked)
 
 
 maps_app = typer.Typer(cls=Group, no_args_is_help=True, rich_markup_mode="rich")
@@ -72,7 +78,7 @@ def info(
 
     wheelsight map info results/map --json
     """
-    work.info(source, as_json)
+    print_info(_opened(source, is_incomplete_read=True), as_json)
 
 
 @maps_app.command(cls=CliCommand)
@@ -96,7 +102,16 @@ def name(
 
     wheelsight map name home kitchen --remove
     """
-    work.name(source, called, at, show_list=show_list, remove=remove)
+    if sum((show_list, remove, at is not None)) != 1:
+        fix = "NAME --at X,Y,YAW_DEG, NAME --remove, or --list"
+        raise ConfigError("one of --at, --remove and --list is needed", fix=fix)
+    if (called is None) != show_list:
+        problem = "--list is of all names" if show_list else "NAME is missing"
+        raise ConfigError(problem, fix="--list alone, or NAME --at X,Y,YAW_DEG")
+    if called is None:
+        print_names(_opened(source))
+    else:
+        name_place(source, called, at)
 
 
 # Else -1,2 would be an option; what is none is refused by the work.
@@ -128,7 +143,7 @@ def export(
 
     wheelsight map export results --occupancy plan.yaml --picture plan.png --resolution 0.05
     """
-    work.export(source, Exports(out, occupancy, picture, resolution, everything), force)
+    write_exports(_opened(source), Exports(out, occupancy, picture, resolution, everything), force)
 
 
 @maps_app.command(cls=CliCommand)
@@ -143,7 +158,13 @@ def rebuild(source: MapPath, out: NewMap) -> None:
 
     wheelsight map rebuild results/map --out rebuilt
     """
-    work.rebuild(source, out)
+    from wheelsight.slam.maps import info_of, rebuild
+
+    folder = _opened(source)
+    with _progress("rebuilding") as on_keyframe:
+        new = info_of(rebuild(folder, out, on_keyframe=on_keyframe))
+    surfels = f"{(new.surfel_bytes or 0) / 1e6:.1f} MB of surfels"
+    typer.echo(f"{new.keyframes:,} keyframes, {new.loops:,} loops, {surfels}: {out}")
 
 
 @maps_app.command(cls=CliCommand)
@@ -165,7 +186,17 @@ def merge(
 
     wheelsight map merge ground_floor/map stairs/map --out house
     """
-    work.merge(first, second, out)
+    from wheelsight.slam.maps import merge
+
+    folders = _opened(first), _opened(second)
+    with _progress("merging") as on_keyframe:
+        made = merge(*folders, out, on_keyframe=on_keyframe)
+    if made.left_out:
+        print_warning(f"{made.left_out:,} keyframes are left out: their place in {first} is unknown.")
+    of_first, of_second = made.keyframes
+    joined, refused = made.loops
+    counts = f"{of_first:,} keyframes and {of_second:,}, joined by {joined:,} loops, {refused:,} refused"
+    typer.echo(f"{counts}: {out}")
 
 
 @maps_app.command(cls=CliCommand)
@@ -180,7 +211,28 @@ def prune(source: MapPath, out: NewMap) -> None:
 
     wheelsight map prune house/map --out house_pruned
     """
-    work.prune(source, out)
+    from wheelsight.slam.maps import prune
+
+    folder = _opened(source)
+    with _progress("pruning") as on_keyframe:
+        made = prune(folder, out, on_keyframe=on_keyframe)
+    typer.echo(f"{len(made.folder.store):,} keyframes, {made.left_out:,} left out: {out}")
+
+
+def _opened(source: Path, *, is_incomplete_read: bool = False) -> MapFolder:
+    from wheelsight.slam.maps import MapFolder, find_map
+
+    return MapFolder.open(find_map(source), is_incomplete_read=is_incomplete_read)
+
+
+@contextmanager
+def _progress(action: str) -> Iterator[Callable[[str, int, int], None]]:
+    """Progress over keyframes, once the kernels are compiled."""
+    from wheelsight.app.cli.progress import FrameProgress
+
+    compile_missing(["dense"])
+    with FrameProgress(action, None, unit="keyframes") as progress:
+        yield lambda doing, done, total: progress.reach(done, total, doing)
 
 
 # Options

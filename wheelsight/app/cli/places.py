@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from wheelsight.app.cli.compiling import compile_missing
 from wheelsight.app.cli.console import CliCommand, Group
-from wheelsight.app.cli.options import RecordingPath, Topics
-from wheelsight.app.cli.places_tasks import label_images, predict_places, train_model, try_model_on
+from wheelsight.app.cli.options import RecordingPath, Topics, check_out
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from wheelsight.io.recordings import Recording
+    from wheelsight.places import Describer, LabelledDrive, LabelSource, PlaceModel, PlaceTrial
+
+_KERNELS = ("places",)
 
 # Options
 
@@ -66,7 +76,7 @@ PageIfWanted = Annotated[
 ModelToWrite = Annotated[
     Path, typer.Option(metavar="MODEL", help="Model to write, such as floor.places.", show_default=False)
 ]
-Table = Annotated[Path, typer.Option(metavar="FILE", help="CSV to write.", show_default=False)]
+CsvFile = Annotated[Path, typer.Option(metavar="FILE", help="CSV to write.", show_default=False)]
 Every = Annotated[
     float | None,
     typer.Option(metavar="SECONDS", min=0.01, help="Time between thumbnails.", show_default="1, for up to 600"),
@@ -107,7 +117,18 @@ def label(
 
     wheelsight places label my_drive --labels my_drive-labels.csv --every 0.5 --out check.html
     """
-    label_images(recording, out, labels, areas, trajectory, every, topic, force)
+    from wheelsight.app.cli.console import print_note
+    from wheelsight.app.report.places_page import write_sheet
+    from wheelsight.places import make_sheet
+
+    check_out(out, force)
+    opened = open_listed(recording, topic)
+    source = source_of(opened, labels, areas, trajectory)
+    with show_progress("reading", None) as advance:
+        sheet = make_sheet(opened, source, every, advance)
+    write_sheet(sheet, out, source.told)
+    shown = f"{len(sheet.pictures)} thumbnails, {int((sheet.labels >= 0).sum())} of them with an area proposed"
+    print_note(f"{shown}, are in {out}; open it in a browser, and hand what it saves to places train --labels")
 
 
 @places_app.command(cls=CliCommand)
@@ -134,8 +155,23 @@ def train(
 
     wheelsight places train my_drive --labels my_drive-labels.csv --description histograms --trees 6 --out six.places
     """
-    forest = {"trees": trees, "max_depth": depth, "seed": seed}
-    train_model(recordings, out, labels or [], areas, description, forest, topic, force)
+    from wheelsight.app.cli.console import console
+    from wheelsight.core.runtime import needed
+    from wheelsight.places import ForestSettings, describer_from, train_on_drives
+
+    for library in ("sklearn", "skops"):  # refused before the long work
+        needed(library)
+    check_out(out, force)
+    opened, sources, names = open_labelled(recordings, labels or [], areas, topic)
+    compile_missing(_KERNELS)
+    describer = describer_from({"kind": description})
+    drives = described(opened, sources, names, describer)
+    with show_progress("growing trees", None):
+        model = train_on_drives(drives, names, describer, ForestSettings(trees=trees, max_depth=depth, seed=seed))
+    model.save(out)
+    for table in training_tables(model, drives):
+        console().print(table)
+    console().print(f"model: {out}", markup=False)
 
 
 @places_app.command("test", cls=CliCommand)
@@ -158,14 +194,37 @@ def try_model(
 
     wheelsight places test floor.places my_drive --labels my_drive-labels.csv --json
     """
-    try_model_on(model, recording, labels, areas, trajectory, out, topic, as_json, force)
+    from wheelsight.app.cli.console import console, print_json
+    from wheelsight.app.report.places_page import write_places_page
+    from wheelsight.core.runtime import needed
+    from wheelsight.places import PlaceModel, frames_of, stamps_of, try_places
+
+    if out is not None:
+        needed("plotly")
+        check_out(out, force)
+    known, opened = PlaceModel.load(model), open_listed(recording, topic)
+    source = source_of(opened, labels, areas, trajectory, needed=True)
+    stamps_s = stamps_of(opened)
+    label_at = dict(zip(stamps_s, source.of_frames(stamps_s, known.area_names).tolist(), strict=True))
+    compile_missing(_KERNELS)
+    with show_progress("naming areas", opened.frame_count) as advance:
+        trial = try_places(known, frames_of(opened, advance), label_at.__getitem__)
+    if out is not None:
+        write_places_page(trial, known, opened.name, out)
+    if as_json:
+        print_json(trial_document(trial))
+        return
+    for table in trial_tables(trial, opened.name):
+        console().print(table)
+    if out is not None:
+        console().print(f"page: {out}", markup=False)
 
 
 @places_app.command(cls=CliCommand)
 def predict(
     model: Model,
     recording: RecordingPath,
-    out: Table,
+    out: CsvFile,
     topic: Topics = None,
     force: Force = False,
 ) -> None:
@@ -177,4 +236,147 @@ def predict(
 
     wheelsight places label thursday --labels predictions.csv --out check.html
     """
-    predict_places(model, recording, out, topic, force)
+    from wheelsight.app.cli.console import percent, print_note
+    from wheelsight.core.files import write_text
+    from wheelsight.places import PlaceModel, answer_all, frames_of, predictions_csv
+
+    check_out(out, force)
+    known, opened = PlaceModel.load(model), open_listed(recording, topic)
+    compile_missing(_KERNELS)
+    with show_progress("naming areas", opened.frame_count) as advance:
+        answers = answer_all(known, frames_of(opened, advance))
+    write_text(out, predictions_csv(answers, known.area_names))
+    named = percent(float((answers.named >= 0).mean()))
+    print_note(f"{len(answers)} frames are in {out}, {named} of them with an area named")
+
+
+# Inputs
+
+
+def open_listed(folder: Path, topics: Sequence[str] | None) -> Recording:
+    """A recording, its warnings printed on stderr; `topics` of a bag, as `--topic` says them."""
+    from wheelsight.app.cli.console import print_warning
+    from wheelsight.app.cli.options import open_source, settings_from
+
+    recording = open_source(folder, settings_from({"recording.topics": topics}))
+    for warning in recording.warnings:
+        print_warning(f"{recording.name}: {warning}")
+    return recording
+
+
+def source_of(
+    recording: Recording, labels: Path | None, areas: Path | None, trajectory: Path | None, needed: bool = False
+) -> LabelSource:
+    """The source of a recording's area labels. Raises AreaError if it is needed and there is none."""
+    from wheelsight.core.errors import AreaError
+    from wheelsight.core.trajectory import read_tum
+    from wheelsight.io.recordings import express_for
+    from wheelsight.places import label_source, read_labels
+
+    file = None if labels is None else read_labels(labels)
+    way = None
+    if trajectory is not None:
+        way = express_for(recording.body, read_tum(trajectory, recording.body), recording.calibration)
+    source = label_source(recording, file, areas, way)
+    if needed and not source.told:
+        missing = "no ground truth to go with areas" if source.areas is not None else "no labels"
+        fix = "give --labels FILE; wheelsight places label makes a page to write one"
+        raise AreaError(f"has {missing}", path=recording.path, fix=fix)
+    return source
+
+
+@contextmanager
+def show_progress(action: str, count: int | None) -> Iterator[Callable[[], None]]:
+    """A progress bar; what it hands out moves it on by one."""
+    from wheelsight.app.cli.progress import FrameProgress
+
+    with FrameProgress(action, count) as progress:
+        yield progress.advance
+
+
+def open_labelled(
+    folders: Sequence[Path], labels: Sequence[Path], areas: Path | None, topics: Sequence[str] | None
+) -> tuple[list[Recording], list[LabelSource], tuple[str, ...]]:
+    """Recordings, the sources of their labels, and the names of all areas that some frame shows."""
+    from wheelsight.core.errors import ConfigError
+    from wheelsight.places import check_every_area, names_of_all, stamps_of
+
+    if labels and len(labels) != len(folders):
+        fix = "give --labels once for each recording, in their order, or not at all"
+        raise ConfigError(f"{len(labels)} --labels for {len(folders)} recordings", fix=fix)
+    recordings = [open_listed(folder, topics) for folder in folders]
+    files: Sequence[Path | None] = labels or [None] * len(folders)
+    sources = [source_of(r, file, areas, None, needed=True) for r, file in zip(recordings, files, strict=True)]
+    names = names_of_all(sources)
+    of_frames = [source.of_frames(stamps_of(r), names) for r, source in zip(recordings, sources, strict=True)]
+    check_every_area(of_frames, names, sources[0].path if len(sources) == 1 else sources[0].areas_path)
+    return recordings, sources, names
+
+
+def described(
+    recordings: Sequence[Recording], sources: Sequence[LabelSource], names: tuple[str, ...], describer: Describer
+) -> list[LabelledDrive]:
+    """Each recording in numbers and labels."""
+    from wheelsight.places import describe_drive
+
+    drives = []
+    for recording, source in zip(recordings, sources, strict=True):
+        with show_progress(f"describing {recording.name}", recording.frame_count) as advance:
+            drives.append(describe_drive(recording, source, names, describer, advance))
+    return drives
+
+
+# Results
+
+
+def training_tables(model: PlaceModel, drives: Sequence[LabelledDrive]) -> Iterator[Table]:
+    """A model's areas and figures."""
+    from wheelsight.app.cli.console import facts_table, rows_table
+    from wheelsight.app.report.places_page import TRAINING_HEAD, training_facts, training_rows
+
+    held_out = "whole drives held out in turn"
+    if len(drives) == 1:
+        held_out = "seconds of the drive held out in turn, where whole drives would prove more"
+    forest = f"{model.forest.tree_count} trees of at most {model.settings.max_depth} splits, {model.describer.kind}"
+    yield rows_table(f"{forest}; {held_out}", TRAINING_HEAD, training_rows(model, drives))
+    yield facts_table("", training_facts(model))
+
+
+def trial_tables(trial: PlaceTrial, recording: str) -> Iterator[Table]:
+    """Accuracy of each area, confusions, calibration."""
+    from wheelsight.app.cli.console import facts_table, rows_table
+    from wheelsight.app.report.places_page import AREA_HEAD, CURVE_HEAD, area_rows, confusion_rows, curve_rows
+    from wheelsight.app.run import words
+
+    judged = words.count(int(trial.is_judged.sum()), "frame")
+    yield rows_table(f"{recording}: {judged} with a true area", AREA_HEAD, area_rows(trial))
+    yield rows_table("frames by true area (rows) and most probable area (columns)", *confusion_rows(trial))
+    yield rows_table("how sure it says to be, and how often it is right", CURVE_HEAD, curve_rows(trial.curve))
+    named = f"{words.percent(trial.answered)} of frames, {words.percent(trial.answered_accuracy)} of them rightly"
+    facts = [
+        ("accuracy", words.percent(trial.accuracy)),
+        ("names an area of", named),
+        ("calibration error", f"{trial.curve.error:.3f}"),
+    ]
+    yield facts_table("", facts)
+
+
+def trial_document(trial: PlaceTrial) -> dict[str, Any]:
+    """The same as nested values."""
+    counts, curve = trial.confusion, trial.curve
+    return {
+        "frames": len(trial.answers),
+        "judged_frames": int(trial.is_judged.sum()),
+        "accuracy": trial.accuracy,
+        "answered": trial.answered,
+        "answered_accuracy": trial.answered_accuracy,
+        "calibration_error": curve.error,
+        "areas": list(trial.area_names),
+        "confusion": counts[:, :-1].tolist(),
+        "frames_without_depth": counts[:, -1].tolist(),
+        "calibration_curve": {
+            "confidence": curve.confidence.tolist(),
+            "accuracy": curve.accuracy.tolist(),
+            "frames": curve.count.tolist(),
+        },
+    }

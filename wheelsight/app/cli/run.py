@@ -28,7 +28,6 @@ if TYPE_CHECKING:
         InRealTime,
         LiveSource,
         RealTimeRecording,
-        RectificationRecord,
         RunRecord,
         RunVerdict,
     )
@@ -405,9 +404,9 @@ _ON_THE_PAGE_ONLY = ("ATE, max", "of the way", "turn a metre", "95 % within", "t
 
 def print_summary(records: Sequence[RunRecord], out: Path) -> None:
     """Print the recognition in a known map; figures, a row for each odometry; warnings, the verdict, and files."""
-    from wheelsight.app.cli.console import console, facts_table, print_warning
+    from wheelsight.app.cli.console import console, facts_table, print_warning, rows_table
     from wheelsight.app.cli.evaluate import evaluation_table
-    from wheelsight.app.report import why_no_page
+    from wheelsight.app.report import error_rows, why_no_page
     from wheelsight.app.run import verdict_of_run
 
     stdout = console()
@@ -418,7 +417,7 @@ def print_summary(records: Sequence[RunRecord], out: Path) -> None:
         stdout.print(_joint_table(records))
         for areas in (record.rectification for record in records if record.rectification is not None):
             if areas.errors is not None:
-                stdout.print(_map_error_table(areas))
+                stdout.print(rows_table("distance from the truth, nothing aligned", *error_rows(areas), style=None))
     else:
         stdout.print(facts_table(f"{first.recording}: T_{first.estimate.frame}_{first.estimate.body}", _facts(first)))
         if first.evaluation is not None:
@@ -491,22 +490,6 @@ def _joint_table(records: Sequence[RunRecord]) -> Table:
         table.add_column(head[index], justify="right" if index else "left")
     for record, row in zip(records, rows, strict=True):
         table.add_row(*(row[index] for index in shown), style="bold" if record.is_joined else None)
-    return table
-
-
-def _map_error_table(found: RectificationRecord) -> Table:
-    """Errors of the wheels with and without areas."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    from wheelsight.app.report import error_rows
-
-    table = Table(title="distance from the truth, nothing aligned", box=SIMPLE_HEAD, title_justify="left")
-    head, rows = error_rows(found)
-    for index, name in enumerate(head):
-        table.add_column(name, justify="right" if index else "left")
-    for row in rows:
-        table.add_row(*row)
     return table
 
 

@@ -5,24 +5,18 @@ uncertainty.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from datetime import UTC, datetime
-from html import escape
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
-from wheelsight._version import __version__
 from wheelsight.app.report import drawing, html
 from wheelsight.app.report import plotly as go
 from wheelsight.app.report.drawing import BLUE, GREY, ORANGE, PURPLE, VERMILLION
-from wheelsight.app.report.page import fill_template
 from wheelsight.app.report.plotly import make_subplots
-from wheelsight.app.report.wheel_page import HEAD as BASE_PAGE_HEAD
+from wheelsight.app.report.wheel_page import HEAD as MOUNT_HEAD
 from wheelsight.app.run import words
 from wheelsight.core.depth_errors import DepthError
-from wheelsight.core.files import StrPath, write_text
+from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import BoolArray, FloatArray, PinholeCamera, so3
 from wheelsight.vision.camera_calibration.calibration import CameraCalibration, DepthResiduals
 from wheelsight.vision.extrinsics import QUANTITIES, BaseCalibration
@@ -36,8 +30,6 @@ _VIEW_HEAD = ("view", "distance", "tilt", "corners", "RMS", "depth less plane")
 def write_camera_page(found: CameraCalibration, path: StrPath) -> None:
     """Write the page, atomically. Raises OutputError."""
     rms_px = found.color_residuals.rms_px
-    when = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-    facts = (f"{len(found.views)} views of {found.board}", found.sensor, when, f"wheelsight {__version__}")
     text = f"The colour focal length is {found.color.fx:.1f} px, known to {_share(found, 'color')}."
     if len(found.depth_residuals.off_m):
         before, after = (
@@ -47,9 +39,6 @@ def write_camera_page(found: CameraCalibration, path: StrPath) -> None:
     remarks = [*found.warnings, *(f"{name} is left out: {reason}." for name, reason in found.left_out)]
     if not found.board.is_size_known:
         remarks.append("The size of the squares was not known: all lengths are by depth's nominal scale.")
-    remarks_section = (
-        html.section("notes", "What to know before trusting it", "", html.bullets(remarks, "notes")) if remarks else ""
-    )
     coverage = html.plot(
         "coverage",
         coverage_figure(found),
@@ -66,19 +55,19 @@ def write_camera_page(found: CameraCalibration, path: StrPath) -> None:
         "RMS of each view's corners over its distance",
     )
     views = html.section("views", "The views", "", plot, html.table("Each view", _VIEW_HEAD, view_rows(found)))
-    page = fill_template(
+    page = html.page(
         kicker="wheelsight camera calibration",
-        title=escape("Cameras by a board"),
-        facts=" · ".join(escape(fact) for fact in facts),
+        title="Cameras by a board",
+        facts=html.facts_now(f"{len(found.views)} views of {found.board}", found.sensor),
         tone="green" if rms_px < _GOOD_PX else "amber" if rms_px < _FAIR_PX else "red",
-        phrase=escape(f"Corners are explained to {rms_px:.2f} px"),
-        sentences=escape(text),
-        tiles="\n".join(html.tile(*tile) for tile in _tiles(found)),
-        notes=remarks_section,
-        sections="\n".join((lenses, *_depth(found), views)),
-        footer=escape(_FOOTER),
+        phrase=f"Corners are explained to {rms_px:.2f} px",
+        sentences=[text],
+        tiles=_tiles(found),
+        notes=remarks,
+        sections=(lenses, _depth(found), views),
+        footer=_FOOTER,
     )
-    write_text(Path(path), page.encode("utf-8", "replace").decode("utf-8"))
+    html.save(page, path)
 
 
 def _share(found: CameraCalibration, name: str) -> str:
@@ -103,11 +92,10 @@ def _tiles(found: CameraCalibration) -> list[tuple[str, str, str]]:
     return tiles
 
 
-def _depth(found: CameraCalibration) -> list[str]:
+def _depth(found: CameraCalibration) -> str:
     depth = found.depth_residuals
     if not len(depth.off_m):
-        return []
-    head = ("distance", "off before", "off after", "scatter", "σ of depth")
+        return ""
     by_distance = html.plot(
         "by-distance",
         distance_figure(found),
@@ -130,8 +118,8 @@ def _depth(found: CameraCalibration) -> list[str]:
         "As recordings are read. Raw disparities become depths first.",
         "What is added to depth over distance, at three places of the image",
     )
-    table = html.table("Depth on the boards' planes", head, distance_rows(found))
-    return [html.section("depth", "Depth", "", table, by_distance, by_region, correction)]
+    table = html.table("Depth on the boards' planes", DISTANCE_HEAD, distance_rows(found))
+    return html.section("depth", "Depth", "", table, by_distance, by_region, correction)
 
 
 # Figures of the calibration
@@ -257,6 +245,7 @@ def _middles(length: int, count: int) -> FloatArray:
 
 
 HEAD = ("", "found", "± σ")
+DISTANCE_HEAD = ("distance", "off before", "off after", "scatter", "σ of depth")
 _BANDS_M = (0.0, 0.8, 1.2, 1.6, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 10.0)
 _FEWEST_CELLS = 20
 _BROWN = ("k1", "k2", "p1", "p2", "k3")
@@ -352,7 +341,7 @@ def _sigma(found: CameraCalibration, name: str, factor: float, unit: str) -> str
 # The page of the mount
 
 
-_BASE_PAGE_FOOTER = (
+_MOUNT_FOOTER = (
     "The base is between the driven wheels, on the ground: x forward, y left, z up. σ is one standard deviation. "
     "This page needs no network."
 )
@@ -360,9 +349,6 @@ _BASE_PAGE_FOOTER = (
 
 def write_base_page(found: BaseCalibration, path: StrPath) -> None:
     """Write the page about a mount's calibration, atomically. Raises OutputError."""
-    path = Path(path)
-    when = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-    facts = ("wheels against camera, and the floor in depth", when, f"wheelsight {__version__}")
     tilt = max(found.sigmas[name] for name in ("roll", "pitch", "yaw"))
     place = max(found.sigmas[name] for name in ("x", "y", "height"))
     phrase = f"The camera's mount, to {words.angle(float(np.degrees(tilt)))} and {words.length(place)} (1 σ)"
@@ -370,17 +356,18 @@ def write_base_page(found: BaseCalibration, path: StrPath) -> None:
     ahead, aside = ("ahead of", "behind")[v["x"] < 0], ("left", "right")[v["y"] < 0]
     turned, tipped = ("left", "right")[v["yaw"] < 0], ("down", "up")[v["pitch"] < 0]
     late = ("late", "early")[v["delay"] < 0]
-    base_page_sentences = (
+    yaw_deg, pitch_deg = (abs(np.degrees(v[name])) for name in ("yaw", "pitch"))
+    sentence = (
         f"It sits {words.length(abs(v['x']))} {ahead} the axle, {words.length(abs(v['y']))} to the {aside} and "
-        f"{words.length(v['height'])} over the floor, and looks {_degrees(v['yaw'])} to the {turned} and "
-        f"{_degrees(v['pitch'])} {tipped}. The wheels' stamps are {words.duration(abs(v['delay']))} {late} by the "
+        f"{words.length(v['height'])} over the floor, and looks {yaw_deg:.1f}° to the {turned} and "
+        f"{pitch_deg:.1f}° {tipped}. The wheels' stamps are {words.duration(abs(v['delay']))} {late} by the "
         "camera's clock."
     )
     plot = html.plot(
         "turns",
         turning_figure(found),
         "Turn rates",
-        f"With {told('delay', found.values['delay'])} taken off the wheels' stamps, both show one drive. "
+        f"With {in_unit('delay', found.values['delay'])} taken off the wheels' stamps, both show one drive. "
         "Turns show x, y and the delay; the straight ways between them show yaw.",
         "Turn rates by wheels and camera over time",
     )
@@ -402,29 +389,22 @@ def write_base_page(found: BaseCalibration, path: StrPath) -> None:
         "Residuals of the pieces over time, along, across and in turn",
     )
     residual_section = html.section("pieces", "What stayed unexplained", "", residual_plot)
-    page = fill_template(
+    page = html.page(
         kicker="wheelsight camera mount",
-        title=escape(found.recording),
-        facts=" · ".join(escape(fact) for fact in facts),
+        title=found.recording,
+        facts=html.facts_now("wheels against camera, and the floor in depth"),
         tone="green",
-        phrase=escape(phrase),
-        sentences=escape(base_page_sentences),
-        tiles="\n".join(html.tile(*tile) for tile in _base_page_tiles(found)),
-        notes=html.section(
-            "notes", "What to know before trusting it", "", html.bullets(_base_page_notes(found), "notes")
-        ),
-        sections="\n".join((_mount(found), turns, floor_section, residual_section)),
-        footer=escape(_BASE_PAGE_FOOTER),
+        phrase=phrase,
+        sentences=[sentence],
+        tiles=_mount_tiles(found),
+        notes=_mount_notes(found),
+        sections=(_mount(found), turns, floor_section, residual_section),
+        footer=_MOUNT_FOOTER,
     )
-    # A folder's name may hold bytes that are no text; they must not cost the page.
-    write_text(path, page.encode("utf-8", "replace").decode("utf-8"))
+    html.save(page, path)
 
 
-def _degrees(angle_rad: float) -> str:
-    return f"{abs(np.degrees(angle_rad)):.1f}°"
-
-
-def _base_page_tiles(found: BaseCalibration) -> list[tuple[str, str, str]]:
+def _mount_tiles(found: BaseCalibration) -> list[tuple[str, str, str]]:
     fit, floor, sightings = found.fit, found.floor, found.sightings
     along, _, turn = fit.spread
     slips = words.count(int(fit.is_slip.sum()), "of them a slip or jump", "of them slips or jumps")
@@ -438,7 +418,7 @@ def _base_page_tiles(found: BaseCalibration) -> list[tuple[str, str, str]]:
     ]
 
 
-def _base_page_notes(found: BaseCalibration) -> list[str]:
+def _mount_notes(found: BaseCalibration) -> list[str]:
     wheels, before = found.fit.wheels, found.wheels
     radius = (wheels.left_radius_m + wheels.right_radius_m) / (before.left_radius_m + before.right_radius_m) - 1
     track = wheels.track_width_m / before.track_width_m - 1
@@ -465,9 +445,8 @@ def _mount(found: BaseCalibration) -> str:
         sentence + (" Orange is where it was believed to sit." if before else ""),
         "Axle, wheels and camera from above",
     )
-    return html.section(
-        "mount", "The mount", "", html.table("Before and after", BASE_PAGE_HEAD, mount_rows(found)), plot
-    )
+    table = html.table("Before and after", MOUNT_HEAD, mount_rows(found))
+    return html.section("mount", "The mount", "", table, plot)
 
 
 # Figures of the mount
@@ -478,18 +457,9 @@ _LOOK_M = 0.3
 _DEGREES = 180 / np.pi
 
 
-@dataclass(frozen=True, eq=False)
-class _Panel:
-    """Values (N,) over time, in their unit."""
-
-    name: str
-    unit: str
-    values: FloatArray
-
-
 def mount_figure(found: BaseCalibration) -> go.Figure:
     """Axle, wheels and the camera before and after the calibration, from above; x points up."""
-    figure = drawing.style(go.Figure(), 420, hovermode="closest", margin={"l": 88, "r": 12, "t": 34, "b": 46})
+    figure = drawing.map_figure(420, ("left and right of the middle", "x, m: ahead of the axle"), left=88)
     half_m, radius_m = found.wheels.track_width_m / 2, found.wheels.left_radius_m
     for side_m in (half_m, -half_m):
         wheel = np.array([[-side_m, -radius_m], [-side_m, radius_m]])
@@ -498,8 +468,7 @@ def mount_figure(found: BaseCalibration) -> go.Figure:
     if found.nominal.T_base_camera is not None:
         _camera(figure, found.nominal.T_base_camera, "nominal", ORANGE)
     _camera(figure, found.T_base_camera, "calibrated", BLUE)
-    figure.update_xaxes(title_text="left and right of the middle", tickvals=[])
-    figure.update_yaxes(title_text="x, m: ahead of the axle", scaleanchor="x", scaleratio=1)
+    figure.update_xaxes(tickvals=[])
     return figure
 
 
@@ -527,56 +496,27 @@ def turning_figure(found: BaseCalibration) -> go.Figure:
 
 def floor_figure(found: BaseCalibration) -> go.Figure:
     """Roll, pitch and height by the floor of each view, relative to the joint estimate."""
-    off = found.floor.tilts - [found.values[name] for name in ("roll", "pitch", "height")]
-    panels = (
-        _Panel("roll", "°", _DEGREES * off[:, 0]),
-        _Panel("pitch", "°", _DEGREES * off[:, 1]),
-        _Panel("height", "mm", 1e3 * off[:, 2]),
-    )
+    roll, pitch, height = (found.floor.tilts - [found.values[name] for name in ("roll", "pitch", "height")]).T
+    panels = (("roll", "°", _DEGREES * roll), ("pitch", "°", _DEGREES * pitch), ("height", "mm", 1e3 * height))
     stamps_s = found.floor.stamps_s - found.sightings.span_s[0]
-    return _dots(stamps_s, panels, np.zeros(len(stamps_s), bool), ("a view", ""))
+    return _residuals(stamps_s, panels, np.zeros(len(stamps_s), bool), ("a view", ""))
 
 
 def residual_figure(found: BaseCalibration) -> go.Figure:
     """Residuals of wheels and mount for each piece of the camera's path; slips stand out."""
     fit = found.fit
     along, across, turn = fit.residuals.T
-    panels = (
-        _Panel("along the way", "mm", 1e3 * along),
-        _Panel("across", "mm", 1e3 * across),
-        _Panel("turn", "°", _DEGREES * turn),
-    )
+    panels = (("along the way", "mm", 1e3 * along), ("across", "mm", 1e3 * across), ("turn", "°", _DEGREES * turn))
     middle_s = (fit.segments.start_s + fit.segments.end_s) / 2 - found.sightings.span_s[0]
-    return _dots(middle_s, panels, fit.is_slip, ("a piece", "slip or jump, hardly counted"))
+    return _residuals(middle_s, panels, fit.is_slip, ("a piece", "slip or jump, hardly counted"))
 
 
-def _dots(stamps_s: FloatArray, panels: Sequence[_Panel], is_off: BoolArray, kinds: tuple[str, str]) -> go.Figure:
-    figure = make_subplots(rows=len(panels), cols=1, shared_xaxes=True, vertical_spacing=0.1)
-    drawing.style(figure, 170 * len(panels), hovermode="closest", margin_l=88)
-    for row, panel in enumerate(panels, start=1):
-        limit = 1.15 * max(float(np.abs(panel.values[~is_off]).max(initial=0.0)), 1e-3)
-        for kind, which, color, symbol in zip(
-            kinds, (~is_off, is_off), (BLUE, VERMILLION), ("circle", "x"), strict=True
-        ):
-            figure.add_scatter(
-                x=stamps_s[which],
-                y=panel.values[which].clip(-limit, limit),
-                customdata=panel.values[which],
-                mode="markers",
-                marker={"size": 6, "color": color, "symbol": symbol},
-                name=kind,
-                legendgroup=kind,
-                showlegend=row == 1 and bool(which.any()),
-                hovertemplate=f"%{{x:.1f}} s: %{{customdata:.2f}} {panel.unit}<extra>{kind}</extra>",
-                row=row,
-                col=1,
-            )
-        figure.update_yaxes(range=[-1.08 * limit, 1.08 * limit], row=row, col=1)
-        top = figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1]
-        drawing.panel_title(figure, f"{panel.name}, {panel.unit}", y=top)
-        figure.add_hline(y=0, line=drawing.DASHED, row=row, col=1)
-    figure.update_xaxes(title_text="seconds since the first frame", row=len(panels), col=1)
-    return figure
+def _residuals(
+    stamps_s: FloatArray, panels: Sequence[tuple[str, str, FloatArray]], is_off: BoolArray, kinds: tuple[str, str]
+) -> go.Figure:
+    limits = [1.15 * max(float(np.abs(values[~is_off]).max(initial=0.0)), 1e-3) for _, _, values in panels]
+    drawn = [drawing.ResidualPanel(*panel, limit) for panel, limit in zip(panels, limits, strict=True)]
+    return drawing.residual_figure(stamps_s, drawn, is_off, kinds, "seconds since the first frame")
 
 
 def _camera(figure: go.Figure, T_base_camera: FloatArray, name: str, color: str) -> None:
@@ -629,28 +569,24 @@ UNITS = {
 
 
 def mount_rows(found: BaseCalibration) -> list[tuple[str, ...]]:
-    """One row a quantity, as `wheel_tables.HEAD` names the columns."""
-    return [_row(found, name) for name in QUANTITIES]
+    """One row a quantity, as `wheel_page.HEAD` names the columns."""
+    rows: list[tuple[str, ...]] = []
+    for name in QUANTITIES:
+        after, before = found.values[name], found.nominal_values.get(name)
+        known, changed = "unknown", ""
+        if before is not None:
+            change = after - before
+            if UNITS[name][1] == "°":
+                change = float((change + np.pi) % (2 * np.pi) - np.pi)
+            known, changed = in_unit(name, before), in_unit(name, change, signed=True)
+        rows.append((UNITS[name][0], known, in_unit(name, after), in_unit(name, found.sigmas[name]), changed))
+    return rows
 
 
-def told(name: str, value: float, *, signed: bool = False) -> str:
+def in_unit(name: str, value: float, *, signed: bool = False) -> str:
     """A quantity in its customary unit."""
     _, unit, factor = UNITS[name]
     places = 2 if unit == "°" else 1
     shown = round(factor * value, places) + 0.0  # no minus before nothing
     text = f"{shown:{'+' if signed else ''}.{places}f}"
     return f"{text}°" if unit == "°" else f"{text} {unit}"
-
-
-def _row(found: BaseCalibration, name: str) -> tuple[str, ...]:
-    after, before = found.values[name], found.nominal_values.get(name)
-    known = (
-        ("unknown", "")
-        if before is None
-        else (told(name, before), told(name, _change(name, after - before), signed=True))
-    )
-    return UNITS[name][0], known[0], told(name, after), told(name, found.sigmas[name]), known[1]
-
-
-def _change(name: str, change: float) -> float:
-    return float((change + np.pi) % (2 * np.pi) - np.pi) if UNITS[name][1] == "°" else change

@@ -6,8 +6,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +22,7 @@ from wheelsight.app.report.comparison_figures import (
     overlay_of,
     trust_figure,
 )
-from wheelsight.app.report.page import fill_template, settings, shown_findings, write_report
+from wheelsight.app.report.page import finished, settings, shown_findings, write_report
 from wheelsight.app.report.sections import files_section, loop_section, map_section, map_tile
 from wheelsight.app.run import words
 from wheelsight.app.run.run_record import RectificationRecord, RunRecord
@@ -45,7 +43,7 @@ from wheelsight.app.run.verdict import (
     verdict_of_run,
 )
 from wheelsight.core.estimates import Status
-from wheelsight.core.files import StrPath, write_text
+from wheelsight.core.files import StrPath
 from wheelsight.core.runtime import why_missing
 
 _MOST_OF_THE_TIME = 0.95
@@ -54,74 +52,56 @@ _MOST_LINES = 3
 Judged = tuple[RunRecord, Summary, RunVerdict]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Joined:
-    """The joined sensors, which are the page's main result, with their figures."""
-
-    record: RunRecord
-    facts: JoinedFacts
-    best_alone: BestAlone | None
-
-
 def write_comparison(records: Sequence[RunRecord], path: StrPath) -> None:
     """Write the page about `records`, each of another odometry, to `path`, atomically. Raises OutputError."""
-    # A folder's name may hold bytes that are no text; they must not cost the page.
-    path = Path(path)
-    write_text(path, render_comparison(records, path.parent).encode("utf-8", "replace").decode("utf-8"))
+    html.save(render_comparison(records, Path(path).parent), path)
 
 
 def render_comparison(records: Sequence[RunRecord], folder: Path | None = None) -> str:
     """The page about several odometries as self-contained HTML, with links to results in `folder`."""
-    record = joined_of(records)
-    joined, verdict = (
-        (None if record is None else _Joined(record, facts_of(record), best_alone_of(records))),
-        verdict_of_run(records),
-    )
+    joined, verdict = joined_of(records), verdict_of_run(records)
     judged = [(record, summarise(record), verdict_of(record, records)) for record in records]
     judged.sort(key=lambda found: not found[0].is_joined)  # the main answer comes first
     is_green = verdict.tone is Tone.GREEN
-    nearest = [] if is_green else [f"{_phrase(records)}."]
+    sentences = [] if is_green else [f"{_phrase(records)}."]
+    for record, summary, _ in judged[:_MOST_LINES]:  # coverage, error and speed of each
+        off = "" if record.evaluation is None else f"{words.length(record.evaluation.ate.translation.rmse)} off (RMSE)"
+        quick = f"{words.duration(summary.median_s)} a {summary.unit}" if summary.median_s > 0 else ""
+        posed = f"a pose in {words.percent(summary.pose_share)} of {summary.unit}s"
+        sentences.append(f"{record.odometry.capitalize()}: {', '.join(filter(None, (posed, off, quick)))}.")
+    in_words = (f"{record.odometry.capitalize()}: {' '.join(one.sentences)}" for record, _, one in judged)
+    frames = ", ".join(f"{r.odometry} T_{r.estimate.frame}_{r.estimate.body}" for r in records)
     paths = overlay_of(records)
-    return fill_template(
+    # Common notes once, others under the name of their odometry
+    of_each = {r.odometry: [*notes(r), *rectification_notes(r)] for r, _, _ in judged}
+    shared = [note for note in next(iter(of_each.values())) if all(note in found for found in of_each.values())]
+    own = [f"{name.capitalize()}: {note}" for name, found in of_each.items() for note in found if note not in shared]
+    undrawn = [
+        f"{name.capitalize()}: not drawn with the others ({w.rstrip('.')})." for name, w in paths.left_out.items()
+    ]
+    return html.page(
         kicker="wheelsight run report",
-        title=escape(records[0].recording),
-        facts=" · ".join(escape(fact) for fact in _facts(records)),
+        title=records[0].recording,
+        facts=(f"format {records[0].format}", frames, finished(records[0]), f"wheelsight {__version__}"),
         tone=verdict.tone,
-        phrase=escape(_phrase(records) if joined is None and is_green else verdict.phrase),
-        findings=html.findings(shown_findings(verdict)),
-        sentences=html.lines(judged[0][2].facts if joined is not None else nearest + _lines(judged)),
-        more=html.fold("Each in words", f"<p>{html.lines(_sentences(judged))}</p>"),
-        tiles="\n".join(html.tile(*tile) for tile in _tiles(judged, joined)),
-        notes=_notes(judged, paths),
-        sections="\n".join(
-            filter(None, (*_sections(judged, paths, joined), files_section(folder, [r.odometry for r in records])))
-        ),
-        footer=escape("Lengths are in metres, stamps in seconds. This page needs no network."),
+        phrase=_phrase(records) if joined is None and is_green else verdict.phrase,
+        found=shown_findings(verdict),
+        sentences=judged[0][2].facts if joined is not None else sentences,
+        more=html.fold("Each in words", f"<p>{html.lines(in_words)}</p>"),
+        tiles=_tiles(judged, joined, best_alone_of(records)),
+        notes=[*shared, *own, *undrawn],
+        no_notes="Nothing: everything listed was used, and every answer has a pose.",
+        sections=(*_sections(judged, paths, joined), files_section(folder, [r.odometry for r in records])),
+        footer="Lengths are in metres, stamps in seconds. This page needs no network.",
     )
 
 
-def _lines(judged: Sequence[Judged]) -> list[str]:
-    """One line a track: coverage, error, speed."""
-    found = []
-    for record, summary, _ in judged[:_MOST_LINES]:
-        judged_by = record.evaluation
-        off = "" if judged_by is None else f"{words.length(judged_by.ate.translation.rmse)} off (RMSE)"
-        quick = f"{words.duration(summary.median_s)} a {summary.unit}" if summary.median_s > 0 else ""
-        posed = f"a pose in {words.percent(summary.pose_share)} of {summary.unit}s"
-        found.append(f"{record.odometry.capitalize()}: {', '.join(filter(None, (posed, off, quick)))}.")
-    return found
-
-
-def _sentences(judged: Sequence[Judged]) -> list[str]:
-    return [f"{record.odometry.capitalize()}: {' '.join(verdict.sentences)}" for record, _, verdict in judged]
-
-
-def comparison_rows(records: Sequence[RunRecord]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+def comparison_rows(records: Sequence[RunRecord]) -> words.Table:
     """Column names with units, and one row an odometry: errors, coverage, time. For the page and for the terminal."""
     found = [record.evaluation if record.ground_truth is not None else None for record in records]
     summaries = [summarise(record) for record in records]
     seconds, metres = ([None if one is None else getattr(one, f"rpe_per_{name}") for one in found] for name in _STEPS)
-    columns = [
+    return words.table(
         ("Odometry", [record.odometry for record in records]),
         words.column("ATE, RMSE", [None if one is None else one.ate.translation.rmse for one in found], "m"),
         words.column("ATE, max", [None if one is None else one.ate.translation.max for one in found], "m"),
@@ -133,8 +113,7 @@ def comparison_rows(records: Sequence[RunRecord]) -> tuple[tuple[str, ...], list
         ("time covered", ["–" if one is None else words.percent(one.truth_time_covered) for one in found]),
         words.column("median time", [summary.median_s for summary in summaries], "s"),
         words.column("95 % within", [summary.p95_s for summary in summaries], "s"),
-    ]
-    return tuple(head for head, _ in columns), list(zip(*(cells for _, cells in columns), strict=True))
+    )
 
 
 def _share_of_the_way(record: RunRecord) -> float:
@@ -142,12 +121,6 @@ def _share_of_the_way(record: RunRecord) -> float:
     assert record.evaluation is not None
     way_m = true_way_m(record)
     return record.evaluation.ate.translation.rmse / way_m if way_m > 0 else float("nan")
-
-
-def _facts(records: Sequence[RunRecord]) -> list[str]:
-    when = records[0].finished_at.strftime("%Y-%m-%d %H:%M %Z").strip()
-    frames = ", ".join(f"{r.odometry} T_{r.estimate.frame}_{r.estimate.body}" for r in records)
-    return [f"format {records[0].format}", frames, when, f"wheelsight {__version__}"]
 
 
 def _phrase(records: Sequence[RunRecord]) -> str:
@@ -168,9 +141,11 @@ def _phrase(records: Sequence[RunRecord]) -> str:
     return f"{name} came nearest to the truth, {error} off (RMSE)"
 
 
-def _tiles(judged: Sequence[Judged], joined: _Joined | None) -> Iterable[tuple[str, str, str]]:
+def _tiles(
+    judged: Sequence[Judged], joined: RunRecord | None, best_alone: BestAlone | None
+) -> Iterable[tuple[str, str, str]]:
     if joined is not None:
-        yield from tiles(joined.record, joined.facts, joined.best_alone)
+        yield from tiles(joined, facts_of(joined), best_alone)
     for record, _, _ in judged:
         yield from rectification_tiles(record)
     for record, summary in ((record, summary) for record, summary, _ in judged if not record.is_joined):
@@ -182,7 +157,7 @@ def _tiles(judged: Sequence[Judged], joined: _Joined | None) -> Iterable[tuple[s
         if joined is not None and summary.pose_share < _MOST_OF_THE_TIME:
             more = f"where it has a pose, {words.percent(summary.pose_share)}"
         yield f"ATE, {record.odometry}", words.length(record.evaluation.ate.translation.rmse), more
-    for record, summary, _ in judged if joined is None or joined.record.evaluation is None else ():
+    for record, summary, _ in judged if joined is None or joined.evaluation is None else ():
         posed = f"{summary.posed:,} of {words.count(summary.frames, summary.unit)}"
         yield f"With a pose, {record.odometry}", words.percent(summary.pose_share), posed
     for record, summary, _ in judged if joined is None else judged[:1]:
@@ -194,48 +169,24 @@ def _tiles(judged: Sequence[Judged], joined: _Joined | None) -> Iterable[tuple[s
         yield "Peak memory", f"{memory_mb:,.0f} MB", ""
 
 
-def _notes(judged: Sequence[Judged], paths: Overlay) -> str:
-    """Common notes once, others under the name of their odometry."""
-    of_each = {r.odometry: [*notes(r), *rectification_notes(r)] for r, _, _ in judged}
-    shared = [note for note in next(iter(of_each.values())) if all(note in found for found in of_each.values())]
-    own = [f"{name.capitalize()}: {note}" for name, found in of_each.items() for note in found if note not in shared]
-    out = [
-        f"{name.capitalize()}: not drawn with the others ({why.rstrip('.')})." for name, why in paths.left_out.items()
-    ]
-    found = [*shared, *own, *out]
-    intro = "" if found else "Nothing: everything listed was used, and every answer has a pose."
-    body = html.bullets(found, "notes") if found else ""
-    return html.section("notes", "What to know before trusting it", intro, body)
-
-
-def _sections(judged: Sequence[Judged], paths: Overlay, joined: _Joined | None) -> Iterable[str]:
-    records = sorted(
-        (record for record, _, _ in judged), key=lambda record: record.is_joined
-    )  # in figures it is on top
+def _sections(judged: Sequence[Judged], paths: Overlay, joined: RunRecord | None) -> Iterable[str]:
+    records = sorted((record for record, _, _ in judged), key=lambda record: record.is_joined)  # drawn on top
     of_areas = rectification_section(records)
     yield of_areas if joined is None else ""
     yield _path(records, paths)
     if joined is not None:
-        yield joined_section(joined.record, joined.facts)
-        yield map_section(joined.record, joined.record.odometry)
+        yield joined_section(joined, facts_of(joined))
+        yield map_section(joined, joined.odometry)
         yield of_areas
     yield _errors(records)
-    if not any(record.frames for record in records):
-        bands = ""
-    else:
+    if any(record.frames for record in records):
         shares = ", ".join(f"{record.odometry} {words.percent(summarise(record).pose_share)}" for record in records)
         sentence = "In an odometry's own colour its pose is known; other colours say why it is not."
-        if joined_of(records) is not None:
+        if joined is not None:
             sentence += " While coasting, joined sensors know it by the wheels alone."
-        plot = html.plot(
-            "bands",
-            figures.bands_figure(records),
-            "Status over time",
-            sentence,
-            f"With a pose: {shares}.",
-        )
-        bands = html.section("bands", "When each was followed", "", plot)
-    yield bands
+        figure = figures.bands_figure(records)
+        plot = html.plot("bands", figure, "Status over time", sentence, f"With a pose: {shares}.")
+        yield html.section("bands", "When each was followed", "", plot)
     for record, summary, _ in judged:
         # Sections of one odometry, without those that joined sensors have above
         of = record.odometry
@@ -344,7 +295,9 @@ def tiles(record: RunRecord, facts: JoinedFacts, best_alone: BestAlone | None) -
     yield (
         "Coasting",
         words.duration(coasting),
-        f"{_times(len(facts.coasting_s))}, {words.duration(max(facts.coasting_s))} at most" if coasting else "never",
+        f"{words.times(len(facts.coasting_s))}, {words.duration(max(facts.coasting_s))} at most"
+        if coasting
+        else "never",
     )
     if facts.flag_shares:
         (first, share), *others = facts.flag_shares.items()
@@ -379,33 +332,25 @@ def joined_section(record: RunRecord, facts: JoinedFacts) -> str:
     if facts.coasting_s:
         share = words.percent(facts.share_of(Status.COASTING))
         whole, longest = words.duration(sum(facts.coasting_s)), words.duration(max(facts.coasting_s))
-        led = f"it coasted on the wheels {_times(len(facts.coasting_s))}, for {whole} in all ({share} of the time)"
+        led = f"it coasted on the wheels {words.times(len(facts.coasting_s))}, for {whole} in all ({share} of the time)"
         led += f", {longest} at most" if len(facts.coasting_s) > 1 else ""
     elif not facts.seconds.get(Status.TRACKING):
         led = "it never tracked"
     lost_s = facts.seconds.get(Status.LOST, 0.0)
     led += f", and was lost for {words.duration(lost_s)}" if lost_s else ""
-    leading_sentence = f"{led[0].upper()}{led[1:]}."
-    consistent = facts.consistency
-    if consistent is None:
-        consistency_sentence = ""
-    else:
-        consistency_sentence = (
-            f"Begun at the true start, it ends {words.length(consistent.drift_m)} off, "
-            f"{words.percent(consistent.drift_share)} of the way; the position is within its stated 3σ in "
-            f"{words.percent(consistent.share)} of the time."
+    alt = f"{led[0].upper()}{led[1:]}."
+    if found is not None:
+        alt += (
+            f" Begun at the true start, it ends {words.length(found.drift_m)} off, "
+            f"{words.percent(found.drift_share)} of the way; the position is within its stated 3σ in "
+            f"{words.percent(found.share)} of the time."
         )
-    alt = f"{leading_sentence} {consistency_sentence}".strip()
     plot = html.plot(key, trust_figure(record, found), "Error, stated error, status", sentence, alt)
     return html.section(key, title, intro, plot, sections.matches(record, record.odometry))
 
 
 def _share(share: float) -> str:
     return words.percent(share) if share else "never"
-
-
-def _times(n: int) -> str:
-    return "once" if n == 1 else f"{n} times"
 
 
 # Areas
@@ -456,13 +401,13 @@ def rectification_notes(record: RunRecord) -> list[str]:
     return said
 
 
-def error_rows(found: RectificationRecord) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+def error_rows(found: RectificationRecord) -> words.Table:
     """Column names with units, and a row for the wheels alone and one for the rectified path; none without truth."""
     errors = found.errors
     if errors is None:
         return (), []
     both = ("wheels", errors.wheels, errors.wheels_m), ("rectified", errors.rectified, errors.rectified_m)
-    columns = [
+    return words.table(
         ("Path", [name for name, _, _ in both]),
         words.column("mean", [one.mean for _, one, _ in both], "m"),
         words.column("RMSE", [one.rmse for _, one, _ in both], "m"),
@@ -473,8 +418,7 @@ def error_rows(found: RectificationRecord) -> tuple[tuple[str, ...], list[tuple[
             "of the wheels' mean",
             [words.percent(one.mean / errors.wheels.mean if errors.wheels.mean > 0 else None) for _, one, _ in both],
         ),
-    ]
-    return tuple(head for head, _ in columns), list(zip(*(cells for _, cells in columns), strict=True))
+    )
 
 
 def rectification_section(records: Sequence[RunRecord]) -> str:
@@ -494,43 +438,25 @@ def rectification_section(records: Sequence[RunRecord]) -> str:
         "Seen from above. All begin at the ring; squares are where each one ends.",
         "Areas from above with the paths of wheels alone, of rectified wheels, and of the ground truth where known.",
     )
-    rectified = record.rectification
-    assert rectified is not None
-    if not rectified.looks:
-        time_plot = html.paragraph("No frame was looked at.", "missing")
+    if found.errors is None:
+        errors = html.paragraph("Without a ground truth, how far off either is cannot be said.", "missing")
+    else:
+        frames = words.count(len(found.errors.stamps_s), "frame")
+        caption = f"Distance from the true base in x and y, nothing aligned, over {frames}."
+        wheels_m, rectified_m = (words.length(one.mean) for one in (found.errors.wheels, found.errors.rectified))
+        alt = f"Distances from the truth over time, wheels {wheels_m} in the mean; rectified {rectified_m} in the mean."
+        sentence = "Wheels drift away for good; what is rectified is brought back at each change of area."
+        plot = html.plot("map-error", map_error_figure(record), "Error in the map over time", sentence, alt)
+        errors = html.table(caption, *error_rows(found)) + "\n" + plot
+    if not found.looks:
+        over_time = html.paragraph("No frame was looked at.", "missing")
     else:
         sentence = "One row an area, in its colour on the map: the fuller, the more probable."
-        if rectified.true_areas is not None:
+        if found.true_areas is not None:
             sentence += " The line is the area in which the robot truly was."
         alt = "Probability of each area over time"
-        if rectified.is_judged.any():
-            right = words.percent(rectified.accuracy(rectified.forest))
+        if found.is_judged.any():
+            right = words.percent(found.accuracy(found.forest))
             alt += f"; the most probable one is right in {right} of the frames"
-        time_plot = html.plot("area-time", area_time_figure(record), "Areas along time", sentence, alt + ".")
-    return html.section(
-        "areas",
-        "What areas did to the wheels",
-        intro,
-        area_map,
-        _rectification_errors(record, found),
-        time_plot,
-    )
-
-
-def _rectification_errors(record: RunRecord, found: RectificationRecord) -> str:
-    if found.errors is None:
-        return html.paragraph("Without a ground truth, how far off either is cannot be said.", "missing")
-    head, rows = error_rows(found)
-    frames = words.count(len(found.errors.stamps_s), "frame")
-    caption = f"Distance from the true base in x and y, nothing aligned, over {frames}."
-    alt = (
-        "Distances from the truth over time, "
-        + "; ".join(
-            f"{name} {words.length(one.mean)} in the mean"
-            for name, one in (("wheels", found.errors.wheels), ("rectified", found.errors.rectified))
-        )
-        + "."
-    )
-    sentence = "Wheels drift away for good; what is rectified is brought back at each change of area."
-    plot = html.plot("map-error", map_error_figure(record), "Error in the map over time", sentence, alt)
-    return html.table(caption, head, rows) + "\n" + plot
+        over_time = html.plot("area-time", area_time_figure(record), "Areas along time", sentence, alt + ".")
+    return html.section("areas", "What areas did to the wheels", intro, area_map, errors, over_time)

@@ -40,7 +40,7 @@ def overlay_figure(paths: Overlay) -> go.Figure:
 
     Joined sensors stand out, with ellipses of their stated 3σ. The legend switches the ellipses of the others on.
     """
-    figure = drawing.style(go.Figure(), 560, hovermode="closest", margin={"l": 58, "r": 12, "t": 34, "b": 46})
+    figure = drawing.map_figure(560)
     lines = {name: (path, colour_of(name), _width_of(name)) for name, path in paths.paths_m.items()}
     if paths.truth_m is not None:
         lines = {"ground truth": (paths.truth_m, GREY, 5), **lines}
@@ -61,8 +61,8 @@ def overlay_figure(paths: Overlay) -> go.Figure:
     if start is not None:
         _mark(figure, start, "start", "circle-open", GREY)
     x_range, y_range = drawing.room_around(drawn)
-    figure.update_xaxes(title_text="x, m", range=x_range)
-    figure.update_yaxes(title_text="y, m", range=y_range, scaleanchor="x", scaleratio=1)
+    figure.update_xaxes(range=x_range)
+    figure.update_yaxes(range=y_range)
     return figure
 
 
@@ -79,7 +79,7 @@ def errors_figure(records: Sequence[RunRecord]) -> go.Figure:
             line = {"color": colour_of(name), "width": 0.75 * _width_of(name)}
             where = {"row": row, "in_legend": row == 1}
             drawing.add_line(figure, x - start_s, y, name=name, line=line, hover=f"%{{y:.4f}} {unit}", **where)
-        drawing.panel_title(figure, f"{title}, {unit}", y=figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1])
+        drawing.panel_title(figure, f"{title}, {unit}", row)
     figure.update_yaxes(rangemode="tozero")
     drawing.time_axis_until(figure, end_s - start_s, _TIME)
     return figure
@@ -268,7 +268,7 @@ def trust_figure(record: RunRecord, found: Consistency | None) -> go.Figure:
         drawing.add_area(figure, x, -band_m, band_m, hoverinfo="skip", row=row, col=1, **how)
         _add_errors(figure, x, errors_m[..., axis], row)
         title = f"{'±3σ' if found is None else 'error'} {name}, m"
-        drawing.panel_title(figure, title, y=figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1])
+        drawing.panel_title(figure, title, row)
     # Statuses as one band, and flags as thin ones beneath, in the lowest panel
     starts_s, ends_s = record.frame_spans_s()
     labels = status_labels(record)
@@ -343,7 +343,7 @@ def area_map_figure(record: RunRecord) -> go.Figure:
     A ring marks the start, squares the ends. `record` has a rectification.
     """
     found = _of(record)
-    figure = drawing.style(go.Figure(), 620, hovermode="closest", margin={"l": 58, "r": 12, "t": 34, "b": 46})
+    figure = drawing.map_figure(620)
     _add_areas(figure, found.areas)
     lines = {
         "wheels": (found.wheels.positions_m, drawing.ODOMETRY_COLOURS["wheels"], 2),
@@ -362,8 +362,8 @@ def area_map_figure(record: RunRecord) -> go.Figure:
         if len(known):
             _add_end(figure, name, known, colour)
     x_range, y_range = drawing.room_around(drawn)
-    figure.update_xaxes(title_text="x, m", range=x_range, showgrid=False)
-    figure.update_yaxes(title_text="y, m", range=y_range, scaleanchor="x", scaleratio=1, showgrid=False)
+    figure.update_xaxes(range=x_range, showgrid=False)
+    figure.update_yaxes(range=y_range, showgrid=False)
     return figure
 
 
@@ -390,14 +390,14 @@ def area_time_figure(record: RunRecord) -> go.Figure:
     seconds = record.seconds_since_start(found.stamps_s)
     for row, (title, probabilities) in enumerate(panels.items(), start=1):
         _add_rows(figure, found, seconds, probabilities, row)
-        _panel_title(figure, title, row)
+        drawing.panel_title(figure, title, row)
     if found.belief is not None:
         row = len(heights)
         line = {"color": drawing.ODOMETRY_COLOURS["rectified"], "width": 1.5}
         how = {"hover": "%{y:.2f}", "row": row, "in_legend": False}
         drawing.add_line(figure, seconds, found.trust, name="trust in the model", line=line, **how)
         figure.update_yaxes(range=[-0.04, 1.04], tickvals=[0, 0.5, 1], row=row, col=1)
-        _panel_title(figure, "trust in the model: how probable it is that it works here at all", row)
+        drawing.panel_title(figure, "trust in the model: how probable it is that it works here at all", row)
     drawing.time_axis(figure, record)
     figure.update_layout(margin_l=62 + 7 * min(max(map(len, found.areas.names)), 24))
     return figure
@@ -540,10 +540,6 @@ def _add_rows(
     ticks = {"tickmode": "array", "tickvals": list(range(n)), "ticktext": [escape(name) for name in found.areas.names]}
     figure.update_yaxes(range=[n - 0.5, -0.5], showgrid=False, row=row, col=1, **ticks)
     figure.update_xaxes(showgrid=False, row=row, col=1)
-
-
-def _panel_title(figure: go.Figure, text: str, row: int) -> None:
-    drawing.panel_title(figure, text, y=figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1])
 
 
 def _faded(colour: str, opacity: float) -> str:

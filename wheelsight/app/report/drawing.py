@@ -4,11 +4,14 @@ lines are thinned.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from wheelsight.app.report import plotly as go
+from wheelsight.app.report.plotly import make_subplots
 from wheelsight.app.run.run_record import FrameRecord, RunRecord
 from wheelsight.app.run.verdict import cold_frames, runs
 from wheelsight.core.geometry import BoolArray, FloatArray, IntArray
@@ -107,10 +110,59 @@ def room_around(points: FloatArray) -> tuple[list[float] | None, list[float] | N
     return [low[0] - air, high[0] + air], [low[1] - air, high[1] + air]
 
 
-def panel_title(figure: go.Figure, text: str, y: float = 1.0) -> None:
-    """A panel's title at its upper left, `y` as a share of the figure's plotting height."""
+def map_figure(height: int, axes: tuple[str, str] = ("x, m", "y, m"), left: int = 58) -> go.Figure:
+    """An empty figure of a plane with equal aspect; `left` is its margin in px."""
+    figure = style(go.Figure(), height, hovermode="closest", margin={"l": left, "r": 12, "t": 34, "b": 46})
+    figure.update_xaxes(title_text=axes[0])
+    figure.update_yaxes(title_text=axes[1], scaleanchor="x", scaleratio=1)
+    return figure
+
+
+def panel_title(figure: go.Figure, text: str, row: int | None = None) -> None:
+    """A title at the upper left of the panel in `row`, from 1, or of a figure with one panel."""
+    y = 1.0 if row is None else figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1]
     place = {"x": 0, "y": y, "xref": "paper", "yref": "paper", "xanchor": "left", "yanchor": "bottom"}
     figure.add_annotation(text=text, showarrow=False, yshift=3, **place)
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualPanel:
+    """Residuals (N,) of one quantity over time, in their unit. Larger ones than the limit lie at the edge."""
+
+    name: str
+    unit: str
+    values: FloatArray
+    limit: float
+
+
+def residual_figure(
+    stamps_s: FloatArray, panels: Sequence[ResidualPanel], is_off: BoolArray, kinds: tuple[str, str], title: str
+) -> go.Figure:
+    """A panel for each quantity; `is_off` (N,) stand out, and `kinds` names the others and them."""
+    figure = make_subplots(rows=len(panels), cols=1, shared_xaxes=True, vertical_spacing=0.1)
+    style(figure, 170 * len(panels), hovermode="closest", margin_l=88)
+    for row, panel in enumerate(panels, start=1):
+        limit = panel.limit
+        looks = zip(kinds, (~is_off, is_off), (BLUE, VERMILLION), ("circle", "x"), strict=True)
+        for kind, which, color, symbol in looks:
+            figure.add_scatter(
+                x=stamps_s[which],
+                y=panel.values[which].clip(-limit, limit),
+                customdata=panel.values[which],
+                mode="markers",
+                marker={"size": 6, "color": color, "symbol": symbol},
+                name=kind,
+                legendgroup=kind,
+                showlegend=row == 1 and bool(which.any()),
+                hovertemplate=f"%{{x:.1f}} s: %{{customdata:.2f}} {panel.unit}<extra>{kind}</extra>",
+                row=row,
+                col=1,
+            )
+        figure.update_yaxes(range=[-1.08 * limit, 1.08 * limit], row=row, col=1)
+        panel_title(figure, f"{panel.name}, {panel.unit}", row)
+        figure.add_hline(y=0, line=DASHED, row=row, col=1)
+    figure.update_xaxes(title_text=title, row=len(panels), col=1)
+    return figure
 
 
 def horizontal(figure: go.Figure, y: float, text: str) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import base64
 import math
-from html import escape
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,13 +12,12 @@ from wheelsight._version import __version__
 from wheelsight.app.report import drawing, html
 from wheelsight.app.report import plotly as go
 from wheelsight.app.report.drawing import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, keep_shape
-from wheelsight.app.report.page import fill_template
 from wheelsight.app.report.places_page import jpeg_uri
 from wheelsight.app.report.plotly import make_subplots
 from wheelsight.app.run import words
-from wheelsight.app.run.drive_record import DriveRecord, FilmImage
+from wheelsight.app.run.drive_record import DriveRecord
 from wheelsight.app.run.verdict import runs
-from wheelsight.core.files import StrPath, settings_text, write_text
+from wheelsight.core.files import StrPath, settings_text
 from wheelsight.core.geometry import ByteArray, FloatArray
 from wheelsight.mapping import CellKind
 from wheelsight.mapping.occupancy import COLOURS, PlanLine, PlanMark, picture_of, save_picture
@@ -58,8 +55,7 @@ def write_drive_page(record: DriveRecord, path: StrPath) -> None:
         OutputError: it cannot be written.
         ConfigError: plotly is not installed.
     """
-    path = Path(path)
-    write_text(path, render_drive(record).encode("utf-8", "replace").decode("utf-8"))
+    html.save(render_drive(record), path)
 
 
 def render_drive(record: DriveRecord) -> str:
@@ -82,37 +78,33 @@ def render_drive(record: DriveRecord) -> str:
     time_alt = f"States and speeds over {words.duration(record.time_s)}."
     time_plot = html.plot("time-line", time_line_figure(record), "States and speeds", sentence, time_alt)
     time_section = html.section("time", "What it did when", "", time_plot)
-    if not record.images:
-        film = ""
-    else:
-        pictures = [_picture(image, max(image.stamp_s - record.begin_s, 0.0)) for image in record.images]
+    film = ""
+    if record.images:
+        pictures = []
+        for image in record.images:
+            after = f"{max(image.stamp_s - record.begin_s, 0.0):.1f} s"
+            pictures.append(html.picture(jpeg_uri(image.color), after, f"What the camera saw after {after}"))
         film = html.section("film", "What it saw", "Images of its camera on the way.", html.group("strip", pictures))
     body = html.table("Off the goal is as the robot believes.", *goal_rows(record))
     goals = html.section("goals", "Its goals", "", body)
     if not record.stops:
         stop_section = html.section("stops", "What held it", "Nothing held it.")
     else:
-        stop_table = html.table(
-            "Each time that the collision monitor held the robot, or it stopped by itself.", *stop_rows(record)
-        )
-        stop_section = html.section("stops", "What held it", "", stop_table)
-    rows = transition_rows(record)
-    table = html.table("All changes of state.", ("Seconds", "From", "To", "Why"), rows)
-    settings = settings_text(record.config["navigation"])
-    log = html.section(
-        "log", "The log", "", html.fold("All changes of state", table), html.folded("Settings of navigation", settings)
-    )
-    return fill_template(
+        caption = "Each time that the collision monitor held the robot, or it stopped by itself."
+        stop_section = html.section("stops", "What held it", "", html.table(caption, *stop_rows(record)))
+    table = html.table("All changes of state.", ("Seconds", "From", "To", "Why"), transition_rows(record))
+    settings = html.folded("Settings of navigation", settings_text(record.config["navigation"]))
+    log = html.section("log", "The log", "", html.fold("All changes of state", table), settings)
+    return html.page(
         kicker="wheelsight drive",
-        title=escape(f"{goal_names} in {record.map_name}"),
-        facts=" · ".join(escape(fact) for fact in facts),
+        title=f"{goal_names} in {record.map_name}",
+        facts=facts,
         tone=tone,
-        phrase=escape(phrase),
-        sentences=escape(sentences),
-        tiles="\n".join(html.tile(*tile) for tile in _tiles(record)),
-        notes="",
-        sections="\n".join((plan, time_section, film, goals, stop_section, log)),
-        footer=escape(_FOOTER),
+        phrase=phrase,
+        sentences=[sentences],
+        tiles=_tiles(record),
+        sections=(plan, time_section, film, goals, stop_section, log),
+        footer=_FOOTER,
     )
 
 
@@ -121,21 +113,14 @@ def verdict(record: DriveRecord) -> tuple[str, str, str]:
     reached = sum(goal.result.has_arrived for goal in record.goals)
     of_all = f"{reached} of {words.count(record.asked, 'goal')} reached"
     if record.is_interrupted:
-        return (
-            "Interrupted",
-            f"{reached} of {words.count(record.asked, 'goal')} reached; the robot was stopped.",
-            "amber",
-        )
+        return "Interrupted", f"{of_all}; the robot was stopped.", "amber"
     if not record.has_arrived:
         last = record.goals[-1] if record.goals else None
         why = "" if last is None else f"{last.name}: {last.result.reason} ({last.result.detail})."
         return of_all, why, "red"
     if record.contacts:
-        return (
-            f"Arrived, with {words.count(len(record.contacts), 'collision')}",
-            f"{', '.join(record.contacts)}.",
-            "red",
-        )
+        collisions = words.count(len(record.contacts), "collision")
+        return f"Arrived, with {collisions}", f"{', '.join(record.contacts)}.", "red"
     remarks = [f"{goal.name}: {goal.result.goal_change}." for goal in record.goals if goal.result.goal_change]
     if record.rests_on_start:
         remarks.append("Nothing of the map was recognised: every pose rests on the given start.")
@@ -149,20 +134,16 @@ def _tiles(record: DriveRecord) -> list[tuple[str, str, str]]:
     held_s = sum(stop.end_s - stop.begin_s for stop in record.stops)
     near = words.length(record.clearance_m) if math.isfinite(record.clearance_m) else "nothing near"
     offs = [goal.off_m for goal in record.goals if goal.result.has_arrived and math.isfinite(goal.off_m)]
-    if not len(record.people):
-        people_tile = []
-    else:
-        people_tile = [
-            ("Nearest person", words.length(float(record.people[:, 3].min())), "who walked, as the camera followed him")
-        ]
     tiles = [
         ("Way driven", words.length(record.way_m), f"first plans: {words.length(record.planned_m)}"),
         ("Time", words.duration(record.time_s), f"{words.number(record.way_m / max(record.time_s, 1e-9))} m/s in all"),
         ("Clearance", near, "least, as map and camera showed"),
-        *people_tile,
         ("Held", words.count(len(record.stops), "time"), f"{words.duration(held_s)} in all"),
         ("Plans", str(sum(goal.result.plans for goal in record.goals)), ""),
     ]
+    if len(record.people):
+        nearest = words.length(float(record.people[:, 3].min()))
+        tiles.insert(3, ("Nearest person", nearest, "who walked, as the camera followed him"))
     if offs:
         tiles.append(("Off the goal", words.length(max(offs)), "at most, as the robot believes"))
     if record.loops is not None:
@@ -175,10 +156,6 @@ def _tiles(record: DriveRecord) -> list[tuple[str, str, str]]:
         clear = f"true clearance {words.length(record.truth['clearance_m'])}"
         tiles.append(("Collisions", str(len(record.contacts)), clear))
     return tiles
-
-
-def _picture(image: FilmImage, after_s: float) -> str:
-    return html.picture(jpeg_uri(image.color), f"{after_s:.1f} s", f"What the camera saw after {after_s:.1f} s")
 
 
 # Figures
@@ -246,7 +223,18 @@ def time_line_figure(record: DriveRecord) -> go.Figure:
     for name, labels in zip(_BANDS, (rows.states, rows.status, rows.monitor), strict=True):
         reasons = rows.reasons if name == "monitor" else ("",) * len(labels)
         _add_band(figure, name, [*zip(labels, reasons, strict=True)], seconds)
-    _add_speeds(figure, record, seconds)
+    for row, name, values, colour in (
+        (2, "speed, m/s", rows.forward_m_s, BLUE),
+        (3, "turn, °/s", np.degrees(rows.turn_rad_s), PURPLE),
+    ):
+        line = {"color": colour, "width": 1.6}
+        drawing.add_line(figure, seconds, values, name=name, line=line, hover="%{y:.2f}", row=row)
+        known = values[np.isfinite(values)]
+        if len(known):  # without the most extreme hundredth: single readings would flatten the rest
+            low, high = np.minimum(np.percentile(known, 0.5), 0.0), np.maximum(np.percentile(known, 99.5), 0.0)
+            air = 0.1 * max(float(high - low), 0.1)
+            figure.update_yaxes(range=[float(low) - air, float(high) + air], row=row, col=1)
+        drawing.panel_title(figure, name, row)
     figure.update_layout(barmode="overlay")
     figure.update_yaxes(autorange="reversed", showgrid=False, row=1, col=1)
     drawing.time_axis_until(figure, record.time_s, "seconds since the begin")
@@ -303,29 +291,6 @@ def _add_band(figure: go.Figure, name: str, labelled: list[tuple[str, str]], sec
         )
 
 
-def _add_speeds(figure: go.Figure, record: DriveRecord, seconds: FloatArray) -> None:
-    rows = record.rows
-    degrees = np.degrees(rows.turn_rad_s)
-    for row, name, values, colour in (
-        (2, "speed, m/s", rows.forward_m_s, BLUE),
-        (3, "turn, °/s", degrees, PURPLE),
-    ):
-        line = {"color": colour, "width": 1.6}
-        drawing.add_line(figure, seconds, values, name=name, line=line, hover="%{y:.2f}", row=row)
-        # Bounds of all values without the most extreme hundredth, with 0 and a margin: single readings would flatten
-        # the rest.
-        known = values[np.isfinite(values)]
-        if not len(known):
-            usual = None
-        else:
-            low, high = np.minimum(np.percentile(known, 0.5), 0.0), np.maximum(np.percentile(known, 99.5), 0.0)
-            air = 0.1 * max(float(high - low), 0.1)
-            usual = [float(low) - air, float(high) + air]
-        figure.update_yaxes(range=usual, row=row, col=1)
-        axis = figure.layout[f"yaxis{row}"]
-        drawing.panel_title(figure, name, y=axis.domain[1])
-
-
 def _add_marks(figure: go.Figure, points: FloatArray, texts: list[str], name: str, marker: dict[str, str]) -> None:
     if not len(points):
         return
@@ -344,15 +309,12 @@ def _add_marks(figure: go.Figure, points: FloatArray, texts: list[str], name: st
 # Tables
 
 
-Columns = tuple[tuple[str, ...], list[tuple[str, ...]]]
-
-
-def goal_rows(record: DriveRecord) -> Columns:
+def goal_rows(record: DriveRecord) -> words.Table:
     """Column names with units, and one row a goal."""
     goals = record.goals
     results = [goal.result for goal in goals]
     headings = [words.angle(goal.off_deg) if math.isfinite(goal.off_deg) else "any" for goal in goals]
-    return _table(
+    return words.table(
         ("Goal", [goal.name for goal in goals]),
         ("Asked", [place(goal.goal) if goal.is_place else "–" for goal in goals]),
         (
@@ -369,18 +331,14 @@ def goal_rows(record: DriveRecord) -> Columns:
     )
 
 
-def stop_rows(record: DriveRecord) -> Columns:
+def stop_rows(record: DriveRecord) -> words.Table:
     """Column names with units, and one row a stop."""
-    return _table(
+    return words.table(
         ("Why", [stop.reason for stop in record.stops]),
         ("After [s]", [f"{stop.begin_s - record.begin_s:.1f}" for stop in record.stops]),
         words.column("For", [stop.end_s - stop.begin_s for stop in record.stops], "s"),
         ("Where", [words.UNKNOWN if stop.pose is None else place(stop.pose) for stop in record.stops]),
     )
-
-
-def _table(*columns: tuple[str, list[str]]) -> Columns:
-    return tuple(head for head, _ in columns), list(zip(*(cells for _, cells in columns), strict=True))
 
 
 def transition_rows(record: DriveRecord) -> list[list[str]]:

@@ -52,7 +52,7 @@ def trajectory_figure(record: RunRecord, view: str = "xy") -> go.Figure:
     comparison of paths in different frames is meaningless. Gaps have no known pose.
     """
     height = 520 if record.is_planar else 380
-    figure = drawing.style(go.Figure(), height, hovermode="closest", margin={"l": 58, "r": 12, "t": 34, "b": 46})
+    figure = drawing.map_figure(height, (f"{view[0]}, m", f"{view[1]}, m"))
     hover = f"{view[0]} %{{x:.3f}}, {view[1]} %{{y:.3f}} m"
     paths = {"estimate": (estimated_path_m(record), {"color": BLUE, "width": 2})}
     if record.evaluation is not None and record.ground_truth is not None:
@@ -82,8 +82,8 @@ def trajectory_figure(record: RunRecord, view: str = "xy") -> go.Figure:
                 hoverinfo="skip",
             )
     x_range, y_range = drawing.room_around(drawn)
-    figure.update_xaxes(title_text=f"{view[0]}, m", range=x_range)
-    figure.update_yaxes(title_text=f"{view[1]}, m", range=y_range, scaleanchor="x", scaleratio=1)
+    figure.update_xaxes(range=x_range)
+    figure.update_yaxes(range=y_range)
     return figure
 
 
@@ -115,7 +115,7 @@ def error_figure(record: RunRecord) -> go.Figure:
         x = record.seconds_since_start(x)
         line = {"color": VERMILLION if row == 1 else BLUE, "width": 1.5}
         drawing.add_line(figure, x, y, name=name, line=line, hover=f"%{{y:.4f}} {unit}", row=row)
-        drawing.panel_title(figure, f"{name}, {unit}", y=figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1])
+        drawing.panel_title(figure, f"{name}, {unit}", row)
     figure.update_yaxes(rangemode="tozero")
     drawing.time_axis(figure, record)
     return figure
@@ -130,7 +130,7 @@ def certainty_figure(record: RunRecord, colour: str | None = None) -> go.Figure:
     for row, (name, sigmas) in enumerate(panels, start=1):
         line = {"color": colour or (VERMILLION if row == 1 else BLUE), "width": 1.5}
         drawing.add_line(figure, x, sigmas, name=name, line=line, hover="%{y:.4f}", row=row)
-        drawing.panel_title(figure, name, y=figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1])
+        drawing.panel_title(figure, name, row)
     figure.update_yaxes(rangemode="tozero")
     drawing.time_axis(figure, record)
     return figure

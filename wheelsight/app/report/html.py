@@ -1,21 +1,87 @@
-"""The HTML elements of the pages. All text is escaped here, and only here."""
+"""The form of all pages, and their HTML elements. All text is escaped here, and only here."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
 from html import escape
 from importlib import resources
+from pathlib import Path
+from string import Template
 
+from wheelsight._version import __version__
 from wheelsight.app.report import plotly as go
-from wheelsight.app.report.pictures import lean_json
+from wheelsight.app.report.pictures import lean_json, packed
 from wheelsight.app.run.verdict import Finding, Tone
+from wheelsight.core.files import StrPath, write_text
 
 # As `section` writes it.
 _HEADING = re.compile('<h2 id="([^"]+)">([^<]*)</h2>')
 _FEWEST_LINKED = 3
 # Words beside the colours, for readers who do not see these apart.
 _TONES = {Tone.GREEN: "Good:", Tone.AMBER: "Care:", Tone.RED: "Bad:"}
+
+
+def page(
+    *,
+    kicker: str,
+    title: str,
+    facts: Iterable[str],
+    tone: str,
+    phrase: str,
+    sentences: Iterable[str],
+    tiles: Iterable[tuple[str, str, str]],
+    sections: Iterable[str],
+    footer: str,
+    notes: Sequence[str] = (),
+    no_notes: str = "",
+    found: Iterable[Finding] = (),
+    more: str = "",
+) -> str:
+    """A self-contained page that opens offline. `sections` and `more` are HTML, all else is text.
+
+    Args:
+        kicker, title, facts: head of the page.
+        tone, phrase, found, sentences, more: verdict, in this order.
+        tiles: name, value and relative value of each key figure.
+        sections: below the key figures; empty ones are left out.
+        footer: conventions of the page.
+        notes: what to know before trusting it. Without notes the section has the sentence `no_notes`, or is left out.
+    """
+    body = "\n".join(filter(None, sections))
+    remarks = bullets(notes, "notes") if notes else ""
+    noted = section("notes", "What to know before trusting it", "" if notes else no_notes, remarks)
+    noted = noted if notes or no_notes else ""
+    return Template(asset("template.html")).substitute(
+        kicker=kicker,
+        title=escape(title),
+        facts=" · ".join(map(escape, facts)),
+        tone=tone,
+        phrase=escape(phrase),
+        findings=findings(found),
+        sentences=lines(sentences),
+        more=more,
+        tiles="\n".join(tile(*one) for one in tiles),
+        contents=contents(noted + body),
+        notes=noted,
+        sections=body,
+        footer=escape(footer),
+        style=asset("style.css"),
+        plotly=packed(asset("plotly-cartesian.min.js").encode()),
+        script=asset("page.js") + (asset("cloud.js") if 'class="cloud"' in body else ""),
+    )
+
+
+def facts_now(*facts: str) -> list[str]:
+    """Facts of a page about results that are not stored: with the time of this call, and the version."""
+    return [*facts, datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), f"wheelsight {__version__}"]
+
+
+def save(page: str, path: StrPath) -> None:
+    """Write a page to `path`, atomically. Raises OutputError."""
+    # A folder's name may hold bytes that are no text; they must not cost the page.
+    write_text(Path(path), page.encode("utf-8", "replace").decode("utf-8"))
 
 
 def asset(name: str) -> str:

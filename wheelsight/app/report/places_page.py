@@ -6,7 +6,6 @@ import base64
 import json
 from collections.abc import Sequence
 from html import escape
-from pathlib import Path
 from string import Template
 from typing import Any
 
@@ -17,9 +16,8 @@ from wheelsight._version import __version__
 from wheelsight.app.report import drawing, html
 from wheelsight.app.report import plotly as go
 from wheelsight.app.report.drawing import BLUE, GREY, VERMILLION
-from wheelsight.app.report.page import fill_template
 from wheelsight.app.run import words
-from wheelsight.core.files import StrPath, write_text
+from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import ByteArray
 from wheelsight.places import CalibrationCurve, LabelledDrive, PlaceModel, PlaceTrial
 from wheelsight.places.dataset import ContactSheet
@@ -31,11 +29,6 @@ _CALIBRATED = 0.05
 
 def write_places_page(trial: PlaceTrial, model: PlaceModel, recording: str, path: StrPath) -> None:
     """Write the page about `trial` of `model` on `recording`, atomically, about 5 MB. Raises OutputError."""
-    path = Path(path)
-    write_text(path, _render(trial, model, recording).encode("utf-8", "replace").decode("utf-8"))
-
-
-def _render(trial: PlaceTrial, model: PlaceModel, recording: str) -> str:
     forest = f"{model.forest.tree_count} trees of at most {model.settings.max_depth} splits"
     facts = [f"described by {model.describer.kind}", forest, f"wheelsight {__version__}"]
     if trial.accuracy >= _GOOD:
@@ -49,12 +42,10 @@ def _render(trial: PlaceTrial, model: PlaceModel, recording: str) -> str:
         counts[area, area] = 0
     judged = words.count(int(trial.is_judged.sum()), "frame")
     text = f"Of {judged} with a true area, {words.percent(trial.accuracy)} have it as the most probable one."
-    if not counts.any():
-        sentences = text
-    else:
+    if counts.any():
         true, named = divmod(int(counts.argmax()), counts.shape[1])
         worst = f"area {trial.area_names[true]} is taken for {trial.area_names[named]}"
-        sentences = f"{text} Most often {worst}: {words.count(int(counts[true, named]), 'frame')}."
+        text += f" Most often {worst}: {words.count(int(counts[true, named]), 'frame')}."
     plot = html.plot(
         "confusion",
         confusion_figure(trial),
@@ -81,20 +72,19 @@ def _render(trial: PlaceTrial, model: PlaceModel, recording: str) -> str:
         "Mistakes at the border of two areas are mild; those in the middle of one are not.",
         "True and most probable area of each frame over time",
     )
-    return fill_template(
+    page = html.page(
         kicker="wheelsight places test",
-        title=escape(recording),
-        facts=" · ".join(escape(fact) for fact in facts),
+        title=recording,
+        facts=facts,
         tone=tone,
-        phrase=escape(phrase),
-        sentences=escape(sentences),
-        tiles="\n".join(html.tile(*tile) for tile in _tiles(trial, model)),
-        notes=html.section("notes", "What to know before trusting it", "", html.bullets(_notes(trial, model), "notes")),
-        sections="\n".join(
-            [confusions, html.section("along", "Along the drive", "", plot), curve_section, _mistakes(trial)]
-        ),
+        phrase=phrase,
+        sentences=[text],
+        tiles=_tiles(trial, model),
+        notes=_notes(trial, model),
+        sections=(confusions, html.section("along", "Along the drive", "", plot), curve_section, _mistakes(trial)),
         footer="Frames that have no true area count nowhere. This page needs no network.",
     )
+    html.save(page, path)
 
 
 def _tiles(trial: PlaceTrial, model: PlaceModel) -> list[tuple[str, str, str]]:
@@ -290,7 +280,28 @@ def training_facts(model: PlaceModel) -> list[tuple[str, str]]:
 
 def area_rows(trial: PlaceTrial) -> list[tuple[str, ...]]:
     """One row an area, as AREA_HEAD names the columns."""
-    return [_area_row(trial, index) for index in range(len(trial.area_names))]
+
+    def percent(part: int, whole: int) -> str:
+        return words.percent(part / whole if whole else None)
+
+    rows, named = list[tuple[str, ...]](), trial.answers.named
+    for index, name in enumerate(trial.area_names):
+        true, taken = trial.labels == index, trial.confusion[index, :-1].copy()
+        frames, right, answered = int(true.sum()), int(taken[index]), true & (named >= 0)
+        taken[index] = 0
+        other = int(taken.argmax())
+        rows.append(
+            (
+                name,
+                f"{frames:,}",
+                percent(right, frames),
+                percent(int(answered.sum()), frames),
+                percent(int((answered & (named == index)).sum()), int(answered.sum())),
+                percent(right, int(trial.confusion[:, index].sum())),
+                f"{trial.area_names[other]} ({int(taken[other]):,})" if taken[other] else "",
+            )
+        )
+    return rows
 
 
 def confusion_rows(trial: PlaceTrial) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
@@ -307,30 +318,6 @@ def curve_rows(curve: CalibrationCurve) -> list[tuple[str, ...]]:
     """One row for each bin of confidence that has frames."""
     bins = zip(curve.confidence.tolist(), curve.accuracy.tolist(), curve.count.tolist(), strict=True)
     return [(words.percent(said), words.percent(right), f"{count:,}") for said, right, count in bins]
-
-
-def _area_row(trial: PlaceTrial, index: int) -> tuple[str, ...]:
-    true, named = trial.labels == index, trial.answers.named
-    taken = trial.confusion[index, :-1].copy()
-    precision = _share(int(taken[index]), int(trial.confusion[:, index].sum()))
-    right = _share(int(taken[index]), int(true.sum()))
-    taken[index] = 0
-    other = int(taken.argmax())
-    mistaken = f"{trial.area_names[other]} ({int(taken[other]):,})" if taken[other] else ""
-    answered = true & (named >= 0)
-    return (
-        trial.area_names[index],
-        f"{int(true.sum()):,}",
-        words.percent(right),
-        words.percent(_share(int(answered.sum()), int(true.sum()))),
-        words.percent(_share(int((answered & (named == index)).sum()), int(answered.sum()))),
-        words.percent(precision),
-        mistaken,
-    )
-
-
-def _share(part: int, whole: int) -> float | None:
-    return part / whole if whole else None
 
 
 # Contact sheet
@@ -365,8 +352,7 @@ def write_sheet(sheet: ContactSheet, path: StrPath, source: str = "") -> None:
     Raises:
         OutputError: it cannot be written.
     """
-    path = Path(path)
-    write_text(path, render_sheet(sheet, source).encode("utf-8", "replace").decode("utf-8"))
+    html.save(render_sheet(sheet, source), path)
 
 
 def render_sheet(sheet: ContactSheet, source: str = "") -> str:
@@ -380,10 +366,11 @@ def render_sheet(sheet: ContactSheet, source: str = "") -> str:
         f"wheelsight {__version__}",
     ]
     start_s = float(sheet.borders_s[0])
+    plain = "".join(sign if sign.isalnum() or sign in "-_." else "_" for sign in sheet.name)
     data = json.dumps(
         {
             "name": sheet.name,
-            "file": f"{_plain(sheet.name)}-labels.csv",
+            "file": f"{plain or 'recording'}-labels.csv",
             "pictures": [jpeg_uri(picture) for picture in sheet.pictures],
             "seconds": [round(float(stamp_s) - start_s, 3) for stamp_s in sheet.stamps_s],
             # As text, since what a browser makes of a number may lack digits that stamps need.
@@ -416,7 +403,3 @@ def jpeg_uri(color: ByteArray) -> str:
     """An image (H, W, 3) uint8, red green blue, as a JPEG in a data URI."""
     _, jpeg = cv2.imencode(".jpg", color[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     return "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode("ascii")
-
-
-def _plain(name: str) -> str:
-    return "".join(sign if sign.isalnum() or sign in "-_." else "_" for sign in name) or "recording"

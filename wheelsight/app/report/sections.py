@@ -31,7 +31,7 @@ from wheelsight.app.report.pictures import OrbitView, data_uri, draw_cloud, pack
 from wheelsight.app.run import words
 from wheelsight.app.run.run_record import MapPicture, MapRecord, MatchPicture, RunRecord
 from wheelsight.app.run.verdict import Summary, cold_frames
-from wheelsight.core.geometry import BoolArray, ByteArray, FloatArray, se3
+from wheelsight.core.geometry import ByteArray, FloatArray, se3
 from wheelsight.evaluation import Statistics
 from wheelsight.mapping.export import MapCloud
 

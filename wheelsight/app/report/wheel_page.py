@@ -4,21 +4,14 @@ use.
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
-from html import escape
-from pathlib import Path
-
 import numpy as np
 
-from wheelsight._version import __version__
 from wheelsight.app.report import drawing, html
 from wheelsight.app.report import plotly as go
 from wheelsight.app.report.drawing import BLUE, GREY, ORANGE, SKY, VERMILLION, keep_shape
-from wheelsight.app.report.page import fill_template
-from wheelsight.app.report.plotly import make_subplots
 from wheelsight.app.run import words
 from wheelsight.core.calibration_parts import Wheels
-from wheelsight.core.files import StrPath, write_text
+from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import FloatArray
 from wheelsight.wheels.calibration import WheelFit, WheelTrial
 from wheelsight.wheels.umbmark import Umbmark
@@ -29,24 +22,24 @@ _FOOTER = "Lengths are in metres, stamps in seconds, σ is one standard deviatio
 
 def write_wheel_page(trial: WheelTrial, path: StrPath) -> None:
     """Write the page about a calibration against a reference, atomically. Raises OutputError."""
-    path = Path(path)
-    path_ratio, drift_ratio = _changes(trial)
+    before, after = trial.before.evaluation, trial.after.evaluation
+    old, new = before.rpe_per_metre, after.rpe_per_metre
+    # Error after over error before: of the whole path, and of a metre of it
+    path_ratio = drift_ratio = after.ate.translation.rmse / max(before.ate.translation.rmse, 1e-9)
+    if old is not None and new is not None:
+        drift_ratio = new.translation.rmse / max(old.translation.rmse, 1e-9)
     if path_ratio < _BETTER and drift_ratio < _WORSE:
         phrase, tone = f"{1 / path_ratio:.1f} times nearer to the reference where it was not fitted", "green"
     elif path_ratio > _WORSE and drift_ratio > _BETTER:
         phrase, tone = "No better than the nominal wheels where it was not fitted", "red"
     else:
         phrase, tone = "Little changes where it was not fitted", "amber"
-    before, after = trial.before.evaluation, trial.after.evaluation
     ate = (words.length(evaluation.ate.translation.rmse) for evaluation in (after, before))
     length = words.length(trial.held_out.length_m)
-    text = "Over the {} that the fit did not see, the path's error (ATE) is {} after {}".format(length, *ate)
-    old, new = before.rpe_per_metre, after.rpe_per_metre
-    if old is None or new is None:
-        sentences = text + "."
-    else:
+    sentence = "Over the {} that the fit did not see, the path's error (ATE) is {} after {}".format(length, *ate)
+    if old is not None and new is not None:
         turns = (words.angle(error.rotation.in_degrees().rmse) for error in (new, old))
-        sentences = text + ", and heading drifts by {} a metre after {}.".format(*turns)
+        sentence += ", and heading drifts by {} a metre after {}".format(*turns)
     x_m, y_m, yaw_rad = trial.fit.mount.tolist()
     ahead, aside, turned = ("ahead", "behind")[x_m < 0], ("left", "right")[y_m < 0], ("left", "right")[yaw_rad < 0]
     mount = (
@@ -54,8 +47,6 @@ def write_wheel_page(trial: WheelTrial, path: StrPath) -> None:
         f"{aside} of the axle's middle and looks {words.angle(abs(np.degrees(yaw_rad)))} to the {turned}; "
         "the comparison allows for that."
     )
-    found = [*trial.warnings, mount, "All errors hold the reference's own, and those of slips."]
-    notes = html.section("notes", "What to know before trusting it", "", html.bullets(found, "notes"))
     plot = html.plot(
         "residuals",
         residual_figure(trial),
@@ -64,19 +55,19 @@ def write_wheel_page(trial: WheelTrial, path: StrPath) -> None:
         "Residuals of the segments over time, along, across and in turn",
     )
     residuals = html.section("segments", "On the part it was fitted to", "", plot)
-    page = fill_template(
+    page = html.page(
         kicker="wheelsight wheel calibration",
-        title=escape(trial.recording),
-        facts=_facts("least squares against a reference trajectory"),
+        title=trial.recording,
+        facts=html.facts_now("least squares against a reference trajectory"),
         tone=tone,
-        phrase=escape(phrase),
-        sentences=escape(sentences),
-        tiles="\n".join(html.tile(*tile) for tile in _tiles(trial)),
-        notes=notes,
-        sections="\n".join((_wheels_section(fit_rows(trial.fit)), _proof(trial), residuals)),
-        footer=escape(_FOOTER),
+        phrase=phrase,
+        sentences=[f"{sentence}."],
+        tiles=_tiles(trial),
+        notes=[*trial.warnings, mount, "All errors hold the reference's own, and those of slips."],
+        sections=(_wheels_section(fit_rows(trial.fit)), _proof(trial), residuals),
+        footer=_FOOTER,
     )
-    _write(path, page)
+    html.save(page, path)
 
 
 def write_squares_page(result: Umbmark, after_m: tuple[FloatArray, FloatArray], name: str, path: StrPath) -> None:
@@ -84,7 +75,6 @@ def write_squares_page(result: Umbmark, after_m: tuple[FloatArray, FloatArray], 
 
     `after_m` are the errors (n, 2) and (m, 2) that corrected wheels leave of clockwise and counter-clockwise runs.
     """
-    path = Path(path)
     before_m, left_m = result.largest_error_m, result.largest_error_after_m
     runs = f"{len(result.clockwise_m)} clockwise and {len(result.counter_clockwise_m)} counter-clockwise"
     tiles = [
@@ -97,40 +87,18 @@ def write_squares_page(result: Umbmark, after_m: tuple[FloatArray, FloatArray], 
     sentence = "Where each run truly ended, seen from where the robot believed to be; crosses are the means."
     alt = "Return position errors before and after correction"
     plot = html.plot("squares", figure, "Return position errors", sentence, alt)
-    page = fill_template(
+    page = html.page(
         kicker="wheelsight wheel calibration",
-        title=escape(name),
-        facts=_facts("UMBmark, Borenstein & Feng 1996"),
+        title=name,
+        facts=html.facts_now("UMBmark, Borenstein & Feng 1996"),
         tone="green" if left_m < _BETTER * before_m else "amber",
-        phrase=escape(f"Systematic error {words.length(before_m)} before, {words.length(left_m)} after"),
-        sentences=escape(
-            f"From {runs} squares of {result.side_m:.3g} m. The mean wheel radius cannot be seen from it."
-        ),
-        tiles="\n".join(html.tile(*tile) for tile in tiles),
-        notes="",
-        sections="\n".join((_wheels_section(square_rows(result)), html.section("runs", "The runs", "", plot))),
-        footer=escape(_FOOTER),
+        phrase=f"Systematic error {words.length(before_m)} before, {words.length(left_m)} after",
+        sentences=[f"From {runs} squares of {result.side_m:.3g} m. The mean wheel radius cannot be seen from it."],
+        tiles=tiles,
+        sections=(_wheels_section(square_rows(result)), html.section("runs", "The runs", "", plot)),
+        footer=_FOOTER,
     )
-    _write(path, page)
-
-
-def _write(path: Path, page: str) -> None:
-    # A folder's name may hold bytes that are no text; they must not cost the page.
-    write_text(path, page.encode("utf-8", "replace").decode("utf-8"))
-
-
-def _facts(method: str) -> str:
-    when = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-    return " · ".join(escape(fact) for fact in (method, when, f"wheelsight {__version__}"))
-
-
-def _changes(trial: WheelTrial) -> tuple[float, float]:
-    """Ratio of the error after to the error before: of the whole path, and of a metre of it."""
-    before, after = trial.before.evaluation, trial.after.evaluation
-    path = after.ate.translation.rmse / max(before.ate.translation.rmse, 1e-9)
-    if before.rpe_per_metre is None or after.rpe_per_metre is None:
-        return path, path
-    return path, after.rpe_per_metre.translation.rmse / max(before.rpe_per_metre.translation.rmse, 1e-9)
+    html.save(page, path)
 
 
 def _tiles(trial: WheelTrial) -> list[tuple[str, str, str]]:
@@ -187,7 +155,7 @@ _PANELS = (("along the way", "mm", 1e3), ("across", "mm", 1e3), ("turn", "°", 1
 
 def drive_figure(trial: WheelTrial) -> go.Figure:
     """The test part of the drive from above, metres: reference, nominal and calibrated wheels from one start."""
-    figure = drawing.style(go.Figure(), 520, hovermode="closest", margin={"l": 58, "r": 12, "t": 34, "b": 46})
+    figure = drawing.map_figure(520)
     paths = {"nominal": trial.before.path, "calibrated": trial.after.path}
     hover = "x %{x:.2f}, y %{y:.2f} m"
     truth = trial.held_out.positions_m[:, :2]
@@ -199,8 +167,6 @@ def drive_figure(trial: WheelTrial) -> go.Figure:
     for name, path in paths.items():
         _mark(figure, path.positions_m[-1:, :2], "", str(_LOOKS[name]["color"]), "square")
     _mark(figure, truth[-1:], "end", GREY, "square")
-    figure.update_xaxes(title_text="x, m")
-    figure.update_yaxes(title_text="y, m", scaleanchor="x", scaleratio=1)
     return figure
 
 
@@ -220,38 +186,14 @@ def drift_figure(trial: WheelTrial) -> go.Figure:
 def residual_figure(trial: WheelTrial) -> go.Figure:
     """Residuals of the calibrated wheels for each fitted segment; slips stand out."""
     fit = trial.fit
+    panels = []
+    for (name, unit, factor), residuals, spread in zip(_PANELS, fit.residuals.T, fit.spread, strict=True):
+        values = factor * residuals
+        largest = float(np.abs(values[~fit.is_slip]).max(initial=0.0))
+        panels.append(drawing.ResidualPanel(name, unit, values, max(1.1 * largest, 5 * factor * spread, 1e-3)))
     middle_s = (fit.segments.start_s + fit.segments.end_s) / 2 - trial.reference.stamps_s[0]
-    figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.1)
-    drawing.style(figure, 520, hovermode="closest", margin_l=88)
-    for row, (name, unit, factor) in enumerate(_PANELS, start=1):
-        values = factor * fit.residuals[:, row - 1]
-        shown = values[~fit.is_slip]
-        spread = factor * fit.spread[row - 1]
-        largest = float(np.abs(shown).max()) if len(shown) else 0.0
-        limit = max(1.1 * largest, 5 * spread, 1e-3)
-        for kind, which, color, symbol in (
-            ("segment", ~fit.is_slip, BLUE, "circle"),
-            ("slip or jump, hardly counted", fit.is_slip, VERMILLION, "x"),
-        ):
-            figure.add_scatter(
-                x=middle_s[which],
-                y=values[which].clip(-limit, limit),
-                customdata=values[which],
-                mode="markers",
-                marker={"size": 7, "color": color, "symbol": symbol},
-                name=kind,
-                legendgroup=kind,
-                showlegend=row == 1 and bool(which.any()),
-                hovertemplate=f"%{{x:.1f}} s: %{{customdata:.1f}} {unit}<extra>{kind}</extra>",
-                row=row,
-                col=1,
-            )
-        figure.update_yaxes(range=[-1.08 * limit, 1.08 * limit], row=row, col=1)
-        axis = figure.layout[f"yaxis{row if row > 1 else ''}"]
-        drawing.panel_title(figure, f"{name}, {unit}", y=axis.domain[1])
-        figure.add_hline(y=0, line=drawing.DASHED, row=row, col=1)
-    figure.update_xaxes(title_text="seconds since the reference begins", row=3, col=1)
-    return figure
+    kinds = ("segment", "slip or jump, hardly counted")
+    return drawing.residual_figure(middle_s, panels, fit.is_slip, kinds, "seconds since the reference begins")
 
 
 def squares_figure(result: Umbmark, after_m: tuple[FloatArray, FloatArray]) -> go.Figure:
@@ -259,7 +201,7 @@ def squares_figure(result: Umbmark, after_m: tuple[FloatArray, FloatArray]) -> g
 
     `after_m` are the errors (n, 2) and (m, 2) that corrected wheels leave of clockwise and counter-clockwise runs.
     """
-    figure = drawing.style(go.Figure(), 520, hovermode="closest", margin={"l": 78, "r": 12, "t": 34, "b": 46})
+    figure = drawing.map_figure(520, ("x, true minus computed, m", "y, true minus computed, m"), left=78)
     given = (
         ("clockwise", result.clockwise_m, after_m[0]),
         ("counter-clockwise", result.counter_clockwise_m, after_m[1]),
@@ -285,8 +227,6 @@ def squares_figure(result: Umbmark, after_m: tuple[FloatArray, FloatArray]) -> g
             _mark(figure, errors.mean(axis=0)[None], "", shade, "cross-thin-open", 18)
     figure.add_hline(y=0, line=drawing.DASHED)
     figure.add_vline(x=0, line=drawing.DASHED)
-    figure.update_xaxes(title_text="x, true minus computed, m")
-    figure.update_yaxes(title_text="y, true minus computed, m", scaleanchor="x", scaleratio=1)
     return figure
 
 

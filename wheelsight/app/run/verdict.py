@@ -338,13 +338,13 @@ def _poses(e: Evidence) -> Finding:
     tone = _graded(1 - share, _WITHOUT_POSE) if e.posed else Tone.RED
     if e.lost_episodes:
         tone = max(tone, Tone.AMBER, key=_BADNESS.__getitem__)
-        sentence += f"; it was lost {_times(e.lost_episodes)}, for {words.duration(e.lost_s)} in all"
+        sentence += f"; it was lost {words.times(e.lost_episodes)}, for {words.duration(e.lost_s)} in all"
     if e.frames == 1 and e.posed:
         sentence, remedy = f"There is a single {e.unit}, and nothing to follow.", "take a longer recording"
         return Finding("poses", Tone.AMBER, f"a single {e.unit}", sentence, remedy)
     without = f"a pose in every {e.unit}" if share == 1 else f"{words.percent(1 - share)} of {e.unit}s have no pose"
     short = without if e.posed else "no pose was found"
-    short = f"it was lost {_times(e.lost_episodes)}" if e.posed and e.lost_episodes and share > 0.5 else short
+    short = f"it was lost {words.times(e.lost_episodes)}" if e.posed and e.lost_episodes and share > 0.5 else short
     why = _chief_failures(e) if tone is not Tone.GREEN else ""
     return Finding("poses", tone, short, f"{sentence}{why}.", "" if tone is Tone.GREEN else _remedy(e))
 
@@ -396,7 +396,7 @@ def _coasting(e: Evidence) -> Finding:
     if not e.coasting:
         return Finding("coasting", tone, "never coasting", "The camera led throughout.")
     share, whole = words.percent(e.coasting), words.duration(sum(e.coasting_s))
-    sentence = f"It coasted on the wheels {_times(len(e.coasting_s))}, for {whole} in all ({share} of the time)"
+    sentence = f"It coasted on the wheels {words.times(len(e.coasting_s))}, for {whole} in all ({share} of the time)"
     sentence += f", {words.duration(max(e.coasting_s))} at most" if len(e.coasting_s) > 1 else ""
     if tone is Tone.GREEN:
         return Finding("coasting", tone, f"coasting {share}", f"{sentence}.")
@@ -612,10 +612,6 @@ def _counted(reasons: tuple[tuple[str, int], ...]) -> str:
     text = ", ".join(f"{why} ({n:,})" for why, n in reasons[:_MOST_REASONS])
     others = sum(n for _, n in reasons[_MOST_REASONS:])
     return f"{text}, other reasons ({others:,})" if others else text
-
-
-def _times(n: int) -> str:
-    return "once" if n == 1 else f"{n} times"
 
 
 # Key figures

@@ -7,6 +7,11 @@ from collections.abc import Sequence
 
 UNKNOWN = "unknown"
 _MOST_PLACES = 4
+# Limit, factor and name of each unit.
+_UNITS = {
+    "m": ((0.1, 1e3, "mm"), (1.0, 1e2, "cm"), (1e4, 1.0, "m"), (math.inf, 1e-3, "km")),
+    "s": ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms"), (math.inf, 1.0, "s")),
+}
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -39,7 +44,9 @@ def column(name: str, values: Sequence[float | None], unit: str = "", digits: in
     The unit goes by the largest value, the places after the point by the smallest, four at most. None is a dash.
     """
     known = [abs(value) for value in values if value is not None and math.isfinite(value)]
-    factor, unit = _unit_of(max(known), unit) if known else (1.0, "")
+    factor, unit = 1.0, unit if known else ""
+    for limit, scale, unit_name in reversed(_UNITS.get(unit, ())):
+        factor, unit = (scale, unit_name) if max(known) < limit else (factor, unit)
     scaled = [None if value is None else value * factor for value in values]
     least = min((value * factor for value in known if value > 0), default=1.0)
     places = min(max(digits - 1 - math.floor(math.log10(least)), 0), _MOST_PLACES)
@@ -47,13 +54,13 @@ def column(name: str, values: Sequence[float | None], unit: str = "", digits: in
     return f"{name} [{unit}]" if unit else name, cells
 
 
-def _unit_of(largest: float, unit: str) -> tuple[float, str]:
-    """By what to multiply, and what that is called."""
-    steps = {
-        "m": ((0.1, 1e3, "mm"), (1.0, 1e2, "cm"), (1e4, 1.0, "m"), (math.inf, 1e-3, "km")),
-        "s": ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms"), (math.inf, 1.0, "s")),
-    }
-    return next(((factor, name) for limit, factor, name in steps.get(unit, ()) if largest < limit), (1.0, unit))
+Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
+"""Heads of the columns, and the rows of cells."""
+
+
+def table(*columns: tuple[str, Sequence[str]]) -> Table:
+    """A table of columns, each with its head and its cells."""
+    return tuple(head for head, _ in columns), list(zip(*(cells for _, cells in columns), strict=True))
 
 
 def duration(seconds: float | None) -> str:
@@ -91,3 +98,8 @@ def percent(share: float | None) -> str:
 def count(n: int, singular: str, plural: str | None = None) -> str:
     """`n` things: "1 frame", "1,200 frames"."""
     return f"{n:,} {singular if n == 1 else plural or singular + 's'}"
+
+
+def times(n: int) -> str:
+    """How often: "once", "3 times"."""
+    return "once" if n == 1 else f"{n} times"
