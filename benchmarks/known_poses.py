@@ -9,7 +9,7 @@ import numpy as np
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.geometry import FloatArray, se3
-from wheelsight.core.keyframes import PredictedView, Surface
+from wheelsight.core.keyframes import FrameSurface, PredictedView
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.threads import Rows
 from wheelsight.estimation.camera_localizer import Thinning
@@ -70,12 +70,12 @@ class KnownSurfels:
         prepared = self.prepare(frame, poses)
         self.step(prepared, poses.at(frame.stamp_s), frame.stamp_s)
 
-    def prepare(self, frame: RgbdFrame, poses: TruePoses) -> Surface:
+    def prepare(self, frame: RgbdFrame, poses: TruePoses) -> FrameSurface:
         """Depth, normals and grey on the ideal grid."""
         finest = self._gridder.on_grid(frame, poses.twist(frame.stamp_s)).levels[0]
-        return Surface(finest.depth_m, self._maker.normals(finest), finest.grey)
+        return FrameSurface(finest.depth_m, self._maker.normals(finest), finest.grey)
 
-    def step(self, prepared: Surface, T_odom_camera: FloatArray, stamp_s: float) -> PredictedView:
+    def step(self, prepared: FrameSurface, T_odom_camera: FloatArray, stamp_s: float) -> PredictedView:
         """What a map does for each frame: a view predicted, which is returned, and the frame fused unless alike."""
         intrinsics = self._gridder.intrinsics
         view = self.map.predict(T_odom_camera, intrinsics, self._gridder.shape)

@@ -17,7 +17,7 @@ from wheelsight.config import load_config
 from wheelsight.core.calibration_parts import DepthNoise, Gyro
 from wheelsight.core.errors import ArgumentError, CalibrationError, InputError, MapError
 from wheelsight.core.geometry import PinholeCamera, se3, so3
-from wheelsight.core.keyframes import Surface
+from wheelsight.core.keyframes import FrameSurface
 from wheelsight.core.messages import Event, WheelSpeeds
 from wheelsight.io.recordings import RecordingWriter
 from wheelsight.mapping import SurfelMap
@@ -241,7 +241,7 @@ WRONG_PARTS: dict[str, tuple[Callable[[], object], str]] = {
     "K for a camera": (lambda: Calibration.registered_camera(np.eye(3)), r"color is a ndarray \(give it as Pinhole"),  # type: ignore[arg-type]
     "a radius for wheels": (lambda: Calibration(wheels=0.17), r"wheels is a float \(give it as Wheels"),  # type: ignore[arg-type]
     "a shutter as text": (lambda: seen_by(CAMERA, rolling_shutter_s="0"), "rolling_shutter_s of Calibration is a str"),
-    "shutter in ms": (lambda: seen_by(CAMERA, rolling_shutter_s=26.0), "rolling_shutter_s is 26.0, not 0 to 0.2 s"),
+    "shutter in ms": (lambda: seen_by(CAMERA, rolling_shutter_s=26.0), "rolling_shutter_s is 26, not 0 to 0.2 s"),
     "of 640×480 in 320×240": (
         lambda: seen_by(PinholeCamera(320, 240, 525, 525, 319.5, 239.5)),
         r"principal point \(319.5, 239.5\) of color is far.*320×240 image \(.*by about 0.5",
@@ -340,7 +340,7 @@ def test_a_mount_in_mm_is_told_as_metres() -> None:
 
 
 SHAPE, GRID = (12, 16), np.array([14.0, 14.0, 7.5, 5.5])
-SURFACE = Surface(
+SURFACE = FrameSurface(
     np.full(SHAPE, 2.0, np.float32),
     np.broadcast_to(np.array([0, 0, -1], np.float32), (*SHAPE, 3)),
     np.full(SHAPE, 99.0, np.float32),

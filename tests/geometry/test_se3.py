@@ -271,7 +271,7 @@ def test_what_is_rigid_is_left_to_the_bit_and_the_rest_is_mended() -> None:
     T = se3.exp(np.random.default_rng(3).standard_normal((3, 6)))
     bent = T.copy()
     bent[1, :3, :3] *= 1 + 1e-6
-    found = se3.mended(bent)
+    found = se3.renormalized(bent)
     np.testing.assert_array_equal(found[[0, 2]], T[[0, 2]])
     np.testing.assert_allclose(found[1], T[1], atol=1e-12)
-    np.testing.assert_array_equal(se3.mended(T[0]), T[0])
+    np.testing.assert_array_equal(se3.renormalized(T[0]), T[0])

@@ -61,103 +61,23 @@ __all__ = [
 ]
 
 
-_FIELDS = ("date", "command", "what", "figures")
-_MOST_ENTRIES = 10_000
-
-
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """One entry of the `history` of a calibration file.
-
-    Attributes:
-        what: the calibrated parts of the robot.
-        command: the command without its options.
-        figures: results by name, with units.
-        date: in UTC, as 2026-11-26 13:05.
-    """
-
-    what: str
-    command: str
-    figures: Mapping[str, float] = field(default_factory=dict)
-    date: str = ""
-
-    def as_field(self) -> dict[str, Any]:
-        """The entry for a file; without a date it gets the present one."""
-        date = self.date or datetime.now(UTC).strftime("%Y-%m-%d %H:%M")
-        figures = {name: float(f"{value:.4g}") for name, value in self.figures.items()}
-        return {"date": date, "command": self.command, "what": self.what, "figures": figures}
-
-
-def history_of(document: Mapping[str, Any]) -> tuple[Measured, ...]:
-    """The history in a calibration file's fields, oldest first. Raises CalibrationError if it is invalid."""
-    entries = document.get(HISTORY, [])
-    if not isinstance(entries, list) or len(entries) > _MOST_ENTRIES:
-        raise CalibrationError(f"field {HISTORY} must be a list of what was measured")
-    found = []
-    for entry in entries:
-        known = mapping(entry, HISTORY, _FIELDS)
-        figures = known.get("figures", {})
-        if not isinstance(figures, dict):
-            raise CalibrationError(f"field {HISTORY}: figures must hold names and numbers")
-        numbers = {str(name): number(value, f"{HISTORY}.{name}") for name, value in figures.items()}
-        what, command, date = (str(known.get(name, "")) for name in ("what", "command", "date"))
-        found.append(Measured(what, command, numbers, date))
-    return tuple(found)
-
-
-# These fields are replaced together with `color`, so that lenses of two calibrations are not mixed.
-_LENSES = ("color", "depth", "T_color_depth", "color_sigma_px", "depth_error", "point_errors")
-_FIELD_BY_FIELD = ("wheels", "gyro", "depth_noise", "nominal")
+FORMAT = "wheelsight-calibration-1"
 # Parts of which a file may hold nominal values too; they apply if no other file gives that part.
 NOMINAL, NOMINAL_PARTS = "nominal", ("wheels", "gyro")
 # Field of past calibrations, of the file rather than of the calibration.
 HISTORY = "history"
-
-
-def laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of `below` updated by those of `above`.
-
-    Wheels, gyro and depth noise are merged field by field, so that the delay may come from one calibration and the
-    radii from another. `color` replaces all fields of lenses.
-    """
-    kept = {name: value for name, value in below.items() if "color" not in above or name not in _LENSES}
-    merged = {**kept, **above}
-    for name in _FIELD_BY_FIELD:
-        parts = (below.get(name), above.get(name))
-        if all(isinstance(part, Mapping) for part in parts) and not _are_of_other_kinds(*parts):
-            merged[name] = {**parts[0], **parts[1]}  # type: ignore[dict-item]
-    entries = [entry for part in (below, above) for entry in part.get(HISTORY) or ()]
-    if entries:
-        merged[HISTORY] = [entry for index, entry in enumerate(entries) if entry not in entries[:index]]
-    source = _both_sources(below.get("source"), above.get("source"))
-    return merged if source is None else {**merged, "source": source}
-
-
-def _are_of_other_kinds(below: Any, above: Any) -> bool:
-    """Whether the upper part has another kind or layout of wheels than the lower one."""
-    usual = {"kind": "differential", "layout": None}
-    return any(name in above and above[name] != below.get(name, usual[name]) for name in usual)
-
-
-def _both_sources(below: Any, above: Any) -> Any:
-    """The joined source of both; a source that occurs twice is listed once."""
-    if below is None or above is None or below == above:
-        return below if above is None else above
-    earlier = [source for source in str(below).split(_UPDATED) if source != above]
-    return _UPDATED.join([*earlier, str(above)])
-
-
-_UPDATED = ", updated by: "
-
-
-FORMAT = "wheelsight-calibration-1"
-_LATEST_S = 0.2
-_SLOWEST_SHUTTER_S = 0.2
 # Largest distance of the camera from the base, and of the depth camera from the colour camera.
 _MOST_APART_M = {"T_base_camera": 10.0, "T_color_depth": 1.0}
 # Principal points lie within a tenth of the image's sides from its middle. Half the size is 0.25 or 1, two thirds 0.33
 # or 0.75; an equal offset of both sides is unlikely for a crop.
 _OFF_MIDDLE, _NEAR_MIDDLE, _ALIKE, _MOST_SCALE = 0.1, (0.36, 0.68), 0.1, 10.0
+_RANGES = {
+    "rolling_shutter_s": Range(0, 0.2, "s"),
+    "depth_late_s": Range(-0.2, 0.2, "s"),
+    "frame_sigma_m": Range(0, 1, "m"),
+    "frame_sigma_rad": Range(0, 1, "rad"),
+}
+_NUMBERS = ("rolling_shutter_s", "color_sigma_px", "depth_late_s", "frame_sigma_m", "frame_sigma_rad")
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,21 +132,18 @@ class Calibration:
         for name, kind in _KINDS.items():
             value = getattr(self, name)
             if not isinstance(value, kind):
-                raise CalibrationError(f"{name} is a {type(value).__name__}", fix=f"give it as {_kind_name(kind)}")
+                wanted = kind.__name__ if isinstance(kind, type) else str(kind).rpartition(".")[2]
+                raise CalibrationError(f"{name} is a {type(value).__name__}", fix=f"give it as {wanted}")
         self._check_presence()
         for name in ("color", "depth"):
             if (camera := getattr(self, name)) is not None:
-                _check_middle(name, camera)
-                _check_lens(name, camera)
+                _check_camera(name, camera)
         for name in _MOST_APART_M:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _motion(name, getattr(self, name)))
         need_numbers(self, _NUMBERS)
-        check_range("depth_late_s", self.depth_late_s, Range(-_LATEST_S, _LATEST_S, "s"))
-        check_range("frame_sigma_m", self.frame_sigma_m, Range(0, 1, "m"))
-        check_range("frame_sigma_rad", self.frame_sigma_rad, Range(0, 1, "rad"))
-        if not 0 <= self.rolling_shutter_s <= _SLOWEST_SHUTTER_S:
-            raise CalibrationError(f"rolling_shutter_s is {self.rolling_shutter_s}, not 0 to {_SLOWEST_SHUTTER_S} s")
+        for name, allowed in _RANGES.items():
+            check_range(name, getattr(self, name), allowed)
         if self.color is not None and not 0 <= self.color_sigma_px < self.color.width:
             raise CalibrationError(f"color_sigma_px is {self.color_sigma_px}, not 0 to an image's width")
         if self.T_color_depth is None and self.color != self.depth:
@@ -245,7 +162,7 @@ class Calibration:
 
     @classmethod
     def registered_camera(cls, camera: PinholeCamera, **others: Any) -> Calibration:
-        """The calibration of a sensor whose depth images are registered to its colour images."""
+        """Return the calibration of a sensor whose depth images are registered to its colour images."""
         return cls(color=camera, depth=camera, **others)
 
     @property
@@ -255,24 +172,24 @@ class Calibration:
 
     @property
     def any_wheels(self) -> Wheels | HolonomicWheels | None:
-        """The wheels, of whichever kind; None where no wheel is read."""
+        """Differential or holonomic wheels, or None."""
         return self.wheels if self.holonomic is None else self.holonomic
 
     @property
     def lacks_two_wheels(self) -> str:
-        """Why what needs two driven wheels cannot be had, as "has …"; empty where there are two."""
+        """Problem for what needs two driven wheels, as "has …"; empty if there are two."""
         if self.holonomic is not None:
             return "has the wheels of a holonomic base, and this needs two driven wheels"
         return "" if self.wheels is not None else "has no wheels"
 
     @property
     def T_color_camera(self) -> FloatArray:
-        """(4, 4) that maps points of the camera frame into the colour camera's: the identity where both are one."""
+        """(4, 4) that maps points of the camera frame into the colour camera's; the identity if registered."""
         return np.eye(4) if self.T_color_depth is None else self.T_color_depth
 
     @property
     def cameras(self) -> tuple[PinholeCamera, PinholeCamera]:
-        """Colour and depth camera. Raises CalibrationError where there are none."""
+        """Colour and depth camera. Raises CalibrationError if there are none."""
         if self.color is None or self.depth is None:
             raise CalibrationError(
                 f"the calibration ({self.source}) has no cameras", fix="give color, or estimate from wheels"
@@ -280,10 +197,9 @@ class Calibration:
         return self.color, self.depth
 
     def updated_by(self, other: Calibration) -> Calibration:
-        """This robot with what `other` knows in place of its own: cameras, T_base_camera, wheels with gyro.
+        """Return this calibration with the parts of `other` in place: cameras, T_base_camera, wheels with gyro.
 
-        A calibration of the wheels alone leaves the cameras as they are, and the other way round; one of the wheels
-        and the mount leaves the cameras' lenses. Files are laid over each other field by field: `load_calibration`.
+        Parts that `other` lacks stay. `load_calibration` merges files field by field.
         """
         below = calibration_fields(self)
         if other.any_wheels is not None and (self.holonomic is None) is not (other.holonomic is None):
@@ -292,12 +208,12 @@ class Calibration:
 
 
 def load_calibration(*paths: StrPath, under: Calibration | None = None) -> Calibration:
-    """Read a calibration.yaml, or several laid over each other, and over `under`: what a later one tells stands.
+    """Read a calibration.yaml, or several, each merged over the previous ones and `under`.
 
-    Each may tell any part: cameras, T_base_camera, wheels, gyro, or some fields of the last two.
+    Each may have any part: cameras, T_base_camera, wheels, gyro, or some fields of the last two.
 
     Raises:
-        CalibrationError: naming the file, the field and what is wrong with it, or what is missing in all of them.
+        CalibrationError: with file and field: invalid, or missing in all of them.
     """
     layers = [(Path(path), read_layer(Path(path))) for path in paths]
     document: dict[str, Any] = {}
@@ -323,7 +239,7 @@ def load_calibration(*paths: StrPath, under: Calibration | None = None) -> Calib
 
 
 def read_layer(path: StrPath) -> dict[str, Any]:
-    """The fields of a calibration.yaml, which may tell any part of a calibration. Raises CalibrationError."""
+    """Return the fields of a calibration.yaml, which may have any part of a calibration. Raises CalibrationError."""
     from wheelsight.core.inputs import read_yaml
 
     path = Path(path)
@@ -331,7 +247,7 @@ def read_layer(path: StrPath) -> dict[str, Any]:
 
 
 def parse_calibration(text: str, path: StrPath) -> Calibration:
-    """The calibration of a calibration.yaml's text, which `path` holds. Raises CalibrationError."""
+    """Return the calibration of the text of a calibration.yaml at `path`. Raises CalibrationError."""
     from wheelsight.core.inputs import parse_yaml
 
     path = Path(path)
@@ -355,28 +271,93 @@ def _checked_layer(document: Any, path: Path) -> dict[str, Any]:
 
 
 def save_calibration(calibration: Calibration, path: StrPath) -> None:
-    """Write a calibration.yaml, atomically; numbers keep their full precision. Raises OutputError."""
+    """Write a calibration.yaml atomically, with all digits. Raises OutputError."""
     save_layer(calibration_fields(calibration), path)
 
 
 def save_layer(document: dict[str, Any], path: StrPath) -> None:
-    """Write fields of a calibration as `read_layer` takes them. Raises OutputError."""
+    """Write fields of a calibration for `read_layer`. Raises OutputError."""
     import yaml
 
     write_text(Path(path), yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100))
 
 
-class _MissingError(CalibrationError):
-    """What is there is right, but not all of a part is there."""
+# These fields are replaced together with `color`, so that lenses of two calibrations are not mixed.
+_LENSES = ("color", "depth", "T_color_depth", "color_sigma_px", "depth_error", "point_errors")
+_FIELD_BY_FIELD = ("wheels", "gyro", "depth_noise", "nominal")
 
-    def __init__(self, part: str, field: str, fix: str) -> None:
-        super().__init__(f"field {field} is missing", fix=fix)
-        self.part = part
+
+def laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of `below` updated by those of `above`.
+
+    Wheels, gyro and depth noise are merged field by field, so that the delay may come from one calibration and the
+    radii from another. `color` replaces all fields of lenses.
+    """
+    kept = {name: value for name, value in below.items() if "color" not in above or name not in _LENSES}
+    merged = {**kept, **above}
+    usual = {"kind": "differential", "layout": None}
+    for name in _FIELD_BY_FIELD:
+        old, new = below.get(name), above.get(name)
+        # Wheels of another kind or layout share no field.
+        are_parts = isinstance(old, Mapping) and isinstance(new, Mapping)
+        if are_parts and all(key not in new or new[key] == old.get(key, usual[key]) for key in usual):
+            merged[name] = {**old, **new}
+    entries = [entry for part in (below, above) for entry in part.get(HISTORY) or ()]
+    if entries:
+        merged[HISTORY] = [entry for index, entry in enumerate(entries) if entry not in entries[:index]]
+    sources = [source for source in (below.get("source"), above.get("source")) if source is not None]
+    if len(sources) == 2 and sources[0] != sources[1]:
+        updated, last = ", updated by: ", str(sources[1])
+        sources = [updated.join([*(one for one in str(sources[0]).split(updated) if one != last), last])]
+    return {**merged, "source": sources[0]} if sources else merged
+
+
+_ENTRY_FIELDS = ("date", "command", "what", "figures")
+_MOST_ENTRIES = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One entry of the `history` of a calibration file.
+
+    Attributes:
+        what: the calibrated parts of the robot.
+        command: the command without its options.
+        figures: results by name, with units.
+        date: in UTC, as 2026-11-26 13:05.
+    """
+
+    what: str
+    command: str
+    figures: Mapping[str, float] = field(default_factory=dict)
+    date: str = ""
+
+    def as_field(self) -> dict[str, Any]:
+        """Return the entry for a file, by default with the current date."""
+        date = self.date or datetime.now(UTC).strftime("%Y-%m-%d %H:%M")
+        figures = {name: float(f"{value:.4g}") for name, value in self.figures.items()}
+        return {"date": date, "command": self.command, "what": self.what, "figures": figures}
+
+
+def history_of(document: Mapping[str, Any]) -> tuple[Measured, ...]:
+    """Return the history in the fields of a file, oldest first. Raises CalibrationError if it is invalid."""
+    entries = document.get(HISTORY, [])
+    if not isinstance(entries, list) or len(entries) > _MOST_ENTRIES:
+        raise CalibrationError(f"field {HISTORY} must be a list of what was measured")
+    found = []
+    for entry in entries:
+        known = mapping(entry, HISTORY, _ENTRY_FIELDS)
+        figures = known.get("figures", {})
+        if not isinstance(figures, dict):
+            raise CalibrationError(f"field {HISTORY}: figures must hold names and numbers")
+        numbers = {str(name): number(value, f"{HISTORY}.{name}") for name, value in figures.items()}
+        what, command, date = (str(known.get(name, "")) for name in ("what", "command", "date"))
+        found.append(Measured(what, command, numbers, date))
+    return tuple(found)
 
 
 _CAMERA_FIELDS = ("width", "height", "fx", "fy", "cx", "cy", "distortion")
 _NOISE_FIELDS = ("constant_m", "quadratic_per_m", "near_m", "far_m")
-_NUMBERS = ("rolling_shutter_s", "color_sigma_px", "depth_late_s", "frame_sigma_m", "frame_sigma_rad")
 _KINDS: dict[str, type | UnionType] = {
     "color": PinholeCamera | None,
     "depth": PinholeCamera | None,
@@ -397,8 +378,16 @@ _COUNTER_FIELDS = ("counter_bits", "counter_modulus")
 _GYRO_FIELDS = tuple(f.name for f in fields(Gyro))
 
 
+class _MissingError(CalibrationError):
+    """A part is valid as far as it goes, but incomplete."""
+
+    def __init__(self, part: str, field: str, fix: str) -> None:
+        super().__init__(f"field {field} is missing", fix=fix)
+        self.part = part
+
+
 def calibration_fields(calibration: Calibration) -> dict[str, Any]:
-    """The fields of a calibration as its file has them."""
+    """Return the fields of a calibration for its file."""
 
     def rows(T: FloatArray | None) -> list[list[float]] | None:
         return None if T is None else [[float(x) for x in row] for row in T]
@@ -454,7 +443,17 @@ def _from_document(document: Any) -> Calibration:
         parts["gyro"] = made(Gyro, "gyro", _numbers(gyro, "gyro"))
     of_camera = [name for name in _CAMERA_PART if name in known]
     if "color" in known:
-        parts |= _camera_part(known)
+        color = _camera(known["color"], "color")
+        noise = mapping(known.get("depth_noise", {}), "depth_noise", _NOISE_FIELDS)
+        parts |= {
+            "color": color,
+            "depth": _camera(known["depth"], "depth") if "depth" in known else color,
+            "depth_noise": made(DepthNoise, "depth_noise", _numbers(noise, "depth_noise")),
+            "depth_error": depth_error_from(known.get("depth_error", {})),
+            "point_errors": point_errors_from(known["point_errors"]) if "point_errors" in known else None,
+            "T_color_depth": motion(known.get("T_color_depth"), "T_color_depth"),
+            **{name: number(known[name], name) for name in _NUMBERS if name in known},
+        }
     if "wheels" in known:
         wheels = _wheels(known["wheels"])
         parts["wheels" if isinstance(wheels, Wheels) else "holonomic"] = wheels
@@ -464,26 +463,8 @@ def _from_document(document: Any) -> Calibration:
     return Calibration(**parts, source=str(known.get("source", "unknown")))
 
 
-def _camera_part(known: dict[str, Any]) -> dict[str, Any]:
-    color = _camera(known["color"], "color")
-    noise = mapping(known.get("depth_noise", {}), "depth_noise", _NOISE_FIELDS)
-    return {
-        "color": color,
-        "depth": _camera(known["depth"], "depth") if "depth" in known else color,
-        "depth_noise": made(DepthNoise, "depth_noise", _numbers(noise, "depth_noise")),
-        "depth_error": depth_error_from(known.get("depth_error", {})),
-        "point_errors": point_errors_from(known["point_errors"]) if "point_errors" in known else None,
-        "T_color_depth": motion(known.get("T_color_depth"), "T_color_depth"),
-        **{name: number(known[name], name) for name in _NUMBERS if name in known},
-    }
-
-
-def _kind_name(kind: type | UnionType) -> str:
-    return kind.__name__ if isinstance(kind, type) else str(kind).rpartition(".")[2]
-
-
 def _motion(name: str, value: Any) -> FloatArray:
-    """A mount (4, 4), read-only, if it is one; else CalibrationError."""
+    """Return a mount (4, 4), read-only. Raises CalibrationError."""
     try:
         T = np.array(value, float)
     except (TypeError, ValueError) as error:
@@ -495,22 +476,11 @@ def _motion(name: str, value: Any) -> FloatArray:
     return T
 
 
-@lru_cache(maxsize=64)  # a calibration is made again for each change of one of its parts
-def _lens_fault(camera: PinholeCamera) -> str | None:
-    return camera.lens_fault()
+_lens_fault = lru_cache(maxsize=64)(PinholeCamera.lens_fault)  # a change of any part makes a new calibration
 
 
-def _check_lens(name: str, camera: PinholeCamera) -> None:
-    """Raise CalibrationError for a distortion that no lens has."""
-    fault = _lens_fault(camera)
-    if fault is not None:
-        numbers = ", ".join(f"{k:.5g}" for k in camera.distortion)
-        fix = "calibrate it: wheelsight calibrate camera; of images that are rectified leave the distortion out"
-        raise CalibrationError(f"the distortion ({numbers}) of {name} {fault}", fix=fix)
-
-
-def _check_middle(name: str, camera: PinholeCamera) -> None:
-    """Raise CalibrationError for a principal point that is in the middle of an image of another size, or turned."""
+def _check_camera(name: str, camera: PinholeCamera) -> None:
+    """Raise CalibrationError for an impossible distortion, or a principal point of an image of another size."""
     cx, cy = camera.cx + 0.5, camera.cy + 0.5  # from the corner, not from the first pixel's middle
     x, y = cx / camera.width, cy / camera.height
     across, down = cx / camera.height, cy / camera.width
@@ -526,6 +496,10 @@ def _check_middle(name: str, camera: PinholeCamera) -> None:
         raise CalibrationError(
             problem, fix=fix if scale < _MOST_SCALE else "cx, cy are pixels from the top left corner"
         )
+    if (fault := _lens_fault(camera)) is not None:
+        numbers = ", ".join(f"{k:.5g}" for k in camera.distortion)
+        fix = "calibrate it: wheelsight calibrate camera; of images that are rectified leave the distortion out"
+        raise CalibrationError(f"the distortion ({numbers}) of {name} {fault}", fix=fix)
 
 
 def _numbers(fields_of_part: dict[str, Any], part: str) -> dict[str, float]:

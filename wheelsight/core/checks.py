@@ -11,7 +11,7 @@ import numpy as np
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import ArgumentError, PartError
-from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera, se3
+from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera, se3
 from wheelsight.core.geometry.arrays import is_number
 from wheelsight.core.messages import (
     Event,
@@ -24,9 +24,8 @@ from wheelsight.core.messages import (
     YawRate,
 )
 
-# Checks of arguments from Python code, before they reach OpenCV or a kernel: types, shapes, numbers. A stamp or a count
-# that is not finite is a fault of a sensor, so a `Localizer` returns a reason instead. An invalid frame, depth that is
-# not in metres, or an invalid motion is an error of the caller, and raises with a fix.
+# A stamp or a count that is not finite is a fault of a sensor, so a `Localizer` returns a reason instead. An invalid
+# frame, depth that is not in metres, or an invalid motion is an error of the caller, and raises with a fix.
 
 
 Kind = TypeVar("Kind")
@@ -49,14 +48,14 @@ _ZEROS = "0 where nothing was measured: np.nan_to_num(depth_m, nan=0, posinf=0, 
 
 
 def check_event(event: Any, *, finite: bool = False) -> None:
-    """Refuse what is no event, or one whose numbers are none; if `finite`, also those that are not.
+    """Refuse no event, or fields that are no numbers; if `finite`, also those that are not finite.
 
     Raises ArgumentError.
     """
     names = _NUMBERS.get(type(event))
     if names is None:
         known = ", ".join(kind.__name__ for kind in get_args(Event))
-        raise ArgumentError(f"{_told(event)} is no event", fix=f"give one of {known}")
+        raise ArgumentError(f"{_kind_of(event)} is no event", fix=f"give one of {known}")
     for name in names:
         value = getattr(event, name)
         if type(value) is not float:
@@ -72,7 +71,7 @@ def check_event(event: Any, *, finite: bool = False) -> None:
 
 def _check_counts(event: WheelCounts, finite: bool) -> None:
     if not isinstance(event.counts, tuple):
-        raise ArgumentError(f"counts of WheelCounts are {_told(event.counts)}, not a tuple", fix="one count a wheel")
+        raise ArgumentError(f"counts of WheelCounts are {_kind_of(event.counts)}, not a tuple", fix="one count a wheel")
     for number, count in enumerate(event.counts, 1):
         need_number(f"count {number} of WheelCounts", count)
         if finite and not math.isfinite(count):
@@ -81,9 +80,9 @@ def _check_counts(event: WheelCounts, finite: bool) -> None:
 
 
 def check_frame(frame: Any, calibration: Calibration, covariance: Any = None, **motions: Any) -> None:
-    """Refuse what is no frame of these cameras, or a motion beside it that is neither None nor rigid; or no (6, 6).
+    """Refuse no frame of these cameras, motions that are neither None nor rigid, or a covariance that is not (6, 6).
 
-    Raises ArgumentError saying what was expected and what came.
+    Raises ArgumentError.
     """
     check_images(frame, calibration)
     check_event(frame, finite=True)
@@ -95,29 +94,34 @@ def check_frame(frame: Any, calibration: Calibration, covariance: Any = None, **
 
 
 def check_images(frame: Any, calibration: Calibration, *, of_any_size: bool = False) -> None:
-    """Refuse what is no frame, or images that are not of these cameras. Raises ArgumentError.
+    """Refuse no frame, or images that are not of these cameras. Raises ArgumentError.
 
     Args:
-        of_any_size: whether only the kind of images counts.
+        of_any_size: check only the kind of images.
     """
     if not isinstance(frame, RgbdFrame):
-        raise ArgumentError(f"{_told(frame)} is no frame", fix="give an RgbdFrame")
+        raise ArgumentError(f"{_kind_of(frame)} is no frame", fix="give an RgbdFrame")
     color, depth = (None, None) if of_any_size else calibration.cameras
     _check_shape("color", frame.color, color, 3)
-    if frame.color.dtype != np.uint8:
-        raise ArgumentError(f"color is of {frame.color.dtype}, not uint8", fix=_as_bytes(frame.color))
+    if (dtype := frame.color.dtype) != np.uint8:
+        is_share = dtype.kind == "f" and frame.color.size and float(np.nanmax(frame.color)) <= 1
+        fix = "of 0 to 1, (255 * color).round().astype(np.uint8)" if is_share else "of 0 to 255, color.astype(np.uint8)"
+        fix = "of 16 bits, (color >> 8).astype(np.uint8)" if dtype == np.uint16 else fix
+        raise ArgumentError(f"color is of {dtype}, not uint8", fix=fix)
     _check_shape("depth_m", frame.depth_m, depth)
-    if frame.depth_m.dtype != np.float32:
-        raise ArgumentError(f"depth_m is of {frame.depth_m.dtype}, not float32", fix=_in_metres(frame.depth_m))
+    if (dtype := frame.depth_m.dtype) != np.float32:
+        raw = "divide raw depth by its units a metre: of millimetres, (depth / 1000).astype(np.float32)"
+        fix = raw if dtype.kind in "ui" else "depth_m.astype(np.float32)"
+        raise ArgumentError(f"depth_m is of {dtype}, not float32", fix=fix)
     if wrong := why_no_depth(frame.depth_m, calibration.depth_noise.far_m):
         raise ArgumentError(f"depth_m {wrong[0]}", fix=wrong[1])
 
 
 def why_no_depth(depth_m: Float32Array, far_m: float) -> tuple[str, str] | None:
-    """Why an image (H, W) is not depth in metres, 0 where nothing was measured, and what to do about it; or None.
+    """Return the problem and fix of an image (H, W) that is no depth in metres, 0 where not measured; else None.
 
     Args:
-        far_m: as far as the camera is trusted.
+        far_m: largest depth that the camera measures.
     """
     if not depth_m.size:
         return None
@@ -130,11 +134,11 @@ def why_no_depth(depth_m: Float32Array, far_m: float) -> tuple[str, str] | None:
 
 
 def why_not_metres(depth_m: Float32Array, far_m: float, most: float | None = None) -> tuple[str, str] | None:
-    """The problem and its fix if depth (H, W) seems to be in other units, by its values above 0; else None.
+    """Return problem and fix if depth (H, W) seems to be in other units, by its values above 0; else None.
 
     Args:
-        far_m: as far as the camera is trusted.
-        most: the largest, where that is known.
+        far_m: largest depth that the camera measures.
+        most: largest depth in the image, if known.
     """
     most = float(np.fmax.reduce(depth_m, axis=None, initial=0.0)) if most is None else most
     if 0 < most < _NEAREST_M:
@@ -149,7 +153,7 @@ def why_not_metres(depth_m: Float32Array, far_m: float, most: float | None = Non
 
 
 def need_motion(name: str, T: Any) -> FloatArray:
-    """A rigid motion (4, 4). Raises ArgumentError."""
+    """Return a rigid motion (4, 4). Raises ArgumentError."""
     found = array_of(name, T, (4, 4))
     _check_finite(name, found)
     if wrong := se3.why_invalid(found, tolerance=_RIGID):
@@ -158,28 +162,28 @@ def need_motion(name: str, T: Any) -> FloatArray:
 
 
 def need_twist(twist: Any) -> FloatArray:
-    """A velocity (6,), (v, ω), of finite numbers. Raises ArgumentError."""
+    """Return a finite velocity (6,), (v, ω). Raises ArgumentError."""
     found = array_of("twist", twist, (6,))
     _check_finite("twist", found)
     return found
 
 
 def need_kind(name: str, value: Any, kind: type[Kind], fix: str) -> Kind:
-    """A value of a type. Raises ArgumentError that says what to do."""
+    """Return a value of a type. Raises ArgumentError with the fix."""
     if not isinstance(value, kind):
-        raise ArgumentError(f"{name} is {_told(value)}, not a {kind.__name__}", fix=fix)
+        raise ArgumentError(f"{name} is {_kind_of(value)}, not a {kind.__name__}", fix=fix)
     return value
 
 
 def need_calibration(calibration: Any) -> Calibration:
-    """A robot's calibration. Raises ArgumentError for a path, a camera, or its K, that are handed in for one."""
+    """Return a robot's calibration. Raises ArgumentError, as for a path, a camera, or its K."""
     return need_kind(
         "calibration", calibration, Calibration, "load_calibration(PATH), or Calibration.registered_camera(CAMERA)"
     )
 
 
 def answer_of(part: object, method: str, *arguments: Any) -> Any:
-    """What a method of a part of a user's own answers. Raises PartError for any exception of the part."""
+    """Return the answer of a method of a user's own part. Raises PartError for any exception of the part."""
     try:
         return getattr(part, method)(*arguments)
     except Exception as error:
@@ -188,25 +192,25 @@ def answer_of(part: object, method: str, *arguments: Any) -> Any:
 
 
 def need_method(name: str, part: Any, method: str) -> None:
-    """Refuse a part of a user's own without its method. Raises ArgumentError."""
+    """Refuse a user's own part without its method. Raises ArgumentError."""
     if isinstance(part, type) or not callable(getattr(part, method, None)):
-        what = f"the class {part.__name__}" if isinstance(part, type) else _told(part)
+        what = f"the class {part.__name__}" if isinstance(part, type) else _kind_of(part)
         raise ArgumentError(f"{name} is {what}, not an object with a method {method}", fix="docs/api/own-parts.md")
 
 
 def need_number(name: str, value: Any) -> float:
-    """A number, finite or not. Raises ArgumentError."""
+    """Return a number, finite or not. Raises ArgumentError."""
     if not is_number(value):
-        raise ArgumentError(f"{name} is {_told(value)}, not a number")
+        raise ArgumentError(f"{name} is {_kind_of(value)}, not a number")
     return float(value)
 
 
 def array_of(name: str, value: Any, shape: tuple[int, ...]) -> FloatArray:
-    """Numbers of a shape, finite or not. Raises ArgumentError saying what was expected and what came."""
+    """Return numbers of a shape, finite or not. Raises ArgumentError."""
     try:
         found = np.asarray(value, float)
     except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{name} is {_told(value)}, not {shape} of numbers") from error
+        raise ArgumentError(f"{name} is {_kind_of(value)}, not {shape} of numbers") from error
     if found.shape != shape:
         raise ArgumentError(f"{name} is of shape {found.shape}, not {shape}")
     return found
@@ -218,82 +222,53 @@ def _check_finite(name: str, found: FloatArray) -> None:
 
 
 def _check_whole(name: str, count: Any, kind: str = "WheelTicks") -> None:
-    """Refuse a count with a fraction: who gives one gives something else. One that is not finite is a sensor's."""
+    """Refuse a count with a fraction, which is no count. One that is not finite is a sensor's fault."""
     if type(count) is not int and math.isfinite(count) and count != int(count):
         fix = "give the encoder's count since its start; of rad/s make WheelSpeeds"
         raise ArgumentError(f"{name} of {kind} is {count:g}, not a whole number of counts", fix=fix)
 
 
 def _check_shape(name: str, image: Any, camera: PinholeCamera | None, channels: int | None = None) -> None:
-    """Refuse what is no array (H, W) or (H, W, channels), of the camera's size where that is given."""
+    """Refuse no array (H, W) or (H, W, channels), or one that is not of the camera's size."""
     last = () if channels is None else (channels,)
     expected = "(H, W)" if channels is None else f"(H, W, {channels})"
     if camera is not None:
         expected = str((camera.height, camera.width, *last))
     if not isinstance(image, np.ndarray):
-        raise ArgumentError(f"{name} is {_told(image)}, not an array {expected}", fix="np.asarray(image)")
+        raise ArgumentError(f"{name} is {_kind_of(image)}, not an array {expected}", fix="np.asarray(image)")
     size = image.shape[:2] if camera is None else (camera.height, camera.width)
     if image.ndim < 2 or image.shape != (*size, *last):
-        fix = _for_color(image.shape, size) if last else _for_depth(image.shape, size)
-        fix = fix or _for_size(name, image.shape, size)
+        fix = _fix_of_shape(name, image.shape, size)
         raise ArgumentError(f"{name} is of shape {image.shape}, not {expected}", fix=fix)
 
 
-def _for_color(shape: tuple[int, ...], size: tuple[int, ...]) -> str | None:
-    """What to do about a colour image of the right size in another layout."""
-    if shape in (size, (*size, 1)):
-        return "of a grey image, cv2.cvtColor(color, cv2.COLOR_GRAY2RGB)"
-    if shape == (*size, 4):
-        return "color[..., :3] leaves the fourth channel out; of BGRA, cv2.cvtColor(color, cv2.COLOR_BGRA2RGB)"
-    if len(shape) == 3 and shape[0] == 3:
+def _fix_of_shape(name: str, shape: tuple[int, ...], size: tuple[int, ...]) -> str:
+    """What to do about an image of another layout or size."""
+    is_color = name == "color"
+    grey = "of a grey image, cv2.cvtColor(color, cv2.COLOR_GRAY2RGB)"
+    four = "color[..., :3] leaves the fourth channel out; of BGRA, cv2.cvtColor(color, cv2.COLOR_BGRA2RGB)"
+    squeeze, picture = "depth_m.squeeze()", "give depth itself, not a picture of it"
+    of_color = {size: grey, (*size, 1): grey, (*size, 4): four}
+    of_depth = {(*size, 1): squeeze, (1, *size): squeeze, (*size, 3): picture}
+    fix = (of_color if is_color else of_depth).get(shape)
+    if fix is not None:
+        return fix
+    if is_color and len(shape) == 3 and shape[0] == 3:
         return "color.transpose(1, 2, 0)"
-    return None
-
-
-def _for_depth(shape: tuple[int, ...], size: tuple[int, ...]) -> str | None:
-    """What to do about a depth image of the right size in another layout."""
-    if shape in ((*size, 1), (1, *size)):
-        return "depth_m.squeeze()"
-    if shape == (*size, 3):
-        return "give depth itself, not a picture of it"
-    return None
-
-
-def _for_size(name: str, shape: tuple[int, ...], size: tuple[int, ...]) -> str:
-    """What to do about an image of another size."""
     if len(shape) not in (2, 3) or 0 in shape:
-        return "rows, columns" + (", and red, green, blue" if name == "color" else "")
+        return "rows, columns" + (", and red, green, blue" if is_color else "")
     if shape[:2] == size[::-1]:
         return "rows come first: transpose the image, or swap width and height of the calibration's camera"
     given, known = f"{shape[1]}×{shape[0]}", f"{size[1]}×{size[0]}"
     fix = f"the calibration is of {known} images: give those, or a calibration of {given} ones"
     if shape[0] * size[1] == shape[1] * size[0]:
         fix += f", with fx, fy, cx, cy times {shape[1] / size[1]:g}"
-    return f"{fix}; depth of its own size has its own camera and T_color_depth" if name == "depth_m" else fix
+    return fix if is_color else f"{fix}; depth of its own size has its own camera and T_color_depth"
 
 
-def _as_bytes(color: ByteArray) -> str:
-    """What to do about colours that are no bytes."""
-    if color.dtype == np.uint16:
-        return "of 16 bits, (color >> 8).astype(np.uint8)"
-    if color.dtype.kind == "f" and color.size and float(np.nanmax(color)) <= 1:
-        return "of 0 to 1, (255 * color).round().astype(np.uint8)"
-    return "of 0 to 255, color.astype(np.uint8)"
-
-
-def _in_metres(depth: Float32Array) -> str:
-    """What to do about depth that is no float32."""
-    if depth.dtype.kind in "ui":
-        return "divide raw depth by its units a metre: of millimetres, (depth / 1000).astype(np.float32)"
-    return "depth_m.astype(np.float32)"
-
-
-def _told(value: Any) -> str:
-    """A value in a word or two, however large it is."""
+def _kind_of(value: Any) -> str:
+    """The type of a value, in words."""
     return "None" if value is None else f"a {type(value).__name__}"
-
-
-# Repeats: whether a camera gives the image of the frame before once more.
 
 
 # Noise never repeats, so some rows decide; the first one nearly always.
@@ -301,10 +276,10 @@ _SOME = slice(None, None, 4)
 
 
 class Repeats:
-    """How long one and the same image has been coming, as of a camera of 15 Hz that is logged at 30, or that hangs.
+    """Time since the first of several equal images, as of a camera of 15 Hz that is logged at 30 Hz, or that hangs.
 
-    The rows that are compared are copied: a driver may write each frame where it wrote the last one. Images without
-    any contrast, as of a covered camera, show nothing that could come again.
+    It copies the rows that it compares, since a driver may reuse its buffers. Images without contrast, as of a covered
+    camera, do not count as repeated.
     """
 
     def __init__(self) -> None:
@@ -312,7 +287,7 @@ class Repeats:
         self._color, self._depth_m = np.empty((0, 0, 3), np.uint8), np.empty((0, 0), np.float32)
 
     def lasting_s(self, frame: RgbdFrame) -> float:
-        """How long before this frame its image came first; 0 for a new one. To be asked once of each frame."""
+        """Return the age of the frame's image; 0 for a new one. Call it once a frame."""
         color, depth_m = frame.color[_SOME], frame.depth_m[_SOME]
         if (
             _are_the_same(color, self._color)

@@ -85,7 +85,7 @@ class MotionEstimate:
 
     @classmethod
     def failed(cls, reason: Reason, matches: int = 0, inliers: int = 0) -> MotionEstimate:
-        """An estimate with a reason and no motion."""
+        """Return an estimate with a reason and no motion."""
         return cls(None, None, reason, matches, inliers)
 
     @property
@@ -154,7 +154,7 @@ class Estimate:
         return np.asarray(Ad @ self.covariance @ Ad.T)
 
     def remembered_in(self, store: KeyframeStore) -> FloatArray | None:
-        """T_map_body (4, 4) by the present pose of its keyframe, for instance after a loop closure.
+        """Return T_map_body (4, 4) by the present pose of its keyframe, for instance after a loop closure.
 
         None if the estimate refers to no keyframe.
         """
@@ -164,7 +164,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class MotionStep:
     """A motion of the body from one instant to a later one.
 
     Attributes:
@@ -178,11 +178,11 @@ class Step:
     T_before_now: FloatArray
     covariance: FloatArray
 
-    def then(self, later: Step) -> Step:
-        """The composition with a later step, for independent errors."""
+    def then(self, later: MotionStep) -> MotionStep:
+        """Return the composition with a later step, for independent errors."""
         Ad = se3.adjoint(self.T_before_now)
         C = self.covariance + Ad @ later.covariance @ Ad.T
-        return Step(self.begin_s, later.end_s, self.T_before_now @ later.T_before_now, C)
+        return MotionStep(self.begin_s, later.end_s, self.T_before_now @ later.T_before_now, C)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +197,7 @@ class WheelEstimate(Estimate):
     before: tuple[float, FloatArray, FloatArray] | None = field(default=None, kw_only=True)
 
     @cached_property
-    def step(self) -> Step | None:
+    def step(self) -> MotionStep | None:
         """The motion since the previous reading; for a rejected reading the identity with a large covariance.
 
         None without a previous reading, or if numbers are not finite.
@@ -211,7 +211,7 @@ class WheelEstimate(Estimate):
             return None
         T_before_now, _ = motions.between(T_before, C_before, self.T_odom_body, self.covariance)
         _, covariance = motions.step_between(T_before, C_before, self.T_odom_body, self.covariance)
-        return Step(begin_s, self.stamp_s, T_before_now, covariance)
+        return MotionStep(begin_s, self.stamp_s, T_before_now, covariance)
 
 
 _NO_MOTION = MotionEstimate.failed(Reason.FRAME_UNUSABLE)

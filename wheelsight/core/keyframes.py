@@ -130,7 +130,7 @@ class KeyframeStore(OneCaller):
         return self._from_disk(number) if keyframe is None else keyframe
 
     def recalled(self, number: KeyframeId, at: KeyframeId) -> Keyframe:
-        """A keyframe as it is in the store when keyframe `at` is the newest: from disk if it is old enough.
+        """Return a keyframe as it is in the store when keyframe `at` is the newest: from disk if it is old enough.
 
         Only the numbers decide, not the progress of another thread, so the result is reproducible. Raises as
         `__getitem__` does.
@@ -210,7 +210,7 @@ class KeyframeStore(OneCaller):
             raise ArgumentError("T_map_keyframe has numbers that are not finite", fix="give rigid motions")
         if not len(rows):
             return
-        T = se3.mended(T)
+        T = se3.renormalized(T)
         T_new_old = T @ se3.invert(self._T_map_keyframe[rows])
         self._T_map_keyframe[rows] = T
         self.revision += 1
@@ -223,11 +223,11 @@ class KeyframeStore(OneCaller):
             self._tied[number] = max(self._tied.get(number, 0), abs(second - first))
 
     def tied_over(self, number: KeyframeId) -> int:
-        """The largest number of keyframes that a loop closure of this one spans; 0 without loop closure."""
+        """Return the largest number of keyframes that a loop closure of this one spans; 0 without loop closure."""
         return self._tied.get(number, 0)
 
     def follow(self) -> Follower:
-        """A new follower, for an object that holds positions relative to keyframes."""
+        """Return a new follower, for an object that holds positions relative to keyframes."""
         follower = Follower()
         self._followers.append(follower)
         return follower
@@ -286,7 +286,7 @@ class Follower:
         known = np.zeros((0, 4, 4)) if self._T_new_old is None else self._T_new_old
         if len(known) < count:
             known = np.concatenate([known, np.tile(np.eye(4), (count - len(known), 1, 1))])
-        known[rows] = se3.mended(T_new_old @ known[rows])
+        known[rows] = se3.renormalized(T_new_old @ known[rows])
         self._T_new_old = known
 
     def moves(self) -> FloatArray | None:
@@ -325,7 +325,7 @@ class PredictedView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surface:
+class FrameSurface:
     """The surface that a tracked frame adds to a map, on the ideal grid at the finest level.
 
     Attributes:
@@ -345,4 +345,4 @@ class ReferenceModel(Protocol):
     """Predicts the view from a pose, as a surfel map does."""
 
     def predict(self, T_map_camera: FloatArray, intrinsics: FloatArray, shape: tuple[int, int]) -> PredictedView:
-        """The view (h, w) = `shape` of a camera with `intrinsics` (4,) fx, fy, cx, cy at a pose (4, 4)."""
+        """Return the view (h, w) = `shape` of a camera with `intrinsics` (4,) fx, fy, cx, cy at a pose (4, 4)."""

@@ -30,7 +30,15 @@ from numpy.typing import ArrayLike
 from wheelsight.core.calibration_parts import Gyro
 from wheelsight.core.checks import need_number
 from wheelsight.core.errors import ConfigError
-from wheelsight.core.estimates import FrameUpdate, FusedEstimate, MotionEstimate, Reason, Status, Step, WheelEstimate
+from wheelsight.core.estimates import (
+    FrameUpdate,
+    FusedEstimate,
+    MotionEstimate,
+    MotionStep,
+    Reason,
+    Status,
+    WheelEstimate,
+)
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.settings.fusion import ErrorStateSettings, FilterParameters
@@ -94,7 +102,7 @@ class ErrorStateFilter:
         self._mount = Mount(T_base_camera)
         state = FusionState(FaultDetection(PoseBelief.begin(begin, spread, self._parameters)))
         self._history: History[FilterEvent, FusionState] = History(state, self._parameters.window_s, self._after)
-        self._waiting: Step | None = None  # wheel step that is too short for a velocity
+        self._waiting: MotionStep | None = None  # wheel step that is too short for a velocity
         self._kept: list[str] = []  # names of keyframes whose motions are not settled
         self._kept_ever = 0
         self._reading_stamps_s: deque[float] = deque(maxlen=self._parameters.rate_readings)

@@ -10,19 +10,15 @@ from numpy.typing import ArrayLike
 from wheelsight.core.errors import DegenerateGeometryError
 from wheelsight.core.geometry import se3
 from wheelsight.core.geometry.arrays import FloatArray
-from wheelsight.core.geometry.se3 import from_parts
 
-# The rigid motion that best lays one point set on another, in closed form.
-#
-# Kabsch (1976) and Umeyama (1991): Zhang section 3.2, with the case the paper leaves out: where noise or a mirrored
-# set makes the best orthogonal matrix a reflection, the nearest rotation is taken.
-
+# Zhang section 3.2 leaves out the case that the best orthogonal matrix is a reflection, by noise or a mirrored set: the
+# nearest rotation replaces it.
 
 # A singular value of the covariance below this share of the largest is as good as zero: the points lie on a line.
 _SINGULAR_SHARE = 1e-9
-# Below this share of the next one, the plane's normal: off it points stand a fifth as far as they reach across in it.
+# Below this share of the next one, the points lie near a plane: off it a fifth as far as across.
 _FLAT_SHARE = 0.05
-# A cosine, or a correlation, from which orientations, or what lies off the plane, say clearly which side of it is up.
+# A cosine or a correlation from which orientations, or points off the plane, determine which side of it is up.
 _CLEARLY = 0.5
 # Points nearer together than this share of their distance from the origin differ by rounding only.
 _ROUNDING_SHARE = 1e-12
@@ -34,7 +30,7 @@ def align_points(p_a: ArrayLike, p_b: ArrayLike, weights: ArrayLike | None = Non
     Args:
         p_a: points (N, 3) in frame a, metres.
         p_b: the same points (N, 3) in frame b, in the same order.
-        weights: one non-negative weight a pair (N,); all alike when left out.
+        weights: one non-negative weight a pair (N,); None: equal.
 
     Raises:
         DegenerateGeometryError: fewer than three pairs, points on one line or in one place, a mirrored set
@@ -58,7 +54,7 @@ def align_points_with_scale(
     Args:
         p_a, p_b, weights: as for `align_points`, and so are the errors.
         with_scale: off, s is 1.
-        like: (3, 3) about R, such as a mean of R_a R_bᵀ over poses: decides which side of a plane is up, where it does.
+        like: (3, 3) about R, such as a mean of R_a R_bᵀ over poses, which may decide the side of a plane.
     """
     p_a, p_b, w = _checked(p_a, p_b, weights)
     mean_a, mean_b = w @ p_a, w @ p_b
@@ -76,12 +72,14 @@ def align_points_with_scale(
     is_flat = singular[2] <= _FLAT_SHARE * singular[1] or singular[1] <= _FLAT_SHARE**2 * singular[0]
     if like is not None and is_flat:
         up_a, up_b = U[:, 2] * signs[2], Vt[2]
-        heights_agree = _correlation(q_a @ up_a, q_b @ up_b, w) > _CLEARLY
+        h_a, h_b = q_a @ up_a, q_b @ up_b
+        spread = float(np.sqrt((w @ h_a**2) * (w @ h_b**2)))
+        heights_agree = spread > 0 and float(w @ (h_a * h_b)) / spread > _CLEARLY
         if not heights_agree and up_a @ np.asarray(like, float) @ up_b < -_CLEARLY:
             signs[1:] *= -1
     R_a_b = (U * signs) @ Vt
     scale = float(singular @ signs / (w @ (q_b**2).sum(axis=1))) if with_scale else 1.0
-    return from_parts(R_a_b, mean_a - scale * R_a_b @ mean_b), scale
+    return se3.from_parts(R_a_b, mean_a - scale * R_a_b @ mean_b), scale
 
 
 def _checked(p_a: ArrayLike, p_b: ArrayLike, weights: ArrayLike | None) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -103,19 +101,10 @@ def _in_one_place(p: FloatArray, q: FloatArray, w: FloatArray) -> bool:
     return bool(np.sqrt(w @ (q**2).sum(axis=1)) <= _ROUNDING_SHARE * np.abs(p[w > 0]).max())
 
 
-def _correlation(a: FloatArray, b: FloatArray, w: FloatArray) -> float:
-    """Of (N,) numbers whose means are 0, with weights (N,); 0 where one of them does not vary."""
-    spread = float(np.sqrt((w @ a**2) * (w @ b**2)))
-    return float(w @ (a * b)) / spread if spread > 0 else 0.0
-
-
-# Poses between the stamps at which they are known.
-
-
 def interpolate_at(stamps_s: ArrayLike, T: ArrayLike, wanted_s: ArrayLike, max_gap_s: float = np.inf) -> FloatArray:
     """Motions (M, 4, 4) at stamps (M,), along the geodesic between neighbours of (N,) stamps, (N, 4, 4) motions.
 
-    Stamps outside the range, or between neighbours more than `max_gap_s` apart, give NaN: never a guess.
+    NaN at stamps outside the range, or between neighbours more than `max_gap_s` apart.
     """
     stamps_s, T = np.asarray(stamps_s, float), np.asarray(T, float)
     wanted_s = np.atleast_1d(np.asarray(wanted_s, float))

@@ -13,21 +13,18 @@ from numpy.typing import ArrayLike
 from wheelsight.core.errors import CalibrationError
 from wheelsight.core.geometry.arrays import BoolArray, FloatArray, is_number
 
-# The pinhole camera with Brown's lens distortion: points to pixels and back (Trinh et al., eq. 1).
-
-
 # Leaves less than 1e-8 pixel at the corners of the most distorted TUM camera (freiburg1).
 _UNDISTORT_STEPS = 20
 MOST_PIXELS = 1 << 25  # twice the largest depth camera's 16 million
-# In longer sides of the image: from a view of 157°, wider than a pinhole's is, to pixels cut out of a large image.
+# In longer sides of the image: from a view of 157°, too wide for a pinhole, to a cut-out of a large image.
 _FOCAL_LENGTHS = 0.1, 1000.0
 # Brown's coefficients are a few units at most, in long lenses some hundreds.
 _LARGEST_DISTORTION = 1e4
-# Rays from the principal point, and radii on each up to 87° off the axis, at which a lens is looked at.
+# Rays from the principal point, and radii on each up to 87° off the axis, at which a lens is checked.
 _RAYS, _RADII = 32, np.geomspace(1e-4, 20.0, 300)
 # Share of the image: calibrations of cheap lenses fold in the last corner, beyond the board that they were made by.
 _MOST_FOLDED = 0.05
-# How much farther from the middle than a pinhole's a lens shows a point: the strongest pincushion stays under 1.3.
+# Radius of a point in the image over that of a pinhole: the strongest pincushion stays under 1.3.
 _MOST_STRETCH = 2.0
 
 
@@ -103,7 +100,7 @@ class PinholeCamera:
         return any(self.distortion)
 
     def halved(self, times: int = 1) -> PinholeCamera:
-        """The camera of images halved so often, each pixel of a 2×2 block; a row or column left over is cut off."""
+        """The camera of images halved `times` times, each pixel of a 2×2 block; odd rows and columns are cut off."""
         factor = 2.0**times
         width, height = self.width >> times, self.height >> times
         cx, cy = (self.cx + 0.5) / factor - 0.5, (self.cy + 0.5) / factor - 0.5  # pixel centres lie at integers
@@ -146,9 +143,10 @@ class PinholeCamera:
         return xy
 
     def lens_fault(self) -> str | None:
-        """What makes its distortion no lens's, in a few words: it folds or stretches within the image; else None."""
+        """The problem of an impossible distortion, which folds or stretches within the image; else None."""
         if not self.has_distortion:
             return None
+        k1, k2, p1, p2, k3 = self.distortion
         angles = np.linspace(0, 2 * np.pi, _RAYS, endpoint=False)
         xy = _RADII[None, :, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None, :]
         with np.errstate(all="ignore"):
@@ -161,7 +159,13 @@ class PinholeCamera:
             far = np.linalg.norm(seen, axis=-1) / np.maximum(shares.max(axis=-1), 1e-9)
             inside, border = np.asarray(inside), np.asarray(far, float)
             sees = np.logical_and.accumulate(inside, axis=1)
-            folds = sees & ~(self._growth(xy) > 0)
+            # The determinant of the distortion's derivative is not positive where the lens folds.
+            x, y = xy[..., 0], xy[..., 1]
+            r2 = x**2 + y**2
+            radial, slope = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
+            across = slope * x * y + 2 * p1 * x + 2 * p2 * y
+            along = radial + slope * x**2 + 2 * p1 * y + 6 * p2 * x, radial + slope * y**2 + 6 * p1 * y + 2 * p2 * x
+            folds = sees & ~(along[0] * along[1] - across**2 > 0)
             first = folds.argmax(axis=1)
             at_fold = (np.arange(_RAYS), first)
             lost = np.where(folds.any(axis=1), 1 - np.minimum(reach[at_fold] / border[at_fold], 1) ** 2, 0.0)
@@ -171,18 +175,6 @@ class PinholeCamera:
         if stretch > _MOST_STRETCH:
             return f"stretches the image {stretch:.2g}-fold within its border"
         return None
-
-    def _growth(self, xy: FloatArray) -> FloatArray:
-        """The determinant (...) of the distortion's derivative: where it is not positive, the lens folds."""
-        k1, k2, p1, p2, k3 = self.distortion
-        x, y = xy[..., 0], xy[..., 1]
-        r2 = x**2 + y**2
-        radial, slope = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
-        across = slope * x * y + 2 * p1 * x + 2 * p2 * y
-        return np.asarray(
-            (radial + slope * x**2 + 2 * p1 * y + 6 * p2 * x) * (radial + slope * y**2 + 6 * p1 * y + 2 * p2 * x)
-            - across**2
-        )
 
     def rays(self) -> FloatArray:
         """Directions (height, width, 3) with z = 1 of all pixels; times a depth image they are its points."""
@@ -203,11 +195,8 @@ class PinholeCamera:
         return radial[..., None], np.stack(offset, axis=-1)
 
 
-# Brown's five coefficients that bend lines as another model of a lens does, by least squares, and how well.
-
-
 class LensFit(NamedTuple):
-    """k1, k2, p1, p2, k3, and the largest distance that is left and the median one, on the plane z = 1."""
+    """Brown's k1, k2, p1, p2, k3 for another model of a lens, and largest and median residual on the plane z = 1."""
 
     distortion: tuple[float, float, float, float, float]
     worst: float
@@ -215,7 +204,7 @@ class LensFit(NamedTuple):
 
 
 def fitted_lens(xy: ArrayLike, xy_distorted: ArrayLike) -> LensFit:
-    """The fit to points on the plane z = 1 and where a lens shows them, both (N, 2); the model is linear in it."""
+    """Fit Brown's model, linear in its coefficients, to undistorted and distorted points (N, 2) on the plane z = 1."""
     seen: FloatArray = np.asarray(xy, float)
     shift: FloatArray = np.asarray(xy_distorted, float) - seen
     x, y = seen.T

@@ -1,6 +1,6 @@
 """Rigid motions in space: SE(3) as 4×4 matrices, in batches of any shape (`...`).
 
-The conventions, said once. `T_a_b` maps points of frame b into frame a: `p_a = T_a_b @ p_b`, so
+Conventions: `T_a_b` maps points of frame b into frame a: `p_a = T_a_b @ p_b`, so
 `T_odom_base @ T_base_camera` cancels by eye. Tangents are ξ = (v, ω), translation first.
 Perturbations multiply from the left, `T = exp(δ) @ T_mean`, and a pose's 6×6 covariance is that of δ.
 """
@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike
 from wheelsight.core.geometry import so3
 from wheelsight.core.geometry.arrays import FloatArray
 
-# At this depth, usual indoors, a turn hides as much of a view as the way.
+# At this depth, usual indoors, a turn changes a view as much as the same distance.
 _METRES_A_RADIAN = 1.5
 _BOTTOM = (0, 0, 0, 1)
-# So far off what was written with two decimals may be; more is another mistake.
+# Largest error of two decimals; more is another mistake.
 _ROUNDED = 0.03
-# Rounding makes motions less rigid, and their inverses twice as much; so little is left alone.
+# Rounding makes motions less rigid, and their inverses twice as much; below this they stay.
 _RIGID = 1e-12
 
 
@@ -74,7 +74,7 @@ def adjoint(T: ArrayLike) -> FloatArray:
 
 
 def position_covariance(T: ArrayLike, covariance: ArrayLike) -> FloatArray:
-    """Covariance (..., 3, 3) of where poses (..., 4, 4) are, of that (..., 6, 6) of their left perturbations (v, ω).
+    """Covariance (..., 3, 3) of positions of poses (..., 4, 4), from (..., 6, 6) of left perturbations (v, ω).
 
     These move a position p by v + ω × p: J Σ Jᵀ with J = (I, −p̂).
     """
@@ -109,13 +109,13 @@ def interpolate(T_start: ArrayLike, T_end: ArrayLike, share: ArrayLike) -> Float
 
 
 def view_shift_m(T: ArrayLike) -> FloatArray:
-    """How far motions (..., 4, 4) carry a camera's view, in metres (...); a turn by a radian counts as 1.5 m."""
+    """Displacement (...) of a camera's view by motions (..., 4, 4), metres; a radian counts as 1.5 m."""
     T = np.asarray(T, float)
     return np.asarray(np.linalg.norm(T[..., :3, 3], axis=-1) + _METRES_A_RADIAN * so3.angle(T[..., :3, :3]))
 
 
 def nearest(T: ArrayLike) -> FloatArray:
-    """The rigid motions (..., 4, 4) nearest to T (..., 4, 4), which rounding, doubled by inverses, made none."""
+    """The rigid motions (..., 4, 4) nearest to matrices (..., 4, 4) with rounding errors."""
     T = np.asarray(T, float)
     return from_parts(so3.nearest(T[..., :3, :3]), T[..., :3, 3])
 
@@ -134,7 +134,7 @@ def is_valid(T: ArrayLike, tolerance: float = 1e-6) -> bool:
 
 
 def why_invalid(T: ArrayLike, tolerance: float = 1e-6) -> tuple[str, str] | None:
-    """What makes one (4, 4) no rigid motion within `tolerance`, and what to do about it; None where it is one."""
+    """The problem and the fix of a (4, 4) that is no rigid motion within `tolerance`, or None."""
     T = np.asarray(T, float)
     if T.shape == (4, 4) and is_valid(T, tolerance):
         return None
@@ -165,8 +165,8 @@ def _why_no_rotation(R: FloatArray, tolerance: float) -> tuple[str, str]:
     return "its rotation is not orthonormal", "its columns are the axes of the second frame, in the first, of length 1"
 
 
-def mended(T: ArrayLike) -> FloatArray:
-    """Motions (..., 4, 4), those made rigid again that rounding has made none; the others stay to the bit."""
+def renormalized(T: ArrayLike) -> FloatArray:
+    """Motions (..., 4, 4) without accumulated rounding errors; rigid ones stay to the bit."""
     T = np.asarray(T, float)
     R = T[..., :3, :3]
     off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))

@@ -80,33 +80,27 @@ def left_jacobian(omega: ArrayLike) -> FloatArray:
     Closed form of Barfoot, State Estimation for Robotics (2017), eq. 7.77; series near zero.
     """
     omega = np.asarray(omega, float)
-    if omega.ndim == 1:
-        return _left_jacobian_of(omega)
+    W = hat(omega)
+    if omega.ndim == 1:  # in plain numbers, as `_quaternion_of`
+        x, y, z = omega.tolist()
+        angle_rad = math.sqrt(x * x + y * y + z * z)
+        a, b = 0.5, 1 / 6 - angle_rad**2 / 120
+        if angle_rad >= _SMALL_ANGLE_RAD:
+            a, b = 2 * (math.sin(angle_rad / 2) / angle_rad) ** 2, (angle_rad - math.sin(angle_rad)) / angle_rad**3
+        return np.asarray(np.eye(3) + a * W + b * (W @ W))
     theta = np.linalg.norm(omega, axis=-1)[..., None, None]
     first = 0.5 * np.sinc(theta / (2 * np.pi)) ** 2  # (1 - cos θ) / θ² without its cancellation
     small = theta < _SMALL_ANGLE_RAD
     t = np.where(small, 1.0, theta)
     second = np.where(small, 1 / 6 - theta**2 / 120, (t - np.sin(t)) / t**3)
-    W = hat(omega)
-    return np.asarray(np.eye(3) + first * W + second * (W @ W))
-
-
-def _left_jacobian_of(omega: FloatArray) -> FloatArray:
-    """As `left_jacobian`, of one rotation vector (3,)."""
-    x, y, z = omega.tolist()
-    theta = math.sqrt(x * x + y * y + z * z)
-    first, second = 0.5, 1 / 6 - theta**2 / 120
-    if theta >= _SMALL_ANGLE_RAD:
-        first, second = 2 * (math.sin(theta / 2) / theta) ** 2, (theta - math.sin(theta)) / theta**3
-    W = hat(omega)
     return np.asarray(np.eye(3) + first * W + second * (W @ W))
 
 
 def _quaternion_of(R: FloatArray) -> tuple[float, float, float, float]:
     """x, y, z, w with w ≥ 0 of one rotation (3, 3), from its largest part (Shepperd 1978).
 
-    In plain numbers: through arrays made for batches, one rotation takes fifty times as long, and odometry asks for
-    single ones all the time. Raises ValueError for a mirrored one, as for batches.
+    In plain numbers, because arrays take fifty times as long for a single rotation. Raises ValueError for a mirrored
+    one, as for batches.
     """
     (a, b, c), (d, e, f), (g, h, i) = R.tolist()
     if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) <= 0:

@@ -30,10 +30,8 @@ from wheelsight.core.errors import InputError
 from wheelsight.core.files import StrPath
 from wheelsight.core.runtime import needed
 
-# The one gate that every input file passes: a regular file, no larger than its kind ever is, looked at before opened.
-#
-# Opening a pipe waits for a writer, a device may do something when opened, and files of /proc have no size: what is
-# no regular file is therefore recognised by its directory entry, and never opened.
+# Opening a pipe waits for a writer, a device may act when opened, and files of /proc have no size. What is no regular
+# file is therefore recognised by its directory entry, and never opened.
 
 
 _MEGABYTE = 1 << 20
@@ -50,15 +48,15 @@ _KERNEL_FOLDERS = ("/proc", "/sys", "/dev")
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """A kind of file, and what a file of it may hold at most.
+    """A kind of file with its limits.
 
     Attributes:
         name: for messages, such as "a list".
         most_mb: megabytes (2^20 bytes).
         most_lines: of text.
         longest_line: in characters.
-        missing: what is said where there is no such file.
-        fix: what is said to be done about a file that is missing or cannot be read.
+        missing: problem in the message if there is no such file.
+        fix: in the message for a file that is missing or cannot be read.
     """
 
     name: str
@@ -70,10 +68,10 @@ class Kind:
 
 
 def read_bytes(path: StrPath, kind: Kind, error: type[InputError]) -> bytes:
-    """What a file holds.
+    """Return the content of a file.
 
     Raises:
-        InputError: of the type `error`, naming the file: it is missing, no regular file, or larger than its kind.
+        InputError: of the type `error`, with the file: it is missing, no regular file, or larger than its kind.
     """
     with open_binary(path, kind, error) as stream:
         try:
@@ -83,11 +81,11 @@ def read_bytes(path: StrPath, kind: Kind, error: type[InputError]) -> bytes:
 
 
 def open_binary(path: StrPath, kind: Kind, error: type[InputError]) -> BinaryIO:
-    """An open stream of a file's bytes, for what is too large to be read at once. Raises as `read_bytes`."""
+    """Return an open stream of a file's bytes, for large files. Raises as `read_bytes`."""
     path = Path(path)
     try:
         _check(path.stat(), path, kind, error)
-        # The entry may have been replaced since it was looked at; a pipe then opens without waiting.
+        # The entry may have been replaced since the check; a pipe then opens without waiting.
         stream = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY), "rb")
         try:
             _check(os.fstat(stream.fileno()), path, kind, error)
@@ -104,10 +102,10 @@ def open_binary(path: StrPath, kind: Kind, error: type[InputError]) -> BinaryIO:
 
 
 def read_text(path: StrPath, kind: Kind, error: type[InputError]) -> str:
-    """The text of a file in UTF-8, or in UTF-16 with its byte order mark; a mark is left out.
+    """Return the text of a file in UTF-8, or in UTF-16 with a byte order mark, without the mark.
 
     Raises:
-        InputError: as `read_bytes`, and for what is no text, holds NUL, or has too many lines.
+        InputError: as `read_bytes`; or it is no text, holds NUL, or has too many or too long lines.
     """
     path = Path(path)
     data = read_bytes(path, kind, error)
@@ -122,36 +120,28 @@ def read_text(path: StrPath, kind: Kind, error: type[InputError]) -> str:
         raise error("holds a NUL character", path=path, line=line, fix="save it as text in UTF-8")
     if max(text.count("\n"), text.count("\r")) > kind.most_lines:
         raise error(f"has more lines than {kind.name} may have: {kind.most_lines}", path=path, fix="split it")
-    begin = _long_line(text, kind.longest_line)
-    if begin is not None:
-        line = len(lines_of(text[:begin]))
-        raise error(f"is longer than {kind.longest_line} characters", path=path, line=line, fix="is it text?")
+    begin = 0
+    while len(text) - begin > kind.longest_line:
+        end = max(text.rfind(mark, begin, begin + kind.longest_line + 1) for mark in "\n\r")
+        if end < 0:
+            line = len(lines_of(text[:begin]))
+            raise error(f"is longer than {kind.longest_line} characters", path=path, line=line, fix="is it text?")
+        begin = end + 1
     return text
 
 
-def _long_line(text: str, longest: int) -> int | None:
-    """Where the first line begins that has more characters than `longest`; None where there is none."""
-    begin = 0
-    while len(text) - begin > longest:
-        after = max(text.rfind(end, begin, begin + longest + 1) for end in "\n\r")
-        if after < 0:
-            return begin
-        begin = after + 1
-    return None
-
-
 def lines_of(text: str) -> list[str]:
-    """Lines as editors count them: they end in line feed, carriage return, or both; the last may be empty."""
+    """Return lines as editors count them: ended by line feed, carriage return, or both; the last may be empty."""
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
 def is_there(path: StrPath) -> bool:
-    """Whether there is anything at `path`, be it no file at all or a link to nothing, so that reading it says so."""
+    """Whether anything is at `path`, even a broken link: reading it then gives the error."""
     return os.path.lexists(path)
 
 
 def _check(status: os.stat_result, path: Path, kind: Kind, error: type[InputError]) -> None:
-    """Raise `error` for what is no ordinary file, or larger than its kind."""
+    """Raise `error` for no ordinary file, or one larger than its kind."""
     for is_odd, problem in _ODD:
         if is_odd(status.st_mode):
             raise error(problem, path=path, fix=_COPY)
@@ -169,14 +159,14 @@ def _size(size_bytes: float) -> str:
 
 @cache
 def _kernel_devices() -> frozenset[int]:
-    """Numbers of the file systems whose files the kernel makes up as they are read."""
+    """Return the numbers of file systems whose files the kernel makes as they are read."""
     return frozenset(Path(folder).stat().st_dev for folder in _KERNEL_FOLDERS if os.path.ismount(folder))
 
 
-# The gate for everything that is compressed: no more bytes are made than its header states and its user allows.
+# Compressed data: no more bytes are made than the header states and the user allows.
 
 
-# Output of one step; memory grows with what a stream really holds, not with what it claims.
+# Output of one step; memory grows with the content of a stream, not with its claim.
 _STEP_BYTES = 1 << 20
 # A file that consists of empty streams would take a decompressor each; recorders write one stream a block.
 _MOST_STREAMS = 10_000
@@ -186,13 +176,13 @@ _ZSTD_HEAD = 18  # bytes, of a frame at most
 
 
 def decompressed(data: bytes | memoryview, way: str, most_bytes: int, stated_bytes: int | None = None) -> bytes:
-    """The content of compressed data, made step by step and never beyond a limit.
+    """Return the content of compressed data, made step by step and never beyond a limit.
 
     Args:
         data: one stream or several, one after the other.
         way: "bz2", "lz4", "zstd", "xz" or "zlib".
-        most_bytes: the most that the user of the content allows.
-        stated_bytes: the size that the header beside the data states; None where there is none.
+        most_bytes: largest size that the user of the content allows.
+        stated_bytes: size by the header beside the data, or None.
 
     Raises:
         ValueError: the stated size is beyond the limit, the content has another size, or the data are damaged. The
@@ -214,7 +204,7 @@ def decompressed(data: bytes | memoryview, way: str, most_bytes: int, stated_byt
 
 
 def decompress_into(source: BinaryIO, target: BinaryIO, way: str, most_bytes: int) -> int:
-    """Copy the content of a compressed file into another one; its size. Raises as `decompressed`, and OSError."""
+    """Copy the content of a compressed file into another; return its size. Raises as `decompressed`, and OSError."""
     made, first = 0, source.read(_STEP_BYTES)
     _refuse_beyond(way, most_bytes, _stated_by(way, first))
     for part in _parts(way, chain((first,), iter(lambda: source.read(_STEP_BYTES), b"")), most_bytes):
@@ -226,7 +216,7 @@ def decompress_into(source: BinaryIO, target: BinaryIO, way: str, most_bytes: in
 
 
 def _parts(way: str, pieces: Iterable[bytes | memoryview], limit: int) -> Iterator[bytes]:
-    """The content part by part; `pieces` are the compressed bytes. No part has over a megabyte."""
+    """Yield the content of compressed `pieces` in parts of at most a megabyte."""
     make, errors = _decompressors(way)
     decompressor, streams = make(), 1
     try:
@@ -249,7 +239,7 @@ def _parts(way: str, pieces: Iterable[bytes | memoryview], limit: int) -> Iterat
 
 
 class _Zlib:
-    """zlib's decompressor with the names that all others have."""
+    """zlib's decompressor with the names of the others."""
 
     def __init__(self) -> None:
         self._zlib = zlib.decompressobj(zlib.MAX_WBITS | 32)  # zlib's or gzip's header
@@ -262,18 +252,18 @@ class _Zlib:
 
     @property
     def unused_data(self) -> bytes:
-        """What follows the stream."""
+        """Bytes after the stream."""
         return self._zlib.unused_data
 
     def decompress(self, data: bytes, most: int) -> bytes:
-        """The next part of the content."""
+        """Return the next part of the content."""
         made = self._zlib.decompress(self._zlib.unconsumed_tail + data, most)
         self.needs_input = not self._zlib.unconsumed_tail and len(made) < most
         return made
 
 
 def _decompressors(way: str) -> tuple[Callable[[], Any], tuple[type[Exception], ...]]:
-    """What makes a decompressor, and what it raises at damaged data."""
+    """Return a decompressor's constructor, and its errors for damaged data."""
     if way == "bz2":
         return bz2.BZ2Decompressor, (OSError, EOFError)
     if way == "xz":
@@ -283,8 +273,7 @@ def _decompressors(way: str) -> tuple[Callable[[], Any], tuple[type[Exception], 
     if way == "lz4":
         return needed("lz4.frame").LZ4FrameDecompressor, (RuntimeError, EOFError)
     if way == "zstd":
-        zstd = _zstd()
-        return zstd.ZstdDecompressor, (zstd.ZstdError, EOFError)
+        return _zstd().ZstdDecompressor, (_zstd().ZstdError, EOFError)
     raise ValueError(f"is compressed by {way!r}, which is not read")
 
 
@@ -293,7 +282,7 @@ def _zstd() -> Any:
 
 
 def _stated_by(way: str, data: bytes | memoryview) -> int | None:
-    """The size that the data themselves state, as most of zstd's do; None where they do not."""
+    """Return the size that zstd data state themselves, or None."""
     if way != "zstd":
         return None
     zstd = _zstd()
@@ -317,7 +306,7 @@ def _mb(size: int) -> str:
     return f"{size:,} bytes" if size < 1 << 20 else f"{size / (1 << 20):,.0f} MB"
 
 
-# The gate for files of arrays (.npz): headers first, and of the numbers no more than these state and users allow.
+# Files of arrays (.npz): headers first; then numbers within the limits of headers and users.
 
 
 _PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others are unpacked whole, whatever size they state
@@ -325,7 +314,7 @@ _SUFFIX = ".npy"
 _LONGEST_HEADER = 10_000
 _MAGIC = b"\x93NUMPY"
 _LENGTHS = {b"\x01\x00": struct.Struct("<H"), b"\x02\x00": struct.Struct("<I"), b"\x03\x00": struct.Struct("<I")}
-# Of numbers alone, row by row: never of objects, which could do something.
+# Of numbers alone, row by row; objects could run code.
 _HEADER = re.compile(
     rb"\{'descr': '(?P<dtype>[<>|][biuf][0-9]{1,2})', 'fortran_order': False, "
     rb"'shape': \((?P<shape>(?:[0-9]{1,18}, ?)*(?:[0-9]{1,18})?)\), ?\}[ ]*\n"
@@ -335,12 +324,7 @@ _ENTRY = b"PK\x01\x02"
 
 
 class ArrayHeader(NamedTuple):
-    """What the header of an array says.
-
-    Attributes:
-        shape: of the array.
-        dtype: of its numbers.
-    """
+    """The header of an array."""
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
@@ -352,15 +336,15 @@ class ArrayHeader(NamedTuple):
 
 
 class ArrayFile:
-    """The arrays of an .npz file, whose headers are read at once, and whose numbers when they are asked for.
+    """The arrays of an .npz file. Headers are read at once, numbers by `read`.
 
     Args:
         data: of the file.
-        most_arrays: it may hold.
+        most_arrays: largest number of arrays.
 
     Raises:
-        ValueError: it is no such file, or one of its headers is none. The text continues a sentence that begins with
-            the name of the file; so do those of `read`.
+        ValueError: it is no such file, or has an invalid header. The text continues a sentence that begins with the
+            name of the file; so do those of `read`.
     """
 
     def __init__(self, data: bytes, most_arrays: int = 64) -> None:
@@ -382,15 +366,15 @@ class ArrayFile:
 
     @property
     def headers(self) -> Mapping[str, ArrayHeader]:
-        """By name, as the file states them."""
+        """Headers by name."""
         return self._headers
 
     def read(self, name: str, most_bytes: int) -> NDArray[Any]:
-        """An array of limited size in bytes.
+        """Return an array of limited size in bytes.
 
         Raises:
-            ValueError: it states more, which is then not unpacked, or holds another number than it states.
-            KeyError: there is none of that name.
+            ValueError: it states more, and is not unpacked, or its size is not the stated one.
+            KeyError: there is no array of that name.
         """
         header, entry = self._headers[name], self._entries[name]
         if header.nbytes > most_bytes:
@@ -407,9 +391,9 @@ class ArrayFile:
 
 
 def _header(stream: IO[bytes], entry: zipfile.ZipInfo) -> ArrayHeader:
-    """What an array begins with; its numbers follow in the stream. Raises ValueError for what is none of numbers.
+    """Read the header of an array of numbers; these follow in the stream. Raises ValueError.
 
-    numpy's own reader takes whatever Python its tokenizer takes; this one takes what numpy writes.
+    numpy's own reader accepts any Python literal; this one accepts only what numpy writes.
     """
     magic = stream.read(len(_MAGIC) + 2)
     length = _LENGTHS.get(magic[len(_MAGIC) :]) if magic.startswith(_MAGIC) else None
@@ -428,7 +412,7 @@ def _header(stream: IO[bytes], entry: zipfile.ZipInfo) -> ArrayHeader:
     return found
 
 
-# How large an image is, by its first bytes, and images that are decoded only where that is within a limit.
+# Sizes of images by their headers; images are decoded only within a limit.
 
 
 _PNG_BITS, _PNG_COLORS = (1, 2, 4, 8, 16), (0, 2, 3, 4, 6)
@@ -439,14 +423,14 @@ _PNM = re.compile(rb"P[1-6](?:\s+|#[^\n]*\n)+(\d{1,9})(?:\s+|#[^\n]*\n)+(\d{1,9}
 _PNM_REACH = 1024
 _TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_SAMPLES, _TIFF_TILE_WIDTH, _TIFF_TILE_HEIGHT = _TIFF_TAGS = (256, 257, 277, 322, 323)
 _TIFF_MOST_FIELDS = 512
-# Of an image of 33 million pixels whose program writes chunks of 8 kB, 12 000; what has more takes long to go through.
+# An image of 33 million pixels in chunks of 8 kB has 12 000; more take long to read.
 _MOST_PARTS = 100_000
 # RIFF, its length, WEBP, VP8L, its length; a signature, and 14 bits each of width and height less one.
 _WEBP = struct.Struct("<4sI4s4sIBI")
 
 
 def picture_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height in pixels of a PNG, JPEG, TIFF, BMP or PNM image; None where its header is none of theirs."""
+    """Return width and height in pixels of a PNG, JPEG, TIFF, BMP or PNM image; None for other headers."""
     try:
         if data.startswith(b"\x89PNG\r\n\x1a\n"):
             return _png(data)
@@ -465,12 +449,12 @@ def picture_size(data: bytes) -> tuple[int, int] | None:
 
 
 def scan_count(data: bytes) -> int:
-    """How often decoding goes over the whole image: a progressive JPEG names its scans, all others have one."""
+    """Return how often decoding passes over the image: the scans of a progressive JPEG, else 1."""
     return max(data.count(b"\xff\xda"), 1) if data.startswith(b"\xff\xd8") else 1
 
 
 def lossless_webp_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height in pixels of a single lossless WebP image; None for any other."""
+    """Return width and height in pixels of a single lossless WebP image, else None."""
     if len(data) < _WEBP.size:
         return None
     riff, _, webp, lossless, _, signature, bits = _WEBP.unpack_from(data)
@@ -479,10 +463,10 @@ def lossless_webp_size(data: bytes) -> tuple[int, int] | None:
 
 
 def picture_within(data: bytes, most_px: tuple[int, int]) -> NDArray[Any] | None:
-    """An image as it stands, (h, w) or (h, w, C), blue before red.
+    """Return an unchanged image (h, w) or (h, w, C), blue before red.
 
-    None for what is no image of the kinds that `picture_size` and `lossless_webp_size` know, is damaged, or is wider or
-    higher in pixels than `most_px` by its header; then nothing of it is decoded.
+    None for a damaged image, a format that neither `picture_size` nor `lossless_webp_size` knows, or one wider or
+    higher than `most_px` by its header, which is not decoded.
     """
     import cv2
 
@@ -502,7 +486,7 @@ def _pair(form: str, data: bytes, begin: int) -> tuple[int, int]:
 
 
 def _png(data: bytes) -> tuple[int, int] | None:
-    """By the first chunk, if all chunks end within the data: room would be made for one that says it is larger."""
+    """By the first chunk, if all chunks end within the data: decoders allocate the stated length."""
     at, kinds, kind = 8, [], b""
     while at < len(data) and kind != b"IEND":
         length, kind = struct.unpack_from(">I4s", data, at)
@@ -516,7 +500,7 @@ def _png(data: bytes) -> tuple[int, int] | None:
 
 
 def _jpeg(data: bytes) -> tuple[int, int] | None:
-    """By the first frame header: segments are passed over by their lengths, thumbnails with them."""
+    """By the first frame header; segments, and thumbnails in them, are skipped by their lengths."""
     at = 2
     for _ in range(_MOST_PARTS):
         if data[at : at + 1] != b"\xff":
@@ -537,7 +521,7 @@ def _jpeg(data: bytes) -> tuple[int, int] | None:
 
 
 def _tiff(data: bytes) -> tuple[int, int] | None:
-    """Of the image, or of one of its tiles where that is larger."""
+    """Of the image, or of one of its tiles if that is larger."""
     order = "<" if data[:2] == b"II" else ">"
     (begin,) = struct.unpack_from(f"{order}I", data, 4)
     (count,) = struct.unpack_from(f"{order}H", data, begin)

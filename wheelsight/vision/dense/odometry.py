@@ -13,7 +13,7 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.checks import check_frame, need_calibration, need_motion, need_twist
 from wheelsight.core.estimates import MotionEstimate, Reason
 from wheelsight.core.geometry import FloatArray, se3
-from wheelsight.core.keyframes import KeyframeStore, ReferenceModel, Surface
+from wheelsight.core.keyframes import FrameSurface, KeyframeStore, ReferenceModel
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.stamps import StampCheck
 from wheelsight.core.threads import OneCaller, Rows, one_at_a_time
@@ -102,11 +102,11 @@ class DenseOdometry(OneCaller):
         """fx, fy, cx, cy (4,) of the ideal camera of frames and predictions."""
         return self._gridder.intrinsics
 
-    def surface(self, tracked: GridFrame, frame: RgbdFrame, with_color: bool = True) -> Surface:
+    def surface(self, tracked: GridFrame, frame: RgbdFrame, with_color: bool = True) -> FrameSurface:
         """The surface that a frame adds to a map; `tracked` is its `DenseEstimate.frame`."""
         finest = tracked.levels[0]
         color = self._gridder.color_on_grid(frame, tracked) if with_color else None
-        return Surface(finest.depth_m, self._maker.normals(finest), finest.grey, color)
+        return FrameSurface(finest.depth_m, self._maker.normals(finest), finest.grey, color)
 
     @one_at_a_time
     def process(

@@ -78,7 +78,7 @@ class View:
         if self.keyframe is None:
             return self
         T, Ad = T_new_old[self.keyframe], se3.adjoint(T_new_old[self.keyframe])
-        return replace(self, T_map_color=se3.mended(T @ self.T_map_color), covariance=Ad @ self.covariance @ Ad.T)
+        return replace(self, T_map_color=se3.renormalized(T @ self.T_map_color), covariance=Ad @ self.covariance @ Ad.T)
 
 
 class LandmarkMap:
