@@ -180,7 +180,7 @@ FUSION = """\
 odometry: [wheels, dense]
 fusion:
   error_state: {clock_sigma_s: 0.002}
-  areas: {border_m: 0.7, forest: {worth: 0.5}}
+  areas: {yaw_sigma_rad: 0.7}
   ligocki: {weight: 0.8}
 """
 
@@ -190,12 +190,12 @@ def test_all_that_filters_go_by_is_read_and_written(tmp_path: Path) -> None:
     config = load_config(path, {"fusion.filter": "ligocki"})  # as --fusion ligocki, which leaves the rest as it is
     assert (load_config(path).fusion.filter, config.fusion.filter) == ("default", "ligocki")
     fusion = config.fusion
-    told = (fusion.error_state.clock_sigma_s, fusion.areas.border_m, fusion.areas.forest.worth, fusion.ligocki.weight)
-    assert told == (0.002, 0.7, 0.5, 0.8)
+    found = (fusion.error_state.clock_sigma_s, fusion.areas.yaw_sigma_rad, fusion.ligocki.weight)
+    assert found == (0.002, 0.7, 0.8)
     save_config(config, tmp_path / "resolved.yaml")
     assert load_config(tmp_path / "resolved.yaml") == config
     written = yaml.safe_load((tmp_path / "resolved.yaml").read_text())["fusion"]
-    assert written["error_state"]["max_clones"] == 16
+    assert written["error_state"]["confidence"] == 0.999
     assert config.alone("wheels").fusion.error_state == fusion.error_state
 
 
@@ -212,7 +212,7 @@ def test_a_name_alone_says_which_filter_joins(tmp_path: Path) -> None:
         ("fusion: {error_state: {scale_sigma: -1}}", "fusion.error_state.scale_sigma is -1"),
         ("fusion: {error_state: {window_s: .inf}}", "fusion.error_state.window_s is inf"),
         ("fusion: {ligocki: {weight: 1.0}}", "fusion.ligocki.weight is 1.0"),
-        ("fusion: {areas: {forest: {wurth: 0.5}}}", "unknown setting fusion.areas.forest.wurth (did you mean worth?)"),
+        ("fusion: {ligocki: {wait: 0.5}}", "unknown setting fusion.ligocki.wait (did you mean weight?)"),
     ],
 )
 def test_a_setting_of_a_filter_that_is_none_is_named_with_its_line(tmp_path: Path, line: str, said: str) -> None:

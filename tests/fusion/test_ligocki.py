@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.estimates import Reason, Status
 from wheelsight.core.geometry import se2, se3
-from wheelsight.estimation import LigockiFilter, LigockiSettings
+from wheelsight.estimation import LigockiFilter, LigockiSettings, ligocki
 from wheelsight.estimation.ligocki import measurement_matrix, process_matrix
 
 
@@ -57,14 +57,10 @@ def test_velocity_is_the_weighted_mean_of_both_velocities():
     np.testing.assert_allclose(not_none(found.velocity), [0.8 * 2 + 0.2 * 1, 0, 0], atol=1e-12)
 
 
-def test_covariance_is_that_of_scattered_readings(rng):
-    settings = LigockiSettings(
-        weight=0.9,
-        wheel_sigma_m_per_sqrt_s=0.05,
-        wheel_sigma_rad_per_sqrt_s=0.0,
-        visual_sigma_m_per_sqrt_s=0.02,
-        visual_sigma_rad_per_sqrt_s=0.0,
-    )
+def test_covariance_is_that_of_scattered_readings(rng, monkeypatch):
+    monkeypatch.setattr(ligocki, "_WHEEL_DRIFT", np.array([0.05, 0.05, 0.0]))
+    monkeypatch.setattr(ligocki, "_VISUAL_DRIFT", np.array([0.02, 0.02, 0.0]))
+    settings = LigockiSettings(weight=0.9)
     steps, runs, dt_s = 30, 4000, 0.1
     x, A, H = np.zeros((runs, 4)), process_matrix(0.9), measurement_matrix(0.9, dt_s)
     for _ in range(steps):

@@ -29,7 +29,7 @@ from wheelsight.core.estimates import Estimate, Reason, Status
 from wheelsight.core.geometry import FloatArray, se3, so3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import Event, RgbdFrame, WheelTicks
-from wheelsight.estimation import FusedEstimate
+from wheelsight.estimation import FusedEstimate, fusion_localizer
 
 SHORT = ((2.0, 0.6, 0.2),)
 Run = tuple[Drive, Eye, list[tuple[Event, FusedEstimate]], dict[float, Any]]
@@ -356,15 +356,14 @@ def test_the_same_events_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> 
     np.testing.assert_array_equal(one.covariance, other.covariance)
 
 
-def test_settings_of_joining_reach_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After so many frames that show nothing known, the camera begins again."""
+def test_the_camera_restarts_after_frames_that_show_nothing_known(monkeypatch: pytest.MonkeyPatch) -> None:
     made = drive(faults=only((3.0, 4.0), Sight(Reason.NOT_RECOGNISED)))
     stamps_s = [event.stamp_s for event in made.events() if isinstance(event, RgbdFrame)]
     first = []
     for restart_after in (2, 5):
         eye = made.eye()
-        after: dict[str, Any] = {"fusion.joining.restart_after": restart_after}
-        subject, _ = joined(monkeypatch, eye, **after)
+        monkeypatch.setattr(fusion_localizer, "RESTART_AFTER", restart_after)
+        subject, _ = joined(monkeypatch, eye)
         answers_to(subject, made.events())
         first.append(stamps_s.index(min(eye.restarts)))
     assert first[1] - first[0] == 3

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from narrowing import not_none
@@ -11,7 +10,7 @@ from narrowing import not_none
 from wheelsight.core.estimates import MotionEstimate, Reason
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
-from wheelsight.estimation.camera_map import Anchor, is_far, strayed
+from wheelsight.estimation.fusion_localizer import Anchor, strayed
 
 _SCALE = np.array([1.0, 1, 1, 2, 2, 2])  # of degenerate directions (v, ω · 2 m)
 tangents = st.lists(st.floats(-1.2, 1.2), min_size=6, max_size=6).map(np.array)
@@ -105,20 +104,6 @@ def test_a_pose_that_rounding_made_no_motion_becomes_one(rng: np.random.Generato
     assert not se3.is_valid(rough)
     assert se3.is_valid(told.T_reference_current, tolerance=1e-12)
     np.testing.assert_allclose(told.T_reference_current, T, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("by", "due"),
-    [
-        ([0.29, 0, 0, 0, 0, 0], False),
-        ([0, -0.31, 0, 0, 0, 0], True),
-        ([0, 0, 0, 0, 0.19, 0], False),
-        ([0, 0, 0, 0, -0.21, 0], True),
-        ([0.2, 0, 0, 0, 0.1, 0], True),
-    ],
-)
-def test_the_next_anchor_is_due_after_a_way_or_a_turn(by: list[float], due: bool) -> None:
-    assert is_far(motion(se3.exp(by), np.eye(6)), 0.3) is due
 
 
 def test_errors_of_views_add_up_along_the_way_in_the_frames_own_axes() -> None:

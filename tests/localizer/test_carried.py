@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from narrowing import not_none
 
-from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import se3
-from wheelsight.estimation import FusedEstimate, JoiningSettings
-from wheelsight.estimation.kidnap_detection import KidnapDetection
+from wheelsight.estimation.consistency_check import KidnapDetection, PoseFinding
 
-ANSWER = FusedEstimate(10.0, Status.TRACKING, np.eye(4), 1e-6 * np.eye(6), body="base")
-ANSWER_SPREAD = FusedEstimate(10.0, Status.TRACKING, np.eye(4), np.eye(6), body="base")
+HERE = np.eye(4), 1e-6 * np.eye(6)
+SPREAD = np.eye(4), np.eye(6)
 AHEAD = se3.exp([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
 
 
 def kidnapped() -> KidnapDetection:
     """In a dark of 4 s, at the origin."""
-    subject = KidnapDetection(JoiningSettings())
+    subject = KidnapDetection()
     subject.add_known_view(0.0)
     subject.add_unknown_view(4.0, AHEAD, np.eye(4))
     return subject
@@ -26,10 +25,9 @@ def kidnapped() -> KidnapDetection:
 def test_wheels_that_stood_and_another_view_say_so_and_a_known_view_takes_it_back() -> None:
     subject = kidnapped()
     assert subject.is_kidnapped
-    answer = subject.apply(ANSWER)
-    assert (answer.status, answer.doubtful) == (Status.COASTING, True)
-    assert answer.covariance is not None
-    sigmas = np.sqrt(np.diag(answer.covariance))
+    evidence = not_none(subject.evidence(*HERE))
+    assert evidence.finding is PoseFinding.KIDNAPPED
+    sigmas = np.sqrt(np.diag(not_none(evidence.covariance)))
     np.testing.assert_allclose(sigmas[[0, 1, 5]], [2.8, 2.8, np.pi / np.sqrt(3)], rtol=1e-3)
     subject.add_known_view(10.0)
     assert not subject.is_kidnapped
@@ -39,7 +37,7 @@ def test_wheels_that_stood_and_another_view_say_so_and_a_known_view_takes_it_bac
 def test_wheels_that_went_on_farther_than_a_view_is_recognised_tell_why_it_changed(
     way_m: float, is_kidnapped: bool
 ) -> None:
-    subject = KidnapDetection(JoiningSettings())
+    subject = KidnapDetection()
     subject.add_known_view(0.0)
     gone = se3.exp([0.0, 0.0, way_m, 0.0, 0.0, 0.0])
     subject.add_unknown_view(4.0, gone, np.eye(4))
@@ -49,7 +47,7 @@ def test_wheels_that_went_on_farther_than_a_view_is_recognised_tell_why_it_chang
 
 def test_frames_that_are_not_believed_show_what_is_known_all_the_same() -> None:
     """A camera that contradicts the wheels for seconds is not in the dark."""
-    subject = KidnapDetection(JoiningSettings())
+    subject = KidnapDetection()
     for stamp_s in np.arange(0.0, 4.0, 0.1):
         subject.add_known_view(stamp_s)
     subject.add_unknown_view(4.0, AHEAD, np.eye(4))
@@ -59,23 +57,21 @@ def test_frames_that_are_not_believed_show_what_is_known_all_the_same() -> None:
 def test_from_then_on_a_way_leads_astray() -> None:
     subject = kidnapped()
     subject.inflate(np.eye(4), np.eye(6))
-    gone = FusedEstimate(12.0, Status.TRACKING, se3.from_plane(3.0, 0.0, 0.0), np.eye(6), body="base")
-    answer = subject.apply(gone)
-    assert answer.covariance is not None
-    assert np.sqrt(answer.covariance[0, 0] - 1.0) == pytest.approx(2.0)
+    gone = not_none(subject.evidence(se3.from_plane(3.0, 0.0, 0.0), np.eye(6)))
+    assert np.sqrt(not_none(gone.covariance)[0, 0] - 1.0) == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize(("sigma_rad", "is_kidnapped"), [(0.4, False), (0.6, True)])
 def test_a_heading_that_is_known_again_ends_it(sigma_rad: float, is_kidnapped: bool) -> None:
     subject = kidnapped()
     subject.inflate(np.eye(4), np.eye(6))
-    subject.apply(FusedEstimate(12.0, Status.TRACKING, np.eye(4), sigma_rad**2 * np.eye(6), body="base"))
+    subject.evidence(np.eye(4), sigma_rad**2 * np.eye(6))
     assert subject.is_kidnapped == is_kidnapped
 
 
 def stood(seconds: float, way_m: float = 0.0) -> KidnapDetection:
     """Wheels that stood, but for such a way halfway, until the last known view at 10 s."""
-    subject = KidnapDetection(JoiningSettings())
+    subject = KidnapDetection()
     subject.add_wheels(10.0 - seconds, np.eye(4))
     subject.add_wheels(10.0 - seconds / 2, se3.from_plane(way_m, 0.0, 0.0))
     subject.add_known_view(10.0)
@@ -102,11 +98,9 @@ def test_another_view_without_dark_or_a_long_stand_says_nothing_though_the_wheel
 def test_an_elevator_may_have_gone_to_another_floor_and_the_dark_has_not() -> None:
     subject = stood(3.0)
     subject.add_unknown_view(10.03, AHEAD, np.eye(4))
-    of_elevator, of_dark = subject.apply(ANSWER), kidnapped().apply(ANSWER)
-    assert of_elevator.covariance is not None
-    assert of_dark.covariance is not None
-    np.testing.assert_allclose(np.sqrt(np.diag(of_elevator.covariance))[:3], [0.7 * 3.03, 0.7 * 3.03, 3.0], rtol=1e-3)
-    assert np.sqrt(of_dark.covariance[2, 2]) < 0.01
+    of_elevator, of_dark = (not_none(not_none(one.evidence(*HERE)).covariance) for one in (subject, kidnapped()))
+    np.testing.assert_allclose(np.sqrt(np.diag(of_elevator))[:3], [0.7 * 3.03, 0.7 * 3.03, 3.0], rtol=1e-3)
+    assert np.sqrt(of_dark[2, 2]) < 0.01
 
 
 def test_who_hides_the_view_of_a_robot_that_stands_on_may_go_away() -> None:
@@ -117,7 +111,7 @@ def test_who_hides_the_view_of_a_robot_that_stands_on_may_go_away() -> None:
     assert not subject.waits(None)
     subject.add_known_view(11.0)
     assert not subject.waits(AHEAD)
-    assert subject.apply(ANSWER) is ANSWER
+    assert subject.evidence(*HERE) is None
 
 
 def test_a_camera_that_began_again_waits_for_nothing() -> None:
@@ -131,8 +125,8 @@ def test_loops_that_join_where_it_was_put_end_it_and_no_others_do() -> None:
     subject = kidnapped()
     subject.inflate(np.eye(4), np.eye(6))
     subject.relocalized()  # loops have always been joined; no piece has begun here
-    assert subject.apply(ANSWER_SPREAD).status is Status.COASTING
+    assert subject.evidence(*SPREAD) is not None
     subject.begin_piece()
-    assert subject.apply(ANSWER_SPREAD).status is Status.COASTING
+    assert subject.evidence(*SPREAD) is not None
     subject.relocalized()
-    assert subject.apply(ANSWER_SPREAD) is ANSWER_SPREAD
+    assert subject.evidence(*SPREAD) is None

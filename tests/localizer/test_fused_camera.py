@@ -15,7 +15,7 @@ TWIST = np.array([0.4, -0.1, 0.05, 0.1, -0.3, 1.2])
 
 def told(*stamps_s: float) -> Pace:
     """Poses of a steady motion."""
-    pace = Pace(0.35)
+    pace = Pace()
     for stamp_s in stamps_s:
         pace.add(stamp_s, se3.exp([1.0, 2.0, 3.0, 0.5, 0.0, -0.5]) @ se3.exp(TWIST * (stamp_s - 100.0)))
     return pace
@@ -27,7 +27,7 @@ def test_it_goes_on_as_it_went(ahead_s: float) -> None:
 
 
 def test_nothing_is_expected_of_one_frame_nor_long_after_nor_before_the_last() -> None:
-    assert Pace(0.35).expect(100.0) is None
+    assert Pace().expect(100.0) is None
     assert told(100.0).expect(100.1) is None
     assert told(100.0, 100.1).expect(100.6) is None
     assert told(100.0, 100.1).expect(100.1) is None

@@ -74,7 +74,7 @@ def test_a_gyroscope_carries_the_turn_through_a_blackout(monkeypatch: pytest.Mon
 
 def test_the_filter_knows_what_the_calibration_says_of_the_gyroscope() -> None:
     gyro = Gyro(0.002, bias_rad_s=-0.1, bias_sigma_rad_s=0.003, bias_walk_rad_s_per_sqrt_s=1e-4)
-    assert ByFusion(replace(CALIBRATION, gyro=gyro), load_config(overrides=JOINED)).filter.gyro == gyro
+    assert ByFusion(replace(CALIBRATION, gyro=gyro), load_config(overrides=JOINED)).filter.parameters.gyro == gyro
 
 
 @pytest.mark.parametrize("is_stated", mostly_slow([True, False], quick=[False]))
@@ -135,5 +135,5 @@ def test_a_gyroscope_that_contradicts_the_wheels_changes_nothing(
 def test_settings_of_the_filter_reach_it_and_the_one_that_goes_without_the_camera() -> None:
     config = load_config(overrides={**JOINED, "fusion.error_state.clock_sigma_s": 0.003})
     subject = ByFusion(CALIBRATION, config)
-    assert subject.filter.settings.clock_sigma_s == 0.003
-    assert subject.filter.begun_at(np.eye(4), np.eye(6)).settings.clock_sigma_s == 0.003
+    assert subject.filter.parameters.clock_sigma_s == 0.003
+    assert subject.filter.begun_at(np.eye(4), np.eye(6)).parameters.clock_sigma_s == 0.003

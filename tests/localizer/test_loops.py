@@ -14,11 +14,11 @@ from room_drive import make_room_drive
 from wheelsight.config import load_config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.estimates import CameraEstimate, Estimate, MotionEstimate, Status
-from wheelsight.core.geometry import se3
+from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.core.messages import Event, RgbdFrame
 from wheelsight.estimation import Localizer
-from wheelsight.estimation.loop_updates import LoopsBeside
+from wheelsight.estimation.loop_updates import InMap, LoopsBeside
 from wheelsight.io.recordings import Recording, open_recording
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.drive_graph import KeyframePlace, LivedKeyframe, PoseUpdate, SeenAgain
@@ -34,6 +34,10 @@ WAYS = {
     "wheels and dense": {"odometry": "wheels,dense", "dense.keyframe_way_m": 0.05},
     "wheels and features": {"odometry": "wheels,features", "features.keyframe_share": 0.95},
 }
+
+
+def in_map(beside: LoopsBeside, found: Estimate) -> tuple[InMap, FloatArray | None]:
+    return beside.evidence(found.status, found.T_odom_body, found.covariance, found.T_map_odom)
 
 
 @pytest.fixture(scope="module")
@@ -184,14 +188,14 @@ def test_a_piece_counts_as_joined_once_it_is_sure_where_it_lies(
     beside.move_keyframes(1.0, None)
     # As where somebody before the camera has led odometry astray since, and it says so.
     doubtful = replace(seen, covariance=C_odom + 0.1 * np.eye(6))
-    assert beside.with_map_status(doubtful).status is Status.COASTING
-    called = beside.with_map_status(seen)
+    assert in_map(beside, doubtful)[0] is InMap.UNSURE
+    found, covariance_map = in_map(beside, seen)
     assert beside.is_joined == is_sure
-    assert called.status is (Status.TRACKING if is_sure else Status.COASTING)
-    assert (called.covariance_map is not None) == is_sure
-    if called.covariance_map is not None and sigma_m is not None:
+    assert found is (InMap.KNOWN if is_sure else InMap.UNSURE)
+    assert (covariance_map is not None) == is_sure
+    if covariance_map is not None and sigma_m is not None:
         # 0.1 m at the keyframe, and what odometry has grown by since: 0.01 m, and little by turns at half a metre.
-        C_now = se3.position_covariance(FAR @ se3.from_plane(1.5, 0, 0), called.covariance_map)
+        C_now = se3.position_covariance(FAR @ se3.from_plane(1.5, 0, 0), covariance_map)
         assert np.sqrt(C_now.max()) == pytest.approx(sigma_m, rel=0.1)
     beside.close()
 
@@ -218,8 +222,8 @@ def test_in_a_map_that_stays_a_pose_is_tracked_while_it_is_sure(monkeypatch: pyt
     sure = Estimate(2.1, Status.TRACKING, np.eye(4), 2 * C)
     # A start that somebody gave is as unsure as he is, and believed.
     answers = [replace(sure, covariance=C * of) for of in (700.0, 2.0, 30.0, 700.0, 2.0)]
-    statuses = [str(beside.with_map_status(answer).status) for answer in answers]
-    assert statuses == ["tracking", "tracking", "tracking", "tracking" if grows else "coasting", "tracking"]
+    found = [in_map(beside, answer)[0] for answer in answers]
+    assert found == [InMap.KNOWN] * 3 + [InMap.KNOWN if grows else InMap.UNSURE, InMap.KNOWN]
     beside.close()
 
 

@@ -13,7 +13,8 @@ from narrowing import not_none
 from wheelsight.core.estimates import Estimate, Reason, Status, WheelEstimate
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.estimation import FusedEstimate
-from wheelsight.estimation.wheel_localizer import FusedOdom, OdomFrame
+from wheelsight.estimation.fusion_localizer import FusedOdom
+from wheelsight.estimation.wheel_localizer import OdomFrame
 
 LEGS = (*BEND, (4.0, 0.6, 0.1))
 # What a camera that fails, or a slip that is told once a frame, may be off in one frame of 0.04 s, at these speeds.
@@ -60,7 +61,7 @@ def test_what_is_known_of_the_pose_is_the_same_with_and_without(monkeypatch: pyt
     """In the map, in the filter's frame, and relative to keyframes; heights, tilts and covariances, too."""
     made = LEAPING["camera astray"]()
     smooth = answers_of(made, monkeypatch)
-    monkeypatch.setattr(FusedOdom, "framed", lambda self, answer, *others: answer)
+    monkeypatch.setattr(FusedOdom, "frame_at", lambda *_: OdomFrame())
     plain = answers_of(made, monkeypatch)
     assert len(smooth) == len(plain)
     for ours, theirs in zip(smooth, plain, strict=True):
@@ -86,7 +87,7 @@ def test_whatever_way_is_thought_better_of_steps_in_odom_are_the_motions() -> No
             frame.keep(before, leap @ before)
             T_filter = leap @ before
         T_filter = T_filter @ step
-        T_odom = frame.T_odom_body(T_filter)
+        T_odom = frame.T_odom_filter @ T_filter
         if last is not None:
             np.testing.assert_allclose(se3.invert(last) @ T_odom, step, atol=1e-9)
         last, before = T_odom, T_filter

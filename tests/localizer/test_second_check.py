@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from drives import Leg
@@ -12,10 +10,17 @@ from localizer.test_base_check import with_floor
 
 from wheelsight.core.estimates import Reason, Status
 from wheelsight.core.geometry import FloatArray
+from wheelsight.estimation import consistency_check
 
 BEND: tuple[Leg, ...] = ((4.5, 0.6, 0.4),)
 # So much less than by default that the drive is short.
-ENOUGH: dict[str, Any] = {"localizer.base_check.enough_m": 0.5, "localizer.base_check.enough_rad": 0.25}
+ENOUGH = {"_ENOUGH_M": 0.5, "_ENOUGH_RAD": 0.25}
+
+
+@pytest.fixture(autouse=True)
+def _short(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in ENOUGH.items():
+        monkeypatch.setattr(consistency_check, name, value)
 
 
 class MendedEye(Eye):
@@ -39,7 +44,7 @@ def eye_of(made: Drive, mended_s: float) -> Eye:
 def test_a_camera_that_goes_with_the_wheels_again_is_left_out_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:
     made = drive(BEND)
     mended_s = made.begin_s + 2.4
-    subject, _ = joined(monkeypatch, eye_of(made, mended_s), **ENOUGH)
+    subject, _ = joined(monkeypatch, eye_of(made, mended_s))
     events = [
         wrong if wrong.stamp_s < mended_s else right
         for wrong, right in zip(with_floor(made.events(), 0.4), with_floor(made.events()), strict=True)
@@ -55,7 +60,7 @@ def test_a_camera_that_goes_with_the_wheels_again_is_left_out_no_longer(monkeypa
 
 def test_one_that_stays_wrong_stays_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     made = drive(BEND)
-    subject, _ = joined(monkeypatch, eye_of(made, np.inf), **ENOUGH)
+    subject, _ = joined(monkeypatch, eye_of(made, np.inf))
     frames = of_frames(answers_to(subject, with_floor(made.events(), 0.4)))
     assert "the fault is the camera's: depth is 0.4" in subject.warnings[0]
     assert {answer.status for answer in frames} == {Status.COASTING}

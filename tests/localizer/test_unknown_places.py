@@ -13,6 +13,7 @@ from wheelsight.core.geometry import FloatArray
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.estimation import FusedEstimate
 from wheelsight.estimation import fusion_localizer as by_fusion
+from wheelsight.estimation.loop_updates import InMap
 from wheelsight_sim.faults import Silence
 
 pytestmark = pytest.mark.slow  # one to three seconds each
@@ -121,8 +122,8 @@ class Loops:
         self.asked.append(number)
         return len(self.asked) >= self.times
 
-    def with_map_status(self, answer: FusedEstimate) -> FusedEstimate:
-        return answer
+    def evidence(self, *_: object) -> tuple[InMap, None]:
+        return InMap.KNOWN, None
 
 
 def test_after_a_silence_loops_tell_the_place(monkeypatch: pytest.MonkeyPatch) -> None:

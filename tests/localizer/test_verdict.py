@@ -7,7 +7,7 @@ import pytest
 
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.geometry import FloatArray, se3
-from wheelsight.core.settings import BaseCheckSettings
+from wheelsight.estimation import consistency_check
 from wheelsight.estimation.consistency_check import MotionSegments, Verdict
 from wheelsight.vision.extrinsics import AgreementSettings, Culprit
 
@@ -20,10 +20,10 @@ def base_at(way_m: float) -> FloatArray:
     return se3.from_plane(np.sin(way_m), 1 - np.cos(way_m), way_m)
 
 
-def judged(way_m: float, turns: float, ratio: float | None = None, **settings: float) -> Verdict:
+def judged(way_m: float, turns: float, ratio: float | None = None) -> Verdict:
     """A drive, by a camera that tells `turns` times the turns; and the floor's height over that of the mount."""
     pieces = MotionSegments(WHEELS, T_BASE_CAMERA, AgreementSettings())
-    verdict = Verdict(BaseCheckSettings(**settings))
+    verdict = Verdict()
     for at_m in np.arange(0, way_m, 0.02):
         mirrored = se3.from_plane(np.sin(at_m), turns * (1 - np.cos(at_m)), turns * at_m)
         if pieces.add(float(at_m), base_at(at_m), mirrored, lambda begin_s, end_s: None):
@@ -40,9 +40,10 @@ def test_a_drive_that_both_tell_of_alike_is_agreed_on() -> None:
     assert (verdict.found, verdict.is_sure, verdict.left_out, verdict.warnings) == ([], False, None, ())
 
 
-@pytest.mark.parametrize(("setting", "value"), [("enough_m", 5.0), ("enough_rad", 5.0)])
-def test_only_so_much_is_enough(setting: str, value: float) -> None:
-    assert not judged(4.0, 1.0, **{setting: value}).has_agreed
+@pytest.mark.parametrize(("setting", "value"), [("_ENOUGH_M", 5.0), ("_ENOUGH_RAD", 5.0)])
+def test_less_is_not_enough(setting: str, value: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(consistency_check, setting, value)
+    assert not judged(4.0, 1.0).has_agreed
 
 
 def test_turns_the_other_way_are_the_fault_of_either() -> None:
@@ -54,16 +55,18 @@ def test_turns_the_other_way_are_the_fault_of_either() -> None:
     assert warning.startswith("Wheels and camera contradict each other all along: either the wheels' fault (")
 
 
-@pytest.mark.parametrize("settings", [{"sure_pieces": 200}, {"sure_m": 9.0, "sure_rad": 9.0}])
-def test_it_is_sure_after_so_much(settings: dict[str, float]) -> None:
-    verdict = judged(2.0, -1.0, **settings)
+@pytest.mark.parametrize("settings", [{"_SURE_PIECES": 200}, {"_SURE_M": 9.0, "_SURE_RAD": 9.0}])
+def test_it_is_sure_after_enough(settings: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in settings.items():
+        monkeypatch.setattr(consistency_check, name, value)
+    verdict = judged(2.0, -1.0)
     assert verdict.found
     assert not verdict.is_sure
     assert verdict.warnings == ()
 
 
 def test_late_colour_and_a_camera_that_sees_nothing_are_left_out_with_their_cause() -> None:
-    verdict = Verdict(BaseCheckSettings())
+    verdict = Verdict()
     verdict.leave_out_late_color(2)
     assert (verdict.left_out, verdict.is_sure) == (Culprit.CAMERA, True)
     assert "its colour images are 2 frames later than the depth" in verdict.warnings[0]

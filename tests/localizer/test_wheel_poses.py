@@ -10,9 +10,9 @@ from wheelsight.core.geometry import se3
 from wheelsight.estimation.consistency_check import WheelPoses
 
 
-def rolled(seconds: float, kept_s: float = 3.0) -> WheelPoses:
+def rolled(seconds: float) -> WheelPoses:
     """Straight on at 0.5 m/s, told fifty times a second; the gyroscope turns at 0.2 rad/s."""
-    poses = WheelPoses(kept_s, gyro_after_s=0.1)
+    poses = WheelPoses()
     for k in range(round(50 * seconds) + 1):
         assert poses.add(k / 50, se3.from_plane(0.5 * k / 50, 0.0, 0.0), 0.5 / 50)
         poses.add_yaw_rate(k / 50, 0.2)
@@ -29,9 +29,9 @@ def test_poses_are_told_between_readings_and_never_beyond() -> None:
     assert poses.way_m == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(("kept_s", "is_told"), [(3.0, True), (1.0, False)])
-def test_they_are_kept_for_so_long(kept_s: float, is_told: bool) -> None:
-    assert (rolled(2.0, kept_s).at(0.5) is not None) == is_told
+@pytest.mark.parametrize(("seconds", "is_kept"), [(2.0, True), (4.0, False)])
+def test_they_are_kept_for_three_seconds(seconds: float, is_kept: bool) -> None:
+    assert (rolled(seconds).at(0.5) is not None) == is_kept
 
 
 def test_a_clock_that_goes_back_begins_anew_but_the_way_stays() -> None:

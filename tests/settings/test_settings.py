@@ -20,9 +20,9 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.messages import YawRate
-from wheelsight.core.settings import FrameGateSettings, Settings
-from wheelsight.core.settings.fusion import FilterParameters
+from wheelsight.core.settings import Settings
 from wheelsight.estimation import ErrorStateSettings, Localizer
+from wheelsight.estimation.pose_belief import FilterParameters
 from wheelsight.vision.extrinsics import AgreementSettings, FloorSettings
 from wheelsight.wheels import YawRateMeter
 
@@ -131,20 +131,7 @@ def test_nonsense_is_refused_with_file_line_and_what_would_be_right(section: str
 
 @pytest.mark.parametrize(
     ("text", "expected"),
-    [
-        (
-            "localizer:\n  color_check:\n    sure: 5\n",
-            ":3: localizer.color_check.sure is 5, less than likely: 6 (let sure",
-        ),
-        (
-            "localizer: {color_check: {most_shifts: 10}}",
-            ":1: localizer.color_check.most_shifts is 10, less than fewest",
-        ),
-        (
-            "localizer:\n  color_check: {lag_step_s: 0.5}",
-            ":2: localizer.color_check.lag_step_s is 0.5, too long for lags",
-        ),
-    ],
+    [],
 )
 def test_settings_that_contradict_each_other_are_refused_at_their_line(
     text: str, expected: str, tmp_path: Path
@@ -184,7 +171,7 @@ def is_of_an_error(name: str) -> bool:
     if section != "fusion.error_state":
         return False
     value = getattr(ErrorStateSettings(), own)
-    usual, other = (FilterParameters(**given) for given in ({}, {own: value / 2}))
+    usual, other = (FilterParameters.of(ErrorStateSettings(**given)) for given in ({}, {own: value / 2}))
     return not (np.array_equal(usual.variances, other.variances) and np.array_equal(usual.walks, other.walks))
 
 
@@ -222,7 +209,7 @@ def changed(section: Settings) -> dict[str, Any]:
 
 
 # What a localizer by wheels and features hands to parts as it is.
-WHOLE = ("clocks", "localizer.", "features", "fusion.joining", "extrinsics.agreement", "extrinsics.floor")
+WHOLE = ("clocks", "features", "extrinsics.agreement", "extrinsics.floor")
 REACHED = [(name, section) for name, section in sections(Config()) if name.startswith(WHOLE)]
 
 
@@ -237,16 +224,10 @@ def test_a_section_reaches_who_goes_by_it(name: str, section: Settings) -> None:
     assert all(one != section for one in held)
 
 
-def test_frames_alone_are_gated_by_the_settings() -> None:
-    settings = load_config(overrides={"localizer.frame_gate.hangs_s": 3.0})
-    assert held_by(Localizer(CALIBRATION, settings), FrameGateSettings) == [settings.localizer.frame_gate]
-
-
-def test_gap_and_pace_reach_who_goes_by_them() -> None:
-    given = {"odometry": "wheels,dense", "wheels.gyro_gap_s": 0.3, "localizer.pace_s": 0.7}
+def test_the_gap_reaches_who_goes_by_it() -> None:
+    given = {"odometry": "wheels,dense", "wheels.gyro_gap_s": 0.3}
     subject = Localizer(CALIBRATION, load_config(overrides=given))
     assert {meter.gap_s for meter in held_by(subject, YawRateMeter)} == {0.3}
-    assert {one.longest_step_s for one in parts_of(subject, set()) if type(one).__name__ == "Pace"} == {0.7}
 
 
 def test_how_both_motions_are_compared_reaches_a_joined_run() -> None:

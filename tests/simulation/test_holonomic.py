@@ -14,7 +14,8 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.estimates import MotionEstimate
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.messages import HolonomicReading, OdometryReading, WheelCounts
-from wheelsight.estimation import ErrorStateFilter, ErrorStateSettings
+from wheelsight.estimation import ErrorStateFilter
+from wheelsight.estimation.pose_belief import FilterParameters
 from wheelsight.wheels import HolonomicOdometry
 from wheelsight_sim import Patch, SimulationSettings, WheelFaults
 from wheelsight_sim.physics import nominal_wheels, owned_wheels, simulate_holonomic_drive
@@ -90,7 +91,7 @@ def fused_nees(seed: int) -> list[float]:
     sizes = WheelSizeSettings(scale_sigma=0.01, turn_sigma=0.01)
     wheels = owned_wheels(settings, sizes, np.random.default_rng([seed, 8]))
     odometry, begin = HolonomicOdometry(wheels), drive.truth.T_frame_body[0]
-    fusion = ErrorStateFilter(settings=ErrorStateSettings().with_wheels(wheels))
+    fusion = ErrorStateFilter(settings=FilterParameters.of(wheels=wheels))
     sigmas = np.array([2e-3, 2e-3, 2e-3, 1e-3, 1e-3, 1e-3])
     covariance, none = np.diag(sigmas**2), 1e-12 * np.eye(6)
     T_reference, found = None, []
@@ -127,7 +128,7 @@ def test_a_base_that_goes_sideways_coasts_sideways() -> None:
     wheels = nominal_wheels(SETTINGS)
     spreads = []
     for twist in ([0.4, 0.0, 0.0], [0.0, 0.4, 0.0]):
-        fusion = ErrorStateFilter(settings=ErrorStateSettings().with_wheels(wheels))
+        fusion = ErrorStateFilter(settings=FilterParameters.of(wheels=wheels))
         odometry, ways = HolonomicOdometry(wheels), wheels.jacobian @ twist
         for index in range(50):
             counts = tuple(int(count) for count in np.rint(ways * 0.02 * index / wheels.m_per_tick))

@@ -2,13 +2,11 @@
 
 from wheelsight.core.estimates import STEP_BEGIN, FrameUpdate, FusedEstimate
 from wheelsight.core.settings.fusion import (
-    AreaFilterSettings,
     AreaRectifierSettings,
     AxisWeights,
     ErrorStateSettings,
     FusionName,
     FusionSettings,
-    JoiningSettings,
     LigockiSettings,
     OdometryTerm,
     Weights,
@@ -32,7 +30,6 @@ from wheelsight.estimation.paper_rectifier import (
 __all__ = [
     "STEP_BEGIN",
     "AreaFilter",
-    "AreaFilterSettings",
     "AreaRectifier",
     "AreaRectifierSettings",
     "AxisWeights",
@@ -44,7 +41,6 @@ __all__ = [
     "FusionName",
     "FusionSettings",
     "JoinedEstimate",
-    "JoiningSettings",
     "LigockiFilter",
     "LigockiSettings",
     "Localizer",

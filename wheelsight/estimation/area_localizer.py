@@ -234,7 +234,7 @@ class PlaceSense:
         self.last_place: PlaceMatch | None = None
         self._model, self._T_odom_begin = places.model, places.T_odom_base
         self._settings = settings
-        self._meter = PlaceMeter(places.areas, settings, area_shares=places.model.area_shares)
+        self._meter = PlaceMeter(places.areas, places.model.area_shares)
         self._stopwatch = Stopwatch()
 
     @property

@@ -26,8 +26,15 @@ from wheelsight.core.checks import array_of
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.estimates import Estimate, Status, WheelEstimate
 from wheelsight.core.geometry import FloatArray, se2, se3, so3
-from wheelsight.core.settings.fusion import AreaFilterSettings, AreaRectifierSettings
+from wheelsight.core.settings.fusion import AreaRectifierSettings
 from wheelsight.estimation import area_kernels as kernels
+
+# Errors of calibrated wheels: ratio of distances, rad/m of turn (1 % unequal, 0.5 m apart: 0.02), ratio of turns; and
+# their random walks per √m (simulator).
+_WHEEL_SIGMAS, _WHEEL_WALKS = (0.01, 0.015, 0.03), (0.0002, 0.0003, 0.0005)
+_BORDER_M = 0.4  # from an area's border, within which a frame may still show the last area, or already the next one
+_LEAST_SUPPORT = 0.01  # a result that agrees with less of the predicted position is an outlier
+_STRAY = 0.001  # share of the area probabilities by adjacency alone, not by the position
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +58,7 @@ class AreaRectifier:
     Args:
         areas: in the order of the forest's probabilities, at least one.
         T_odom_base: (4, 4) planar pose at the start.
-        settings: of the method; None for the defaults.
+        settings: of the start; None for the defaults.
         area_shares: (A,) shares of the forest's training frames, which are the prior of its probabilities
             (`PlaceModel.area_shares`); None for equal shares.
 
@@ -67,11 +74,10 @@ class AreaRectifier:
         *,
         area_shares: ArrayLike | None = None,
     ) -> None:
-        self.settings = settings or AreaRectifierSettings()
-        self._shares = checked_shares(areas, area_shares)
-        self._corrected, self._alone = (_start(T_odom_base, self.settings) for _ in range(2))
-        self._floor = FloorShares(areas, self.settings.border_m)
-        self._filter = AreaFilter(areas, self.settings.forest, self._parts()[0][:, 0])
+        self._shares, settings = checked_shares(areas, area_shares), settings or AreaRectifierSettings()
+        self._corrected, self._alone = (_start(T_odom_base, settings) for _ in range(2))
+        self._floor = FloorShares(areas, _BORDER_M)
+        self._filter = AreaFilter(areas, places=self._parts()[0][:, 0])
         self._way_m = self._turn_rad = 0.0
         self._has_begun = False
 
@@ -124,13 +130,12 @@ class AreaRectifier:
         self._filter.predict(self._way_m, self._turn_rad)
         self._way_m = self._turn_rad = 0.0
         parts, axes = self._parts()
-        stray = self.settings.stray
-        self._filter.agree_with((1 - stray) * parts[:, 0] + stray * self._filter.places)
+        self._filter.agree_with((1 - _STRAY) * parts[:, 0] + _STRAY * self._filter.places)
         support = 1.0
         if frame_likelihood is not None:
             likelihoods = self._filter.update(frame_likelihood)
             support = float(parts[:, 0] @ likelihoods / likelihoods.max())
-            if support >= self.settings.least_support and np.ptp(likelihoods) > 0:
+            if support >= _LEAST_SUPPORT and np.ptp(likelihoods) > 0:
                 self._corrected.correct(*reweighted(parts, likelihoods), axes)
         return self._estimate(stamp_s, support)
 
@@ -165,8 +170,7 @@ def _start(T_odom_base: ArrayLike, settings: AreaRectifierSettings) -> PlaneBeli
     if not se3.is_valid(T):
         raise ConfigError("the start pose is invalid", fix="give T_odom_base (4, 4)")
     of_pose = (settings.position_sigma_m, settings.position_sigma_m, settings.yaw_sigma_rad)
-    of_wheels = (settings.scale_sigma, settings.drift_sigma_rad_per_m, settings.turn_sigma)
-    walk = np.square([settings.scale_walk, settings.drift_walk_rad_per_m, settings.turn_walk])
+    of_wheels, walk = _WHEEL_SIGMAS, np.square(_WHEEL_WALKS)
     return PlaneBelief(T[0, 3], T[1, 3], float(np.arctan2(T[1, 0], T[0, 0])), np.array(of_pose + of_wheels), walk)
 
 
@@ -189,6 +193,24 @@ def likelihood_of(probabilities: ArrayLike, shares: FloatArray) -> FloatArray:
     if not (np.isfinite(probabilities).all() and (probabilities >= 0).all() and probabilities.any()):
         raise ConfigError("a frame's probabilities are not", fix="0 to 1, finite, not all 0; None where unknown")
     return np.asarray(probabilities / shares)
+
+
+@dataclass(frozen=True)
+class AreaFilterParameters:
+    """What is assumed of areas and of the forest that recognizes them, before the first frame."""
+
+    accuracies: tuple[float, ...] = (0.95, 0.8, 0.6)  # of a forest that does not fail, one level each
+    # Way after which the result of a failing forest changes, metres: decades, one level each.
+    failing_appearances_m: tuple[float, ...] = (0.1, 1.0, 5.0, 25.0)
+    worth: float = 0.9  # probability that the forest is informative
+    appearance_m: float = 1.0  # way after which a result is independent of the last one
+    appearance_per_rad_m: float = 0.5  # way that a turn by a radian counts as
+    area_m: float = 10.0  # mean way through an area: some rooms
+    level_m: float = 200.0  # mean way until the level of a forest that does not fail changes
+    failure_m: float = 2000.0  # mean way until it fails
+    recovery_m: float = 15.0  # mean way until it no longer does
+    blip: float = 0.05  # share of single frames whose result is arbitrary
+    neighbour_share: float = 0.5  # of the wrong results, those of a neighbouring area
 
 
 class AreaFilter:
@@ -216,26 +238,26 @@ class AreaFilter:
     """
 
     def __init__(
-        self, areas: AreaMap, settings: AreaFilterSettings | None = None, places: FloatArray | None = None
+        self, areas: AreaMap, settings: AreaFilterParameters | None = None, places: FloatArray | None = None
     ) -> None:
-        self.settings = settings or AreaFilterSettings()
-        self._appearances = _appearances_of(areas, self.settings)
+        self._settings = settings or AreaFilterParameters()
+        self._appearances = _appearances_of(areas, self._settings)
         # (A + 1, A + 1) transitions on leaving a place: to a neighbour or outside; from outside, to any area.
         n = len(areas)
         moves = np.ones((n + 1, n + 1)) - np.eye(n + 1)
         moves[:n, :n] = areas.adjacency().astype(float) - np.eye(n)
         self._moves = np.asarray(moves / moves.sum(axis=1, keepdims=True))
         start = np.append(np.full(len(areas), 1 / len(areas)), 0.0) if places is None else np.asarray(places, float)
-        n_right, n_failing = len(self.settings.accuracies), len(self.settings.failing_appearances_m)
+        n_right, n_failing = len(self._settings.accuracies), len(self._settings.failing_appearances_m)
         levels = np.append(np.full(n_right, 1 / n_right), np.zeros(n_failing))
         self._n_right = n_right
         self._appearance_m = np.append(
-            np.full(n_right, self.settings.appearance_m), self.settings.failing_appearances_m
+            np.full(n_right, self._settings.appearance_m), self._settings.failing_appearances_m
         )
-        self._rate_per_m, self._jumps = _level_jumps(self.settings)
+        self._rate_per_m, self._jumps = _level_jumps(self._settings)
         self._belief = levels[:, None, None] * start[None, :, None] * self._appearances
         self._worthless = np.full((n_failing, len(areas)), 1 / (n_failing * len(areas)))
-        self._log_odds = np.log(self.settings.worth / (1 - self.settings.worth))
+        self._log_odds = np.log(self._settings.worth / (1 - self._settings.worth))
 
     @property
     def belief(self) -> FloatArray:
@@ -259,7 +281,7 @@ class AreaFilter:
 
     def predict(self, way_m: float, turn_rad: float = 0.0) -> None:
         """Predict place, level and appearance by the absolute distance and turn."""
-        settings = self.settings
+        settings = self._settings
         belief = self._belief
         left = 1 - np.exp(-way_m / settings.area_m)
         belief = (1 - left) * belief + left * np.einsum("pq,lpc->lqc", self._moves, belief)
@@ -288,7 +310,7 @@ class AreaFilter:
             (A + 1,) the frame's likelihood in each place, given all frames before; of mean 1 over the places.
         """
         frame_likelihood = frame_likelihood / max(frame_likelihood.mean(), 1e-300)
-        frame_likelihood = (1 - self.settings.blip) * frame_likelihood + self.settings.blip
+        frame_likelihood = (1 - self._settings.blip) * frame_likelihood + self._settings.blip
         before = self._belief.sum(axis=(0, 2))
         after = self._belief * frame_likelihood
         likelihoods = np.divide(after.sum(axis=(0, 2)), before, out=np.ones(len(before)), where=before > 1e-300)
@@ -300,7 +322,7 @@ class AreaFilter:
         return np.asarray(likelihoods / total)
 
 
-def _level_jumps(settings: AreaFilterSettings) -> tuple[float, FloatArray]:
+def _level_jumps(settings: AreaFilterParameters) -> tuple[float, FloatArray]:
     """Return how often per metre a level may change, and the transitions (L, L) then, from row to column."""
     n, k = len(settings.accuracies), len(settings.failing_appearances_m)
     rates = np.zeros((n + k, n + k))
@@ -314,7 +336,7 @@ def _level_jumps(settings: AreaFilterSettings) -> tuple[float, FloatArray]:
     return fastest, np.eye(n + k) + (rates - np.diag(rates.sum(axis=1))) / fastest
 
 
-def _appearances_of(areas: AreaMap, settings: AreaFilterSettings) -> FloatArray:
+def _appearances_of(areas: AreaMap, settings: AreaFilterParameters) -> FloatArray:
     """Return the probability (L, A + 1, A) of each appearance by level and place; uniform outside the areas."""
     n = len(areas)
     own = np.eye(n)
@@ -343,19 +365,15 @@ class PlaceMeter:
 
     Args:
         areas: in the order of the forest's probabilities, at least one.
-        settings: of areas and forest; those of the wheels are not used.
         area_shares: (A,) shares of the forest's training frames; None for equal shares.
 
     Raises:
         ConfigError: no area, or shares that are not one positive number per area.
     """
 
-    def __init__(
-        self, areas: AreaMap, settings: AreaRectifierSettings | None = None, area_shares: ArrayLike | None = None
-    ) -> None:
-        self.settings = settings or AreaRectifierSettings()
+    def __init__(self, areas: AreaMap, area_shares: ArrayLike | None = None) -> None:
         self._areas, self._shares = areas, checked_shares(areas, area_shares)
-        self._floor = FloorShares(areas, self.settings.border_m)
+        self._floor = FloorShares(areas, _BORDER_M)
         self._filter: AreaFilter | None = None
         self._T_odom_last = np.eye(4)
 
@@ -385,7 +403,7 @@ class PlaceMeter:
         likelihoods = areas.update(frame_likelihood)
         # The result of an uninformative forest has the likelihood 1 in all areas.
         likelihoods = 1 + areas.worth * (likelihoods - 1)
-        if parts[:, 0] @ likelihoods / likelihoods.max() < self.settings.least_support:
+        if parts[:, 0] @ likelihoods / likelihoods.max() < _LEAST_SUPPORT:
             return None
         found = equivalent(*reweighted(parts, likelihoods))
         if found is None:
@@ -396,12 +414,11 @@ class PlaceMeter:
     def _predicted(self, T_odom_base: FloatArray, places: FloatArray) -> AreaFilter:
         """Return the area filter, predicted at a frame's pose, with its probabilities (A + 1,) of the places."""
         if self._filter is None:
-            self._filter = AreaFilter(self._areas, self.settings.forest, places)
+            self._filter = AreaFilter(self._areas, places=places)
         else:
             T_last_now = se3.invert(self._T_odom_last) @ T_odom_base
             self._filter.predict(float(np.hypot(*T_last_now[:2, 3])), float(so3.angle(T_last_now[:3, :3])))
-            stray = self.settings.stray
-            self._filter.agree_with((1 - stray) * places + stray * self._filter.places)
+            self._filter.agree_with((1 - _STRAY) * places + _STRAY * self._filter.places)
         self._T_odom_last = T_odom_base
         return self._filter
 

@@ -20,7 +20,6 @@ from wheelsight.core.geometry import FloatArray, se3, so3
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame
-from wheelsight.core.settings import FrameGateSettings
 from wheelsight.estimation.loop_updates import LoopsBeside, begin_in, loops_beside
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
 from wheelsight.mapping import FusedFrame, SurfelMap, SurfelSettings
@@ -31,8 +30,19 @@ from wheelsight.vision.visual_odometry import OwnOdometry
 
 CameraOdometry = FeatureOdometry | DenseOdometry | OwnOdometry
 
+# Frames in a row that show nothing known, after which the camera continues from the pose of the wheels.
+RESTART_AFTER = 5
+# Over a longer gap the mean velocity says little of that at the frame (simulator).
+_LONGEST_STEP_S = 0.35
+_WAIT_S = 1.0  # at the start, for wheels: their first reading begins the filter
+_HANGS_S = 1.0  # of one image; some cameras are logged at a multiple of their rate
+# A robot that moves less from frame to frame stands: one that creeps at 2 cm/s moves more.
+_MOVED_M, _MOVED_RAD = 0.0005, 0.0005
 # Reasons of frames that show nothing at all, rather than something unknown.
 BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOINTS)
+# Standard deviations of the speed and turn rate of a camera that sees nothing, as when carried; chosen. The largest one
+# of a heading, radians; that of any heading is 1.8.
+_CARRIED_M_S, _CARRIED_RAD_S, _MOST_RAD = 1.0, 1.0, 2.0
 
 
 class ByFrames:
@@ -60,7 +70,7 @@ class ByFrames:
         self.odometry, self.mapper = camera_odometry(calibration, settings, known, parts)
         T_base_camera = calibration.T_base_camera
         self._T_camera_base = None if T_base_camera is None else se3.invert(T_base_camera)
-        self._gate = FrameGate(settings.localizer.frame_gate)
+        self._gate = FrameGate()
         self.hears: tuple[type[Event], ...] = self.answers
         self._status = Status.INITIALIZING
         self.last_matches: MatchedPixels | None = None
@@ -69,12 +79,9 @@ class ByFrames:
         self.T_odom_map: FloatArray = np.eye(4)
         if known is not None:
             T_odom_camera = np.eye(4) if T_base_camera is None else T_base_camera
-            self.T_odom_map = se3.nearest(
-                T_odom_camera @ se3.invert(begin_in(known, calibration, settings.loops.pieces))
-            )
+            self.T_odom_map = se3.nearest(T_odom_camera @ se3.invert(begin_in(known, calibration)))
         self._keyframe: KeyframeId | None = None
         self._last: CameraEstimate | None = None  # the last one with a pose, in odom
-        self._pieces = settings.loops.pieces
 
     def process(self, event: Event) -> tuple[Estimate | None, str]:
         """Return the estimate at a frame, None at any other event, and why a frame cannot be used."""
@@ -116,18 +123,22 @@ class ByFrames:
             self.loops.keep(frame.stamp_s, self.T_odom_map, in_odom.covariance)
             self.loops.hand_over()
         self._last = self._last if in_odom.T_odom_body is None else in_odom
-        return self.loops.with_map_status(in_odom)
+        T_map_odom = in_odom.T_map_odom
+        in_map, C = self.loops.evidence(in_odom.status, in_odom.T_odom_body, in_odom.covariance, T_map_odom)
+        is_known = in_odom.status in (Status.TRACKING, Status.COASTING)
+        status = in_odom.status if in_map.value is None or not is_known else in_map.value
+        return replace(in_odom, status=status, covariance_map=C)
 
     def _begin_piece(self, loops: LoopsBeside, frame: RgbdFrame, lost: CameraEstimate) -> CameraEstimate:
         """Begin a separate piece of map at a frame that shows nothing known.
 
         In odom the camera stays at its last pose. The covariance grows by the motion that is possible meanwhile.
         """
-        last, of = self._last, self._pieces
+        last = self._last
         if last is None or last.T_odom_body is None or last.covariance is None:
             return lost
         seconds = frame.stamp_s - last.stamp_s
-        sigma_m, sigma_rad = of.speed_m_s * seconds, min(of.turn_rad_s * seconds, of.most_rad)
+        sigma_m, sigma_rad = _CARRIED_M_S * seconds, min(_CARRIED_RAD_S * seconds, _MOST_RAD)
         Ad = se3.adjoint(last.T_odom_body)
         C_odom = last.covariance + np.asarray(Ad @ np.diag(np.square([sigma_m] * 3 + [sigma_rad] * 3)) @ Ad.T)
         T_map_camera = loops.apart(se3.invert(self.T_odom_map) @ last.T_odom_body)
@@ -180,6 +191,8 @@ class FusedCamera:
         gate: rejects frames that need no alignment.
         unknown: number of frames in a row that showed nothing known.
         last_matches: pixels by which the last frame was aligned; None for dense odometry.
+        slips: whether the wheels slip. Then the camera's last motion predicts the next frame, else the wheels do.
+        pace: the camera's last motion.
     """
 
     def __init__(
@@ -192,13 +205,11 @@ class FusedCamera:
     ) -> None:
         self.odometry, self.mapper = camera_odometry(calibration, settings, known, parts)
         self._of = calibration, settings, None, parts
-        self._settings = settings.fusion.joining
-        self.gate = FrameGate(settings.localizer.frame_gate)
+        self.gate = FrameGate()
         self.unknown = 0
         self.last_matches: MatchedPixels | None = None
         self._Ad_camera_base = motions.inverse_adjoint(T_base_camera)
-        self._pace = Pace(settings.localizer.pace_s)
-        self._slips = False
+        self.pace, self.slips = Pace(), False
 
     def process(
         self, frame: RgbdFrame, by_wheels: FloatArray | None, twist: FloatArray | None, *, ask_wheels: bool
@@ -214,28 +225,20 @@ class FusedCamera:
         expected: tuple[FloatArray | None, ...] = (None,)
         if ask_wheels:
             expected = (by_wheels,)
-            if self._slips:  # the camera may go on as before, or the wheels may grip again
-                by_pace = self._pace.expect(frame.stamp_s)
+            if self.slips:  # the camera may go on as before, or the wheels may grip again
+                by_pace = self.pace.expect(frame.stamp_s)
                 expected = (by_pace, by_wheels) if isinstance(self.odometry, DenseOdometry) else (by_pace,)
         seen = self.odometry.process(frame, *expected, twist=twist)
         self.last_matches = seen.matched if isinstance(seen, FeatureEstimate) else None
         if seen.T_odom_body is not None:
-            self._pace.add(frame.stamp_s, seen.T_odom_body)
+            self.pace.add(frame.stamp_s, seen.T_odom_body)
         return seen
 
     def twist(self, answer: FusedEstimate) -> FloatArray | None:
         """Return the camera's velocity (6,) in its own frame, by the wheels; None if they slip or give none."""
-        if self._slips or answer.twist is None:
+        if self.slips or answer.twist is None:
             return None
         return np.asarray(self._Ad_camera_base @ np.array([*answer.twist[:2], 0.0, 0.0, 0.0, answer.twist[2]]))
-
-    def set_slip(self, answer: FusedEstimate) -> None:
-        """Predict the next frame by the camera's last motion if the wheels slip, else by the wheels."""
-        self._slips = answer.slip
-
-    def begin_at(self, T_map_camera: FloatArray) -> None:
-        """Set the pose (4, 4) of the next frame, if that is the first one that shows enough."""
-        self.odometry.begin_at(T_map_camera)
 
     def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> CameraEstimate:
         """Restart odometry at a frame that shows nothing known, at a given pose (4, 4); return T_map_camera."""
@@ -248,19 +251,6 @@ class FusedCamera:
             return False
         self.unknown += 1
         return True
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether enough frames in a row showed nothing known to restart the camera."""
-        return self.unknown >= self._settings.restart_after
-
-    def moved(self, T_new_old: FloatArray) -> None:
-        """Apply a correction (4, 4) of the map by loops, from the left, at the camera."""
-        self._pace.moved(T_new_old)
-
-    def forget_frame(self) -> None:
-        """Forget the matches of the last frame."""
-        self.last_matches = None
 
     def another(self) -> CameraOdometry:
         """Return new odometry of the same camera, without keyframes."""
@@ -285,9 +275,7 @@ def camera_odometry(
     frames are aligned with keyframes only (docs/decisions/0061).
     """
     store, T_map_first = (
-        (None, calibration.T_base_camera)
-        if known is None
-        else (known.store, begin_in(known, calibration, settings.loops.pieces))
+        (None, calibration.T_base_camera) if known is None else (known.store, begin_in(known, calibration))
     )
     if parts.visual_odometry is not None:
         own = (parts.visual_odometry, calibration, settings.features)
@@ -303,14 +291,9 @@ def camera_odometry(
 
 
 class Pace:
-    """Predicts the camera's motion at constant velocity, for when the wheels slip.
+    """Predicts the camera's motion at constant velocity, for when the wheels slip."""
 
-    Args:
-        longest_step_s: over a longer gap the velocity is unknown.
-    """
-
-    def __init__(self, longest_step_s: float) -> None:
-        self.longest_step_s = longest_step_s
+    def __init__(self) -> None:
         self._before: tuple[float, FloatArray] | None = None
         self._last: tuple[float, FloatArray] | None = None
 
@@ -327,13 +310,13 @@ class Pace:
         if self._before is None or self._last is None:
             return None
         seconds, since_s = self._last[0] - self._before[0], stamp_s - self._last[0]
-        if not (0 < seconds <= self.longest_step_s and 0 < since_s <= self.longest_step_s):
+        if not (0 < seconds <= _LONGEST_STEP_S and 0 < since_s <= _LONGEST_STEP_S):
             return None
         return se3.exp(se3.log(se3.invert(self._before[1]) @ self._last[1]) * (since_s / seconds))
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal:
+class FrameRefusal:
     """Why a frame is not aligned.
 
     Attributes:
@@ -348,41 +331,37 @@ class Refusal:
 class FrameGate:
     """Rejects frames that repeat an image, and delays the first frames until wheel readings arrive.
 
-    Args:
-        settings: None for the defaults.
-
     Attributes:
         has_wheels: whether any wheel reading has arrived.
     """
 
-    def __init__(self, settings: FrameGateSettings | None = None) -> None:
-        self.settings = settings or FrameGateSettings()
+    def __init__(self) -> None:
         self.has_wheels = False
         self._first_s = math.inf
         self._repeats = Repeats()
 
-    def why_not(self, frame: RgbdFrame, T_last_frame: FloatArray | None = None) -> Refusal | None:
+    def why_not(self, frame: RgbdFrame, T_last_frame: FloatArray | None = None) -> FrameRefusal | None:
         """Return why a frame is rejected, or None.
 
         Args:
             frame: to check.
             T_last_frame: (4, 4) motion of the camera since the last tracked frame, by the wheels.
         """
-        lasting_s, hangs_s = self._repeats.lasting_s(frame), self.settings.hangs_s
+        lasting_s = self._repeats.lasting_s(frame)
         if lasting_s == 0:
             return None
         if T_last_frame is not None:
             way_m, turn_rad = np.linalg.norm(T_last_frame[:3, 3]), so3.angle(T_last_frame[:3, :3])
-            if not (way_m > self.settings.moved_m or turn_rad > self.settings.moved_rad):
+            if not (way_m > _MOVED_M or turn_rad > _MOVED_RAD):
                 return None  # the robot stands: a camera without noise repeats its image
-        if lasting_s <= hangs_s:
-            return Refusal("the same image as before", is_repeat=True)
-        return Refusal(f"the camera hangs: the same image for over {hangs_s:g} s")
+        if lasting_s <= _HANGS_S:
+            return FrameRefusal("the same image as before", is_repeat=True)
+        return FrameRefusal(f"the camera hangs: the same image for over {_HANGS_S:g} s")
 
     def waits_for_wheels(self, frame: RgbdFrame) -> bool:
         """Whether a frame is too early to go without wheel readings."""
         self._first_s = min(self._first_s, frame.stamp_s)
-        return not self.has_wheels and frame.stamp_s - self._first_s < self.settings.wait_s
+        return not self.has_wheels and frame.stamp_s - self._first_s < _WAIT_S
 
 
 _COLORED_EVERY = 3  # one fused frame in this many gives colour, for display only, which takes time to load; chosen

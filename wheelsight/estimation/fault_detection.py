@@ -31,11 +31,11 @@ from wheelsight.core.estimates import STEP_BEGIN, Reason
 from wheelsight.core.geometry import FloatArray, IntArray
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.geometry.chi_square import quantile as _quantile
-from wheelsight.core.settings.fusion import FilterParameters
 from wheelsight.estimation.filter_kernels import leap_kernel, speed_kernel
 from wheelsight.estimation.pose_belief import (
     IN_PLANE,
     LAG,
+    FilterParameters,
     Innovation,
     Odometer,
     PoseBelief,
@@ -47,6 +47,8 @@ from wheelsight.estimation.pose_belief import (
 )
 
 _YAW = 2
+# At which the other hypothesis lies, so that its own error, too, has room within three.
+COVERED_SIGMAS = 2.5
 
 
 class Fault(Enum):
@@ -144,7 +146,7 @@ class FaultDetection:
         if self.alternative is None:
             return self.primary
         if self.fault is Fault.VISION:
-            return covering(self.primary, self.alternative, self.since_s, settings.covered_sigmas)
+            return covering(self.primary, self.alternative, self.since_s, COVERED_SIGMAS)
         return mixed(self.primary, self.alternative, self.alternative_probability)
 
     def likelier(self, settings: FilterParameters) -> PoseBelief:
@@ -155,7 +157,7 @@ class FaultDetection:
         if self.alternative is None:
             return self.primary
         first, second = (self.alternative, self.primary) if self.log_ratio > 0 else (self.primary, self.alternative)
-        return covering(first, second, self.since_s, settings.covered_sigmas).vision_accepted()
+        return covering(first, second, self.since_s, COVERED_SIGMAS).vision_accepted()
 
 
 def gate(settings: FilterParameters, degrees: int) -> float:
@@ -297,7 +299,7 @@ def _settled(detection: FaultDetection, stamp_s: float, settings: FilterParamete
         camera = detection.alternative
         if detection.fault is Fault.VISION:
             # A camera that fails for long looks the same, so the estimate has to cover the other hypothesis.
-            camera = covering(camera, detection.primary, detection.since_s, settings.covered_sigmas).vision_accepted()
+            camera = covering(camera, detection.primary, detection.since_s, COVERED_SIGMAS).vision_accepted()
         return changed(_with_fault(detection, Fault.WHEEL_SLIP, stamp_s), primary=camera, log_ratio=0.0)
     if detection.log_ratio < -settings.decision_nats:
         return changed(

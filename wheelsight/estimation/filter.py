@@ -14,6 +14,11 @@ relative motions against these.
 
 Events may arrive late and in any order, within a window (`History`). The filter then repeats what followed, so that the
 result is that of the events in order. The same events give the same estimates bit for bit.
+
+A gyroscope may give a thousand readings per second, while steps of the wheels take a fiftieth of a second. Its readings
+are integrated up to the end of such a step, or up to a frame. The mean rate is one measurement, of the twist over the
+same time as that of the wheels. Single readings would each be tested, and some of a thousand always fail a gate. They
+would also count as if the wheels had independent errors each time.
 """
 
 from __future__ import annotations
@@ -21,8 +26,10 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Generic, Protocol, TypeVar
+from operator import attrgetter
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,6 +38,7 @@ from wheelsight.core.calibration_parts import Gyro
 from wheelsight.core.checks import need_number
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.estimates import (
+    STEP_BEGIN,
     FrameUpdate,
     FusedEstimate,
     MotionEstimate,
@@ -41,13 +49,17 @@ from wheelsight.core.estimates import (
 )
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
-from wheelsight.core.settings.fusion import ErrorStateSettings, FilterParameters
+from wheelsight.core.settings.fusion import ErrorStateSettings
+from wheelsight.estimation import fault_detection as faults
 from wheelsight.estimation.fault_detection import Fault, FaultDetection
 from wheelsight.estimation.filter_kernels import answered
-from wheelsight.estimation.filter_state import FilterEvent, FusionState, after, moved_to
 from wheelsight.estimation.pose_belief import (
+    ERRORS,
+    FilterParameters,
     Mount,
     PoseBelief,
+    Preintegration,
+    RelativePose,
     WheelStep,
     changed,
     covariance_of,
@@ -62,6 +74,7 @@ from wheelsight.estimation.pose_belief import (
 FRAME, REFERENCE, _IMAGED = "frame", "reference", "imaged"
 # Number of remembered poses other than keyframes: these, and the begin of a step.
 _OTHERS = 4
+_SAME_S = 1e-6  # rounding of computed stamps
 
 
 class ErrorStateFilter:
@@ -75,8 +88,8 @@ class ErrorStateFilter:
         T_base_camera: (4, 4), or None without a camera.
         T_odom_base: (4, 4) at the first event; None for the identity, in a frame `odom` with z up.
         covariance: (6, 6) of its left perturbation; None for zero.
-        settings: of the filter; None for the defaults.
-        gyro: noise of the gyroscope; None for the defaults of `Gyro`.
+        settings: of the filter, or all its parameters; None for the defaults.
+        gyro: noise of the gyroscope; None for the defaults of `Gyro`, or those of the parameters.
 
     Raises:
         ConfigError: an invalid motion or covariance.
@@ -88,26 +101,27 @@ class ErrorStateFilter:
         T_base_camera: ArrayLike | None = None,
         T_odom_base: ArrayLike | None = None,
         covariance: ArrayLike | None = None,
-        settings: ErrorStateSettings | None = None,
+        settings: ErrorStateSettings | FilterParameters | None = None,
         gyro: Gyro | None = None,
     ) -> None:
-        self.settings = settings or ErrorStateSettings()
-        self.gyro = gyro or Gyro()
-        self._parameters = FilterParameters.of(self.settings, self.gyro)
+        if not isinstance(settings, FilterParameters):
+            settings = FilterParameters.of(settings, gyro)
+        self.parameters = settings
         begin = np.eye(4) if T_odom_base is None else motion_of(T_odom_base)
         spread = np.zeros((6, 6)) if covariance is None else covariance_of(covariance, 6)
         T_base_camera = np.eye(4) if T_base_camera is None else motion_of(T_base_camera)
         if begin is None or spread is None or T_base_camera is None:
             raise ConfigError("the start pose, its covariance or T_base_camera is invalid", fix="(4, 4) and (6, 6)")
         self._mount = Mount(T_base_camera)
-        state = FusionState(FaultDetection(PoseBelief.begin(begin, spread, self._parameters)))
-        self._history: History[FilterEvent, FusionState] = History(state, self._parameters.window_s, self._after)
+        state = FusionState(FaultDetection(PoseBelief.begin(begin, spread, self.parameters)))
+        self._history: History[FilterEvent, FusionState] = History(state, self.parameters.window_s, self._after)
         self._waiting: MotionStep | None = None  # wheel step that is too short for a velocity
         self._kept: list[str] = []  # names of keyframes whose motions are not settled
         self._kept_ever = 0
-        self._reading_stamps_s: deque[float] = deque(maxlen=self._parameters.rate_readings)
+        self._reading_stamps_s: deque[float] = deque(maxlen=self.parameters.rate_readings)
         # The state of the last prediction, and that prediction: the predicted frame usually follows.
         self._moved: tuple[FusionState, FusionState] | None = None
+        self._current: _Current | None = None
 
     @property
     def state(self) -> FusionState:
@@ -116,7 +130,7 @@ class ErrorStateFilter:
 
     def begun_at(self, T_odom_base: ArrayLike, covariance: ArrayLike) -> ErrorStateFilter:
         """Return a new filter of the same sensors that starts at a pose. Raises ConfigError."""
-        return ErrorStateFilter(self._mount.T_base_camera, T_odom_base, covariance, self.settings, self.gyro)
+        return ErrorStateFilter(self._mount.T_base_camera, T_odom_base, covariance, self.parameters)
 
     def predict(self, stamp_s: float, T_prev_now: ArrayLike, covariance: ArrayLike, begin_s: float) -> FusedEstimate:
         """Predict by a step of the wheels, from `begin_s` to `stamp_s`.
@@ -156,8 +170,8 @@ class ErrorStateFilter:
             return self._take(FilterEvent(wheels.stamp_s, drop=""))
         self._waiting = None
         xi, spread = motions.log(step.T_before_now), step.covariance
-        if step.end_s - step.begin_s > self.settings.even_s:
-            spread = spread + of_unknown_path(xi, self.settings.swing_rad)
+        if step.end_s - step.begin_s > self.parameters.even_s:
+            spread = spread + of_unknown_path(xi, self.parameters.swing_rad)
         return self._take(FilterEvent(step.end_s, wheels=WheelStep(step.begin_s, step.end_s, xi, spread)))
 
     def clone(self, stamp_s: float, name: str, covariance: ArrayLike | None = None) -> FusedEstimate:
@@ -251,9 +265,9 @@ class ErrorStateFilter:
         the motions lie between both hypotheses.
         """
         detection = self._history.newest.detection
-        if detection.alternative is not None and len(self._kept) + _OTHERS < self.settings.max_clones:
+        if detection.alternative is not None and len(self._kept) + _OTHERS < self.parameters.max_clones:
             return None
-        belief, at = detection.answer(self._parameters), self._mount.T_base_camera
+        belief, at = detection.answer(self.parameters), self._mount.T_base_camera
         found = [belief.between(*ends, at) for ends in pairwise(self._kept)]
         for name in self._kept[:-1]:
             self.drop(self.estimate.stamp_s, name)
@@ -306,18 +320,18 @@ class ErrorStateFilter:
         """
         if not np.isfinite(need_number("yaw_rate_rad_s", yaw_rate_rad_s)):
             return self._refused(Reason.INVALID)
-        return self._take(FilterEvent(stamp_s, yaw_rate_rad_s=float(yaw_rate_rad_s) - self._parameters.gyro.bias_rad_s))
+        return self._take(FilterEvent(stamp_s, yaw_rate_rad_s=float(yaw_rate_rad_s) - self.parameters.gyro.bias_rad_s))
 
     def update_gyro_bias(self, stamp_s: float, bias_rad_s: float, sigma_rad_s: float) -> FusedEstimate:
         """Update by an external estimate of the gyroscope's bias, and its standard deviation.
 
         That estimate started from the prior of the settings, which must not count twice: its information is removed.
         """
-        prior, variance = self._parameters.gyro.bias_sigma_rad_s**2, sigma_rad_s**2
+        prior, variance = self.parameters.gyro.bias_sigma_rad_s**2, sigma_rad_s**2
         if not (np.isfinite(bias_rad_s) and 0 < variance < prior):
             return self._refused(Reason.INVALID)
         more = prior / (prior - variance)
-        bias = (more * (bias_rad_s - self._parameters.gyro.bias_rad_s), more * variance)
+        bias = (more * (bias_rad_s - self.parameters.gyro.bias_rad_s), more * variance)
         return self._take(FilterEvent(stamp_s, gyro_bias=bias))
 
     def remembered(self, name: str) -> FloatArray | None:
@@ -325,14 +339,22 @@ class ErrorStateFilter:
 
         The time of the pose is when the image with that stamp was taken, by the estimated delay of stamps.
         """
-        belief = self._history.newest.detection.answer(self._parameters)
-        return belief.T[belief.reference(name)].copy() if name in belief.names else None
+        belief = self._now().belief
+        place = belief.place_of(name)
+        return belief.T[place].copy() if place else None
 
     @property
     def estimate(self) -> FusedEstimate:
         """Estimate after the newest event."""
         newest = self._history.newest
         return self._answer(newest.reason, newest.detection.nis)
+
+    def _now(self) -> _Current:
+        """Return the belief and the pose after the newest event."""
+        current, newest = self._current, self._history.newest
+        if current is None or current.state is not newest:
+            self._current = current = _Current.of(newest, self.parameters)
+        return current
 
     def expect(self, stamp_s: float, name: str) -> tuple[FloatArray, FloatArray] | None:
         """Return the predicted T_reference_current (4, 4) of the camera, and its covariance (6, 6).
@@ -343,35 +365,36 @@ class ErrorStateFilter:
         if not np.isfinite(stamp_s):
             return None
         known = self._history.known_at(stamp_s)
-        if name not in known.detection.primary.names:
+        if not known.detection.primary.place_of(name):
             return None
         late = known.stamp_s is not None and stamp_s < known.stamp_s
-        then = known if late else moved_to(known, stamp_s, self._history.events, self._parameters)
+        then = known if late else moved_to(known, stamp_s, self._history.events, self.parameters)
         self._moved = known, then
-        return then.detection.answer(self._parameters).seen_from(name, self._mount.T_base_camera)
+        return then.detection.answer(self.parameters).seen_from(name, self._mount.T_base_camera)
 
     def _after(self, state: FusionState, event: FilterEvent, events: Sequence[FilterEvent]) -> FusionState:
         if self._moved is not None and self._moved[0] is state and self._moved[1].stamp_s == event.stamp_s:
             state = self._moved[1]
         try:
-            then = after(state, event, events, self._parameters)
+            then = after(state, event, events, self.parameters)
         except np.linalg.LinAlgError:
-            return _diverged(state, event, self._parameters)
-        detection = then.detection
-        beliefs = (detection.primary,) if detection.alternative is None else (detection.primary, detection.alternative)
-        is_finite = all(bool(np.isfinite(b.T).all() and np.isfinite(b.covariance).all()) for b in beliefs)
-        return then if is_finite else _diverged(state, event, self._parameters)
+            return _diverged(state, event, self.parameters)
+        for belief in (then.detection.primary, then.detection.alternative):
+            if belief is not None and not (np.isfinite(belief.T).all() and np.isfinite(belief.covariance).all()):
+                return _diverged(state, event, self.parameters)
+        return then
 
     def _take(
         self, event: FilterEvent, motion: MotionEstimate | None = None, reason: Reason | None = None
     ) -> FusedEstimate:
-        if not np.isfinite(need_number("stamp_s", event.stamp_s)):
+        stamp_s = event.stamp_s
+        if not np.isfinite(stamp_s if type(stamp_s) is float else need_number("stamp_s", stamp_s)):
             return self._refused(Reason.INVALID)
-        if self._history.is_too_late(event):
-            return self._refused(Reason.TOO_LATE)
         if event.wheels is not None:
             self._moved = None  # the step may cover that time
         state = self._history.take(event)
+        if state is None:
+            return self._refused(Reason.TOO_LATE)
         counts = (0, 0) if motion is None else (motion.matches, motion.inliers)
         return self._answer(reason or state.reason, state.detection.nis, counts)
 
@@ -382,23 +405,50 @@ class ErrorStateFilter:
         self, reason: Reason | None, nis: tuple[float, int] | None, counts: tuple[int, int] = (0, 0)
     ) -> FusedEstimate:
         """Return the estimate after the newest event, with reason, NIS and counts of the current one."""
-        state, s = self._history.newest, self._parameters
+        state = self._history.newest
         if state.stamp_s is None:
             return FusedEstimate(-np.inf, Status.INITIALIZING, reason=reason, body="base")
-        detection = state.detection
-        turns_off = state.stamp_s - detection.turn_slip_s <= s.coast_after_s
-        flags = (
-            detection.fault is Fault.WHEEL_SLIP or turns_off,
-            state.is_degenerate,
-            detection.fault is Fault.UNDECIDED,
-        )
-        belief = detection.answer(self._parameters)
+        now = self._now()
+        if now.status is Status.LOST:
+            return FusedEstimate(state.stamp_s, Status.LOST, None, None, reason, "base", *counts, *now.flags, nis=nis)
+        pose = (now.T, now.covariance, reason, "base", *counts)
+        errors = now.belief.rest[ERRORS].copy()
+        return FusedEstimate(state.stamp_s, now.status, *pose, *now.flags, *now.twist, nis=nis, wheel_errors=errors)
+
+
+class _Current(NamedTuple):
+    """Parts of the estimate after a state: pose (4, 4), covariance (6, 6), twist with its covariance, and flags.
+
+    The pose is that of `belief`, which covers all hypotheses. The flags are slip, degenerate and doubtful.
+    """
+
+    state: FusionState
+    belief: PoseBelief
+    status: Status
+    T: FloatArray
+    covariance: FloatArray
+    twist: tuple[FloatArray, FloatArray]
+    flags: tuple[bool, bool, bool]
+
+    @classmethod
+    def of(cls, state: FusionState, settings: FilterParameters) -> _Current:
+        detection, s = state.detection, settings
+        belief = detection.primary if detection.alternative is None else detection.answer(s)
         T, C, *moving = answered(belief.T, belief.rest, belief.covariance, s.clock_sigma_s)
-        status = Status.TRACKING if state.stamp_s - state.vision_s <= s.coast_after_s else Status.COASTING
-        if state.is_lost or (status is Status.TRACKING and not _is_known(T, C, s)):
-            return FusedEstimate(state.stamp_s, Status.LOST, None, None, reason, "base", *counts, *flags, nis=nis)
-        pose, twist = (T, C, reason, "base", *counts), (moving[0], moving[1])
-        return FusedEstimate(state.stamp_s, status, *pose, *flags, *twist, nis=nis, wheel_errors=belief.wheel_errors)
+        stamp_s = -np.inf if state.stamp_s is None else state.stamp_s
+        turns_off = stamp_s - detection.turn_slip_s <= s.coast_after_s
+        slips = detection.fault is Fault.WHEEL_SLIP or turns_off
+        status = Status.TRACKING if stamp_s - state.vision_s <= s.coast_after_s else Status.COASTING
+        if status is Status.TRACKING:
+            # Whether the covariance is within the limits of a known pose.
+            x, y, z = T[:3, 3]
+            J = np.array([[1.0, 0, 0, 0, z, -y], [0, 1.0, 0, -z, 0, x], [0, 0, 1.0, y, -x, 0]])
+            of_position, of_rotation = np.einsum("ij,jk,ik->i", J, C, J), np.diag(C)[3:]
+            most_rad2, most_m2 = s.largest_sigma_rad**2, s.largest_sigma_m**2
+            status = status if (of_rotation < most_rad2).all() and (of_position < most_m2).all() else Status.LOST
+        status = Status.LOST if state.is_lost else status
+        flags = (slips, state.is_degenerate, detection.fault is Fault.UNDECIDED)
+        return cls(state, belief, status, T, C, (moving[0], moving[1]), flags)
 
 
 def _diverged(before: FusionState, event: FilterEvent, settings: FilterParameters) -> FusionState:
@@ -409,11 +459,292 @@ def _diverged(before: FusionState, event: FilterEvent, settings: FilterParameter
     return changed(before, detection=scattered, stamp_s=stamp_s, is_lost=True, reason=Reason.INVALID)
 
 
-def _is_known(T: FloatArray, covariance: FloatArray, settings: ErrorStateSettings) -> bool:
-    """Whether the covariance (6, 6) of a pose's left perturbation is within the limits of a known pose."""
-    of_position, of_rotation = np.diag(se3.position_covariance(T, covariance)), np.diag(covariance)[3:]
-    most_rad2, most_m2 = settings.largest_sigma_rad**2, settings.largest_sigma_m**2
-    return bool((of_rotation < most_rad2).all() and (of_position < most_m2).all())
+@dataclass(frozen=True, eq=False)
+class FusionState:
+    """State of the filter after an event.
+
+    Attributes:
+        detection: fault detection, with the hypotheses.
+        stamp_s: of the event; None before any.
+        measured_s: end of the last wheel step, or stamp of the last camera measurement.
+        vision_s: stamp of the last accepted camera measurement.
+        is_lost: no sensor has measured for too long, and no measurement has been accepted since.
+        is_degenerate: the last measurement did not show all directions.
+        reason: why the event was rejected, or None.
+    """
+
+    detection: FaultDetection
+    stamp_s: float | None = None
+    measured_s: float = -np.inf
+    vision_s: float = -np.inf
+    is_lost: bool = False
+    is_degenerate: bool = False
+    reason: Reason | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilterEvent:
+    """An event. The one field that is not None gives its kind; a measurement may have `clone` as well.
+
+    Attributes:
+        stamp_s: time of the event.
+        wheels: step of the wheels that ends then.
+        yaw_rate_rad_s: of a gyroscope.
+        measurement: of the camera.
+        failure: why the camera has no measurement.
+        position: x, y (2,) in the map, and covariance (2, 2).
+        gyro_bias: bias of the gyroscope relative to the calibration's, and its variance.
+        clone: name by which to remember the pose.
+        drop: name of a pose to forget.
+        spread: (6, 6) error of the camera's pose at `clone`.
+    """
+
+    stamp_s: float
+    wheels: WheelStep | None = None
+    yaw_rate_rad_s: float | None = None
+    measurement: RelativePose | None = None
+    failure: Reason | None = None
+    position: tuple[FloatArray, FloatArray] | None = None
+    gyro_bias: tuple[float, float] | None = None
+    clone: str | None = None
+    drop: str | None = None
+    spread: FloatArray | None = None
+
+    @property
+    def rank(self) -> int:
+        """Order at equal stamps: measurements before changes of remembered poses."""
+        kinds = (self.wheels, self.gyro_bias, self.yaw_rate_rad_s, self.measurement, self.failure, self.position)
+        for rank, kind in enumerate(kinds):
+            if kind is not None:
+                return rank
+        return len(kinds) if self.drop is not None else len(kinds) + 1
+
+    @property
+    def since_s(self) -> float:
+        """Stamp from which on it changes states: the begin of a wheel step."""
+        return self.stamp_s if self.wheels is None else self.wheels.begin_s
+
+
+def after(
+    state: FusionState, event: FilterEvent, events: Sequence[FilterEvent], settings: FilterParameters
+) -> FusionState:
+    """Return the state after an event: predict to its stamp, then update. `events` are all that are known."""
+    if event.yaw_rate_rad_s is not None:
+        return _add_yaw_rate(state, event.yaw_rate_rad_s, event.stamp_s, events, settings)
+    now = state if state.stamp_s == event.stamp_s else moved_to(state, event.stamp_s, events, settings)
+    detection = now.detection
+    if detection.gyro_s is not None:
+        detection = _update_turn_until(detection, detection.gyro_s, event.stamp_s, settings)
+    if detection.fault in (Fault.UNDECIDED, Fault.WHEEL_SLIP):
+        detection = faults.end_undecided(detection, event.stamp_s, settings)
+    now = changed(now, detection=detection if detection.nis is None else changed(detection, nis=None), reason=None)
+    if event.measurement is not None:
+        now = _update_relative(now, event.measurement, event.stamp_s, settings)
+    if event.failure is not None:
+        now = changed(now, detection=faults.vision_failed(now.detection, event.stamp_s, settings), reason=event.failure)
+    if event.gyro_bias is not None:
+        bias = event.gyro_bias
+        return changed(now, detection=_each(now.detection, lambda belief: belief.corrected(belief.gyro_bias(*bias))))
+    if event.position is not None:
+        return _update_position(now, *event.position, settings)
+    if event.clone is not None:
+        return changed(now, detection=_remember(now.detection, event.clone, event.stamp_s, event.spread, settings))
+    if event.drop is not None:
+        name = event.drop
+        return changed(now, detection=_each(now.detection, lambda belief: belief.dropped(name)))
+    return now
+
+
+def moved_to(
+    state: FusionState, stamp_s: float, events: Sequence[FilterEvent], settings: FilterParameters
+) -> FusionState:
+    """Predict the state at a stamp: by the wheel steps among all known events, else at constant twist."""
+    detection, measured_s, begin_s, is_lost = state.detection, state.measured_s, state.stamp_s, state.is_lost
+    if begin_s is None:
+        begin_s = measured_s = min([stamp_s, *[event.wheels.begin_s for event in events if event.wheels is not None]])
+    covering = [step for step in _steps_after(begin_s, events) if step.begin_s < stamp_s]
+    covering.sort(key=attrgetter("begin_s"))
+    borders = {begin_s, stamp_s}
+    for step in covering:
+        for border in (step.begin_s, step.end_s):
+            if begin_s + _SAME_S < border < stamp_s - _SAME_S:
+                borders.add(border)
+    for start_s, end_s in pairwise(sorted(borders)):
+        covers = None
+        for one in covering:
+            if one.begin_s <= start_s + _SAME_S and end_s <= one.end_s + _SAME_S:
+                covers = one
+                break
+        # Once the base is lost, it keeps its pose: an old twist would carry it anywhere.
+        until_s = end_s if covers is not None else max(start_s, min(end_s, measured_s + settings.lost_after_s))
+        detection = _predict(detection, covers, start_s, until_s, settings)
+        measured_s = measured_s if covers is None else end_s
+        if not is_lost and end_s - measured_s > settings.lost_after_s:
+            detection, is_lost = _each(detection, lambda belief: belief.scattered(settings)), True
+    return changed(state, detection=detection, stamp_s=stamp_s, measured_s=measured_s, is_lost=is_lost)
+
+
+def _steps_after(stamp_s: float, events: Sequence[FilterEvent]) -> list[WheelStep]:
+    """Return the wheel steps that end after a stamp. Events are in the order of their stamps."""
+    found: list[WheelStep] = []
+    for event in reversed(events):
+        if event.stamp_s <= stamp_s:
+            break
+        if event.wheels is not None:
+            found.append(event.wheels)
+    found.reverse()
+    return found
+
+
+def _predict(
+    detection: FaultDetection, step: WheelStep | None, start_s: float, end_s: float, settings: FilterParameters
+) -> FaultDetection:
+    """Predict all hypotheses over an interval: by a share of a wheel step, or at constant twist."""
+    primary, alternative, seconds = detection.primary, detection.alternative, end_s - start_s
+    if step is None:
+        primary = primary.coasted(seconds, settings)
+        alternative = None if alternative is None else alternative.coasted(seconds, settings)
+        return changed(detection, primary=primary, alternative=alternative)
+    share = seconds / (step.end_s - step.begin_s)
+    odometer = detection.odometer.moved_by_wheels(step, share)
+    step = WheelStep(step.begin_s, step.end_s, step.xi, step.covariance * detection.noise.ratio)
+    primary = primary.moved_by_wheels(step, share, settings, detection.fault is Fault.WHEEL_SLIP)
+    alternative = None if alternative is None else alternative.moved_by_wheels(step, share, settings, True)
+    return changed(detection, primary=primary, alternative=alternative, odometer=odometer)
+
+
+def _update_relative(
+    state: FusionState, measurement: RelativePose, stamp_s: float, settings: FilterParameters
+) -> FusionState:
+    """Update by a camera measurement."""
+    if not state.detection.primary.place_of(measurement.name):
+        return changed(state, reason=Reason.UNKNOWN_REFERENCE)
+    is_degenerate = len(measurement.covariance) < 6
+    detection, reason = faults.updated(state.detection, stamp_s, measurement, settings)
+    now = changed(state, detection=detection, reason=reason, is_degenerate=is_degenerate, measured_s=stamp_s)
+    return now if reason is not None else changed(now, vision_s=stamp_s, is_lost=False)
+
+
+def _update_position(
+    state: FusionState, xy: FloatArray, covariance: FloatArray, settings: FilterParameters
+) -> FusionState:
+    """Update by a position (2,) in the map. It also changes the odds of the hypotheses."""
+    detection = state.detection
+    by = detection.primary.position(xy, covariance)
+    of_alternative = None if detection.alternative is None else detection.alternative.position(xy, covariance)
+    most, detection = faults.gate(settings, 2), changed(detection, nis=(by.nis, 2))
+    if by.nis > most and (of_alternative is None or of_alternative.nis > most):
+        return changed(state, detection=detection, reason=Reason.OUTLIER)
+    if detection.alternative is not None and of_alternative is not None:
+        cap = settings.leap_chi2_cap
+        log_ratio = detection.log_ratio + (min(by.nis, cap) - min(of_alternative.nis, cap)) / 2
+        alternative = (
+            detection.alternative.corrected(of_alternative) if of_alternative.nis <= most else detection.alternative
+        )
+        detection = changed(detection, alternative=alternative, log_ratio=log_ratio)
+    belief = detection.primary.corrected(by) if by.nis <= most else detection.primary
+    return changed(state, detection=changed(detection, primary=belief))
+
+
+def _remember(
+    detection: FaultDetection, name: str, stamp_s: float, spread: FloatArray | None, settings: FilterParameters
+) -> FaultDetection:
+    """Remember the current pose. If the camera measures against it, preintegration of the wheels restarts here."""
+    last, preintegration = detection.last, detection.preintegration
+    measurement = None if last is None or last.measurement.name != name else last.measurement
+    is_known = detection.primary.place_of(name) > 0
+    begins = measurement is not None or preintegration is None or preintegration.name == name
+    if begins and name != STEP_BEGIN:
+        is_current = last is not None and last.stamp_s == stamp_s and detection.agreed > 0
+        is_sound = is_known and detection.fault is Fault.NONE
+        noise, is_of_start = detection.noise, preintegration is not None and preintegration.name == name
+        if measurement is not None and preintegration is not None and is_of_start and is_current and is_sound:
+            # A measurement against the start of the preintegration updates the wheels' noise.
+            rolled = detection.odometer.since(preintegration.begin)
+            if preintegration.is_covered(rolled, stamp_s, settings.wheel_noise_covered_share):
+                noise = noise.after(preintegration, rolled, measurement, detection.primary, settings)
+        begin = Preintegration.of(name, stamp_s, detection.odometer, spread, detection.primary)
+        detection = changed(detection, noise=noise, preintegration=begin)
+    given, alternative = (name, stamp_s, settings.max_clones, spread), detection.alternative
+    alternative = None if alternative is None else alternative.cloned(*given)
+    return changed(detection, primary=detection.primary.cloned(*given), alternative=alternative)
+
+
+def _add_yaw_rate(
+    state: FusionState, rate_rad_s: float, stamp_s: float, events: Sequence[FilterEvent], settings: FilterParameters
+) -> FusionState:
+    """Add a reading of the gyroscope, the mean rate since the one before.
+
+    The part before the state's stamp updates the state. The rest is integrated until the wheels cover that time, and
+    the state keeps its stamp.
+    """
+    detection, before_s = changed(state.detection, nis=None), state.detection.gyro_s
+    state = changed(state, reason=None)
+    if before_s is None or not 0 < stamp_s - before_s <= settings.coast_after_s:
+        detection = changed(detection, gyro_s=stamp_s, gyro_rad=0.0, gyro_sum_s=0.0)
+        added = changed(state, detection=detection)
+        return added if state.stamp_s is not None else moved_to(added, stamp_s, events, settings)
+    if state.stamp_s is not None and before_s < state.stamp_s <= stamp_s:
+        detection = _update_turn(_integrate(detection, rate_rad_s, state.stamp_s), state.stamp_s, settings)
+    detection = detection if detection.gyro_s == stamp_s else _integrate(detection, rate_rad_s, stamp_s)
+    added = changed(state, detection=detection)
+    if detection.gyro_sum_s < settings.gyro_mean_s - _SAME_S:
+        return added
+    if any(step.begin_s < stamp_s for step in _steps_after(stamp_s, events)):  # a wheel step covers the stamp
+        return added
+    now = moved_to(added, stamp_s, events, settings)
+    detection = faults.end_undecided(now.detection, stamp_s, settings)
+    return changed(now, detection=_update_turn(detection, stamp_s, settings))
+
+
+def _integrate(detection: FaultDetection, rate_rad_s: float, stamp_s: float) -> FaultDetection:
+    """Integrate a yaw rate up to a stamp."""
+    assert detection.gyro_s is not None
+    seconds = stamp_s - detection.gyro_s
+    turn_rad = rate_rad_s * seconds
+    odometer = detection.odometer.turned(turn_rad - detection.primary.gyro_bias_rad_s * seconds, seconds)
+    sums = {"gyro_rad": detection.gyro_rad + turn_rad, "gyro_sum_s": detection.gyro_sum_s + seconds}
+    return changed(detection, odometer=odometer, gyro_s=stamp_s, **sums)
+
+
+def _update_turn_until(
+    detection: FaultDetection, gyro_s: float, stamp_s: float, settings: FilterParameters
+) -> FaultDetection:
+    """Update by the gyroscope if its readings up to `gyro_s` cover most of the time up to a stamp, as if all of it."""
+    seconds = stamp_s - gyro_s + detection.gyro_sum_s
+    if not detection.gyro_sum_s > settings.gyro_covered_share * seconds:
+        return detection
+    return changed(_update_turn(detection, stamp_s, settings), gyro_s=stamp_s)
+
+
+def _update_turn(detection: FaultDetection, stamp_s: float, settings: FilterParameters) -> FaultDetection:
+    """Update by the gyroscope's mean rate since the last such update, if there is any."""
+    seconds = detection.gyro_sum_s
+    if not seconds > 0:
+        return detection
+    rate_rad_s, variance = detection.gyro_rad / seconds, settings.gyro.noise_rad_per_sqrt_s**2 / seconds
+    most = faults.gate_of((1 - settings.confidence) * min(seconds / settings.gyro_test_s, 1.0))
+
+    def turned(belief: PoseBelief) -> tuple[PoseBelief, float]:
+        by = belief.yaw_rate(rate_rad_s, variance)
+        if by.nis <= most:
+            return belief.corrected(by).turn_known(), by.nis
+        freed = belief.turn_slipped(settings)
+        return freed.corrected(freed.yaw_rate(rate_rad_s, variance)).turn_known(), by.nis
+
+    belief, nis = turned(detection.primary)
+    alternative = None if detection.alternative is None else turned(detection.alternative)[0]
+    now = changed(detection, primary=belief, alternative=alternative, nis=(nis, 1), gyro_rad=0.0, gyro_sum_s=0.0)
+    return changed(now, turn_slip_s=stamp_s) if nis > most else now
+
+
+def _each(detection: FaultDetection, change: Callable[[PoseBelief], PoseBelief]) -> FaultDetection:
+    """Apply a change to the beliefs of all hypotheses."""
+    return changed(
+        detection,
+        primary=change(detection.primary),
+        alternative=None if detection.alternative is None else change(detection.alternative),
+    )
 
 
 class Dated(Protocol):
@@ -446,49 +777,48 @@ class History(Generic[Event, State]):
         begin: the state before all events.
         window_s: how far `since_s` of an event may be behind the newest event.
         apply: returns the state after an event, from the state before it, the event, and all known events.
+
+    Attributes:
+        newest: state after the last event.
+        events: all known events, in order.
     """
 
     def __init__(self, begin: State, window_s: float, apply: Callable[[State, Event, Sequence[Event]], State]) -> None:
+        self.newest: State = begin
+        self.events: list[Event] = []
         self._begin, self._window_s, self._apply = begin, window_s, apply
-        self._events: list[Event] = []
         self._keys: list[tuple[float, int]] = []
         self._states: list[State] = []
 
     def __len__(self) -> int:
-        return len(self._events)
-
-    @property
-    def newest(self) -> State:
-        """State after the last event."""
-        return self._states[-1] if self._states else self._begin
+        return len(self.events)
 
     def known_at(self, stamp_s: float) -> State:
         """Return the state after the last event up to a stamp; the oldest state for a stamp before the window."""
         place = bisect_right(self._keys, (stamp_s, _LAST_RANK))
         return self._states[place - 1] if place else self._begin
 
-    @property
-    def events(self) -> Sequence[Event]:
-        """All known events, in order."""
-        return self._events
+    def take(self, event: Event) -> State | None:
+        """Add an event; return the state right after it. States that follow are computed again.
 
-    def is_too_late(self, event: Event) -> bool:
-        """Whether the event would change states before the window."""
-        return bool(self._keys) and event.since_s < self._keys[-1][0] - self._window_s
-
-    def take(self, event: Event) -> State:
-        """Add an event that is not too late; return the state right after it. States that follow are computed again."""
+        None if the event would change states before the window; then it has no effect.
+        """
+        since_s = event.since_s
+        if self._keys and since_s < self._keys[-1][0] - self._window_s:
+            return None
         key = (event.stamp_s, event.rank)
         place = bisect_right(self._keys, key)
-        first = min(place, bisect_right(self._keys, (event.since_s, _LAST_RANK)))
+        first = min(place, bisect_right(self._keys, (since_s, _LAST_RANK)))
         self._keys.insert(place, key)
-        self._events.insert(place, event)
+        self.events.insert(place, event)
         del self._states[first:]
-        for again in self._events[first:]:
-            self._states.append(self._apply(self.newest, again, self._events))
-        state = self._states[place]
+        state = self._states[-1] if first else self._begin
+        for again in self.events[first:]:
+            state = self._apply(state, again, self.events)
+            self._states.append(state)
+        self.newest, state = state, self._states[place]
         passed = bisect_left(self._keys, (self._keys[-1][0] - self._window_s, -1))
         if passed:
             self._begin = self._states[passed - 1]
-            del self._keys[:passed], self._events[:passed], self._states[:passed]
+            del self._keys[:passed], self.events[:passed], self._states[:passed]
         return state

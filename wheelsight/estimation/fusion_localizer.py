@@ -1,18 +1,28 @@
 """ByFusion: localization by wheels, gyroscope and camera with the error-state filter.
 
-The wheels predict the pose and the camera corrects it. `BaseSensors` prepares wheels and gyroscope for the filter.
+The wheels predict the pose and the camera corrects it. `ByFusion._decide` alone decides the status, the flags, the
+covariance and the frames of an `Estimate`, from the filter and the evidence of the checks, by the table `DECISIONS`.
+
+`BaseSensors` prepares wheels and gyroscope for the filter. `CameraMap` is the map frame of camera odometry, and its
+pose in odom. `FusedOdom` is the frame `odom`.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
 
 from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.camera_errors import frame_covariance
+from wheelsight.core.camera_errors import frame_covariance, with_frame_error
 from wheelsight.core.clocks import Untimed
 from wheelsight.core.estimates import (
+    DEGENERATE_SCALE,
+    STEP_BEGIN,
     CameraEstimate,
     Estimate,
     FusedEstimate,
@@ -21,24 +31,72 @@ from wheelsight.core.estimates import (
     Status,
     WheelEstimate,
 )
-from wheelsight.core.geometry import FloatArray
+from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
+from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, WheelReading, WheelSpeeds, YawRate
 from wheelsight.estimation.area_localizer import Places, PlaceSense
-from wheelsight.estimation.camera_localizer import CameraOdometry, FusedCamera, MapBuilder, mount_of
-from wheelsight.estimation.camera_map import Anchor, CameraMap, blurred, is_far, strayed
-from wheelsight.estimation.consistency_check import BaseCheck, ReadmissionCheck
+from wheelsight.estimation.camera_localizer import RESTART_AFTER, CameraOdometry, FusedCamera, MapBuilder, mount_of
+from wheelsight.estimation.consistency_check import (
+    DARK_S,
+    BaseCheck,
+    KidnapDetection,
+    PoseEvidence,
+    PoseFinding,
+    ReadmissionCheck,
+    UncertainRestart,
+)
 from wheelsight.estimation.filter import ErrorStateFilter
-from wheelsight.estimation.kidnap_detection import KidnapDetection, UncertainRestart
-from wheelsight.estimation.loop_updates import LoopsBeside, begin_in, loops_beside
+from wheelsight.estimation.loop_updates import InMap, LoopsBeside, begin_in, loops_beside
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
-from wheelsight.estimation.wheel_localizer import ByWheels, FusedOdom
+from wheelsight.estimation.pose_belief import COAST_AFTER_S, FilterParameters
+from wheelsight.estimation.wheel_localizer import ByWheels, OdomFrame, slip_note
 from wheelsight.places import PlaceMatch
 from wheelsight.slam.place_recognition import KnownMap
 from wheelsight.vision.dense import DenseEstimate
 from wheelsight.vision.extrinsics import Culprit
 from wheelsight.vision.features import MatchedPixels
-from wheelsight.wheels import ReadingTimes, WheelSettings
+from wheelsight.wheels import HolonomicOdometry, ReadingTimes, WheelSettings, odometry_of
+
+# Distance from an anchor to the next one; a turn by a radian counts as 1.5 m. Errors of single frames do not add up
+# against a reference that is held for a while.
+_ANCHOR_WAY_M = 0.3
+# Growth of the variance of a frame's systematic error per metre of the camera's way: it adds up as the view changes
+# (freiburg1_desk against motion capture, decision 65).
+_FRAME_WALK_PER_M = 25.0
+_LONGEST_READING_GAP = 256  # stamps kept: frames are hardly ever delayed by more readings
+# Distance between the filter's pose and the camera's in its map, metres, from which on the camera has left its map. A
+# turn by a radian counts as 1.5 m. The wheels err by less in the second or two of a contradiction.
+_LEFT_MAP_M = 0.15
+# After a longer gap without frames, seconds, the camera may be right, and the wheels may have drifted.
+_LONGEST_GAP_S = 0.5
+
+
+class PoseDecision(NamedTuple):
+    """What follows from a finding about a pose that is known in odom.
+
+    Attributes:
+        status: of the estimate; None for that of the sensors that the pose is from.
+        is_doubtful: whether the estimate is marked as doubtful.
+        reason: of an event that has none.
+    """
+
+    status: Status | None = None
+    is_doubtful: bool = False
+    reason: Reason | None = None
+
+
+# In the order in which they apply: the last status counts, and the first reason. Pose and covariance are those of the
+# evidence. Without a finding, the estimate is that of the filter.
+DECISIONS: dict[PoseFinding | InMap, PoseDecision] = {
+    PoseFinding.UNCOMPARED: PoseDecision(),
+    PoseFinding.FLOOR_ELSEWHERE: PoseDecision(),
+    PoseFinding.SENSOR_WRONG: PoseDecision(None, True, Reason.CONTRADICTION),
+    PoseFinding.UNCERTAIN_RESTART: PoseDecision(Status.COASTING, True, Reason.NOT_RECOGNISED),
+    PoseFinding.KIDNAPPED: PoseDecision(Status.COASTING, True, Reason.CONTRADICTION),
+    PoseFinding.CLOCKS_APART: PoseDecision(Status.COASTING),
+    **{in_map: PoseDecision(in_map.value) for in_map in InMap},
+}
 
 
 class ByFusion:
@@ -64,33 +122,30 @@ class ByFusion:
         parts: OwnParts = NO_PARTS,
     ) -> None:
         self.frame = "map" if known is None else "odom"  # with an existing map, odom starts anywhere in it
-        self._settings, of, T_base_camera = settings.fusion.joining, settings.localizer, mount_of(calibration)
+        T_base_camera = mount_of(calibration)
         self._base = BaseSensors(calibration, settings.wheels)
         self.hears: tuple[type[Event], ...] = (*self._base.hears, RgbdFrame, SkippedFrame)
         self._camera = FusedCamera(calibration, settings, T_base_camera, known, parts)
-        begins = None if known is None else begin_in(known, calibration, settings.loops.pieces)
+        begins = None if known is None else begin_in(known, calibration)
         self._map, self._of_frame = CameraMap(T_base_camera, begins), frame_covariance(calibration)
         self._has_prior = known is not None and known.start is not None
         self._places = None if places is None else PlaceSense(places, settings.fusion.areas)
         T_start, spread = (None, None) if self._places is None else self._places.start
-        filter_settings = settings.fusion.error_state.with_wheels(calibration.any_wheels)
-        begin = (T_base_camera, T_start, spread, filter_settings, calibration.gyro)
+        of_robot = FilterParameters.of(settings.fusion.error_state, calibration.gyro, calibration.any_wheels)
+        begin = (T_base_camera, T_start, spread, of_robot)
         self.filter = ErrorStateFilter(*begin)
-        checks = (of.base_check, of.color_check, settings.extrinsics)
-        self._check = BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin), *checks)
-        self._readmission = ReadmissionCheck(
-            lambda: BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin), *checks),
-            self._camera.another,
-            self._settings.restart_after,
-        )
+
+        def new_check() -> BaseCheck:
+            return BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin), settings.extrinsics)
+
+        self._check, self._readmission = new_check(), ReadmissionCheck(new_check, self._camera.another)
         detector = parts.loop_detector
         self.loops = loops_beside(self.odometry.store, calibration, settings, known, waits=waits, detector=detector)
-        self._kidnap, self._restart = KidnapDetection(self._settings), UncertainRestart(self._settings)
-        self._odom = FusedOdom(filter_settings.coast_after_s)
+        self._kidnap, self._restart, self._odom = KidnapDetection(), UncertainRestart(), FusedOdom()
 
     def process(self, event: Event) -> tuple[Estimate | None, str]:
         """Return the estimate after a wheel reading or frame, None for any other event, and a note on the event."""
-        self._camera.forget_frame()
+        self._camera.last_matches = None
         if isinstance(event, YawRate):  # it counts once the gyroscope agrees with the wheels
             counts = self._base.add_yaw_rate(event)
             if self._base.uses_gyro:
@@ -98,147 +153,192 @@ class ByFusion:
             if counts and not self._is_early(event.stamp_s):
                 self._base.update_filter(event, self.filter)
             return None, ""
-        if isinstance(event, WheelReading):
-            answer, note = self._update_wheels(event)
-        else:
-            answer, note = self._update_frame(event)
-        if isinstance(answer, FusedEstimate):
-            answer = self._map.framed(answer)
-        if answer is None:
-            return None, note
-        answer = answer if self.loops is None else self.loops.with_map_status(answer)
-        return self._odom.framed(answer, self.filter, event), note
+        fused, note = self._update_wheels(event) if isinstance(event, WheelReading) else self._update_frame(event)
+        return (self._decide(fused, event) if isinstance(fused, FusedEstimate) else fused), note
 
     def refuse(self, event: Event, why: Untimed) -> tuple[Estimate | None, str]:
         """Return the current estimate for an event with an invalid stamp; None for a yaw rate."""
-        self._camera.forget_frame()
+        self._camera.last_matches = None
         if isinstance(event, YawRate):
             return None, ""
-        if isinstance(event, WheelReading) and why.reason is Reason.CLOCKS_APART:
-            self._base.problem = f"the wheels are not used: {why.note}"
-            self._base.refuse(event)
-        known, reason = self._odom.framed(self._map.framed(self.filter.estimate), self.filter), why.reason
-        if reason is Reason.CLOCKS_APART and known.status is Status.TRACKING:
-            # The base moves unobserved until it is known which clock jumped.
-            return replace(known, reason=reason, status=Status.COASTING), why.note
-        if isinstance(event, RgbdFrame | SkippedFrame) and reason is not Reason.CLOCKS_APART:
-            reason = Reason.FRAME_UNUSABLE
-        return replace(known, reason=reason), why.note
+        if why.reason is Reason.CLOCKS_APART:
+            if isinstance(event, WheelReading):
+                self._base.problem = f"the wheels are not used: {why.note}"
+                self._base.refuse(event)
+            fused = replace(self.filter.estimate, reason=why.reason)
+            return self._decide(fused, None, PoseEvidence(PoseFinding.CLOCKS_APART)), why.note
+        reason = Reason.FRAME_UNUSABLE if isinstance(event, RgbdFrame | SkippedFrame) else why.reason
+        return self._decide(replace(self.filter.estimate, reason=reason), None), why.note
+
+    def _decide(self, fused: FusedEstimate, event: Event | None, *found: PoseEvidence) -> FusedEstimate:
+        """Return the estimate of an event, from the filter's and all evidence, by `DECISIONS`.
+
+        Args:
+            fused: estimate of the filter.
+            event: None if its stamp is invalid.
+            found: evidence beside that of the checks.
+        """
+        sensors = self._check.evidence(fused)
+        by, T, C = fused, fused.T_odom_body, fused.covariance
+        if sensors is not None:
+            by = sensors.by or fused
+            T = by.T_odom_body if sensors.T_odom_base is None else sensors.T_odom_base
+            C = by.covariance if sensors.covariance is None else sensors.covariance
+        restart = kidnap = None
+        if T is not None and C is not None:
+            restart, kidnap = self._restart.evidence(T, C), self._kidnap.evidence(T, C)
+            C = C if kidnap is None or kidnap.covariance is None else kidnap.covariance
+        status, slip, is_doubtful, reason = by.status, by.slip, by.doubtful, fused.reason
+        for evidence in (sensors, restart, kidnap, *found):
+            if evidence is not None:
+                decision = DECISIONS[evidence.finding]
+                status = status if T is None else decision.status or status
+                is_doubtful, reason = is_doubtful or decision.is_doubtful, reason or decision.reason
+                slip = slip and evidence.finding is not PoseFinding.SENSOR_WRONG
+        T_map_filter, covariance_map = self._map.T_map_odom, None
+        if self.loops is not None:
+            in_map, covariance_map = self.loops.evidence(status, T, C, T_map_filter)
+            status = status if T is None else DECISIONS[in_map].status or status
+        keyframe, T_keyframe_base = self._map.keyframe_at(T)
+        odom = self._odom.answered if T is None else self._odom.frame_at(T, self.filter, event)
+        T_map_odom, T_filter_odom = T_map_filter, by.T_filter_odom
+        if odom.has_moved:
+            Ad, T_filter_odom = motions.adjoint(odom.T_odom_filter), odom.T_filter_odom
+            T = None if T is None else motions.times(odom.T_odom_filter, T)
+            C = None if C is None else Ad @ C @ Ad.T
+            T_map_odom = motions.times(np.ascontiguousarray(T_map_filter), T_filter_odom)
+        return replace(
+            by,
+            status=status,
+            T_odom_body=T,
+            covariance=C,
+            reason=reason,
+            slip=slip,
+            doubtful=is_doubtful,
+            covariance_map=covariance_map,
+            keyframe=keyframe,
+            T_keyframe_body=T_keyframe_base,
+            T_map_odom=T_map_odom,
+            T_filter_odom=T_filter_odom,
+        )
 
     def _update_wheels(self, reading: WheelReading) -> tuple[Estimate | None, str]:
         wheels, note = self._base.process(reading)
-        if wheels is not None and self._is_early(wheels.stamp_s):
+        if self._places is not None and self._is_early(wheels.stamp_s):
             return Estimate(wheels.stamp_s, Status.INITIALIZING, body=self.body), note
         self._camera.gate.has_wheels = True
-        if wheels is None:
-            return None, note
-        self._check.add_wheels(wheels)
+        check = self._check
+        if check.by_wheels is not None:
+            check.add_wheels(wheels)
         if wheels.T_odom_body is not None:
             self._kidnap.add_wheels(wheels.stamp_s, wheels.T_odom_body)
-        self._readmission.add_wheels(wheels)
-        if self._excludes(Culprit.CAMERA):
-            return self.filter.estimate, note
-        if self._check.is_without_wheels:
-            return self.filter.drop(wheels.stamp_s, ""), note  # the camera's velocity predicts the pose
-        answer = self.filter.predict_to(wheels)
-        self._base.problem = f"the wheels are not used: {answer.reason}" if answer.reason is Reason.TOO_LATE else ""
-        return self._with_checks(answer), note
+        if self._readmission.check is not None:
+            self._readmission.check.add_wheels(wheels)
+        if check.verdict.left_out is not None:
+            if self._excludes(Culprit.CAMERA):
+                return self.filter.estimate, note
+            if check.is_without_wheels:
+                return self.filter.drop(wheels.stamp_s, ""), note  # the camera's velocity predicts the pose
+        fused = self.filter.predict_to(wheels)
+        self._base.problem = f"the wheels are not used: {fused.reason}" if fused.reason is Reason.TOO_LATE else ""
+        return fused, note
 
     def _update_frame(self, event: RgbdFrame | SkippedFrame) -> tuple[Estimate, str]:
         """Return the estimate after a frame, usable or not, and a note on the frame."""
         if self._places is not None:
             self._places.forget()
-        if self._is_early(event.stamp_s):
-            note = event.reason if isinstance(event, SkippedFrame) else ""
-            return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), note
+            if self._is_early(event.stamp_s):
+                note = event.reason if isinstance(event, SkippedFrame) else ""
+                return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), note
         if isinstance(event, SkippedFrame):
             return self._miss(event.stamp_s), event.reason
-        if self._check.left_out is Culprit.CAMERA:
+        if self._check.verdict.left_out is Culprit.CAMERA:
             return self._without_camera(event), ""
         expected = self.filter.expect_frame(event.stamp_s)
-        why_not = self._camera.gate.why_not(event, expected)
-        if why_not is not None and why_not.is_repeat:
-            return replace(
-                self.filter.estimate, reason=Reason.REPEATED
-            ), why_not.note  # neither measurement nor failure
+        gate = self._camera.gate
+        why_not = gate.why_not(event, expected)
+        if why_not is not None and why_not.is_repeat:  # neither measurement nor failure
+            return replace(self.filter.estimate, reason=Reason.REPEATED), why_not.note
         if why_not is not None:
             return self._miss(event.stamp_s), why_not.note
-        if self._camera.gate.waits_for_wheels(event):
+        if not gate.has_wheels and gate.waits_for_wheels(event):
             return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), ""
-        self._check.add_frame(event)
-        answer = self._track(event, expected)
-        self._camera.set_slip(answer)
+        if self._check.by_wheels is not None:
+            self._check.add_frame(event)
+        fused = self._track(event, expected)
+        self._camera.slips = fused.slip
         if self.loops is not None:
-            self._update_loops(self.loops, event.stamp_s, answer.covariance)
-        return self._with_checks(self._with_area(event, answer)), self._base.problem
+            self._update_loops(self.loops, event.stamp_s, fused.covariance)
+        return (fused if self._places is None else self._with_area(self._places, event, fused)), self._base.problem
 
     def _track(self, frame: RgbdFrame, expected: FloatArray | None) -> FusedEstimate:
         """Align a frame, then update the filter by the camera's motion since the anchor."""
-        self._map.forget_frame()
-        self._apply_loops(frame.stamp_s)
+        self._map.T_map_camera = None
+        if self.loops is not None:
+            self._apply_loops(self.loops, frame.stamp_s)
         if self._has_prior and self._map.anchor is None:  # the prior is of the first event; the robot may have moved
-            self._camera.begin_at(self._map.camera_at(self.filter.when_imaged(frame.stamp_s)))
+            self.odometry.begin_at(self._map.camera_at(self.filter.when_imaged(frame.stamp_s)))
         twist = self._camera.twist(self.filter.estimate)
-        seen = self._camera.process(frame, expected, twist, ask_wheels=not self._check.suspects_wheels)
+        suspected = [one.culprit for one in self._check.verdict.found]
+        seen = self._camera.process(frame, expected, twist, ask_wheels=Culprit.WHEELS not in suspected)
         if seen.T_odom_body is None:
             return self._lose(frame, seen)
         anchor = self._map.anchor
         if anchor is None:
             return self._begin(frame, seen)
-        self._check.add_tracked(frame, seen, shows_all=seen.motion.shows_all)
-        if self._excludes(Culprit.WHEELS):
+        shows_all = seen.motion.shows_all
+        self._check.add_tracked(frame, seen, shows_all=shows_all)
+        if self._check.verdict.left_out is not None and self._excludes(Culprit.WHEELS):
             return self._begin(frame, seen)
         motion = anchor.motion_to(seen.T_odom_body, seen.motion)
         motion = blurred(motion, twist, self._base.noise_s)
-        motion = strayed(motion, self._of_frame, self._settings.frame_walk_per_m)
-        if frame.stamp_s - self._map.seen_s > self._settings.dark_s and not motion.shows_all:
+        motion = strayed(motion, self._of_frame, _FRAME_WALK_PER_M)
+        if not shows_all and frame.stamp_s - self._map.seen_s > DARK_S:
             return self._lose(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         return self._measure(frame, seen, motion)
 
-    def _apply_loops(self, stamp_s: float) -> None:
+    def _apply_loops(self, loops: LoopsBeside, stamp_s: float) -> None:
         """Move keyframes by the loops found so far. The pose in odom does not change."""
-        if self.loops is None:
-            return
-        self._move_map(self.loops.move_keyframes(stamp_s, self._map.keyframe))
-        if self._restart.since is not None and self.loops.tie(self._restart.since):
+        self._move_map(loops.move_keyframes(stamp_s, self._map.keyframe))
+        if self._restart.since is not None and loops.tie(self._restart.since):
             self._restart.relocalized()
-        if self.loops.is_laid:  # not `is_joined`, which no doubtful answer makes true
+        if loops.is_laid:  # not `is_joined`, which no doubtful estimate makes true
             self._kidnap.relocalized()
 
     def _move_map(self, T_new_old: FloatArray | None) -> None:
         """Apply a correction (4, 4), from the left, of the keyframe by which the camera has its pose in the map."""
         if T_new_old is not None:
             self._map.moved(T_new_old)
-            self._camera.moved(T_new_old)
+            self._camera.pace.moved(T_new_old)
             self._check.moved(T_new_old)
 
     def _measure(self, frame: RgbdFrame, seen: CameraEstimate, motion: MotionEstimate) -> FusedEstimate:
         """Update the filter by the motion of a tracked frame since the anchor. Accepted frames extend the map."""
         assert seen.T_odom_body is not None
+        assert motion.T_reference_current is not None
         here = Anchor.at(seen.T_odom_body, seen.motion)
-        update = self.filter.update_frame(
-            frame.stamp_s, motion, here.covariance, is_far=is_far(motion, self._settings.anchor_way_m)
-        )
+        is_far = bool(motions.view_shift_m(motion.T_reference_current) > _ANCHOR_WAY_M)
+        update = self.filter.update_frame(frame.stamp_s, motion, here.covariance, is_far=is_far)
         answer = update.answer
-        if not update.is_believed and self._kidnap.is_in_dark and answer.covariance is not None:
+        agrees = answer.reason is None and not answer.doubtful
+        if not agrees and self._kidnap.is_in_dark and answer.covariance is not None:
             return self._restart_camera(frame, seen, answer)
         self._camera.unknown = 0
         self._kidnap.add_known_view(frame.stamp_s)
-        is_believed = update.is_believed and answer.T_odom_body is not None and answer.status is Status.TRACKING
-        self._map.track(frame.stamp_s, is_believed=is_believed)
-        if is_believed and self._map.is_left(seen.T_odom_body, update.T_odom_base):
+        is_accepted = agrees and answer.T_odom_body is not None and answer.status is Status.TRACKING
+        self._map.track(frame.stamp_s, is_accepted=is_accepted)
+        if is_accepted and self._map.is_left(seen.T_odom_body, update.T_odom_base):
             # The camera jumped: restart it at the pose in its map that the filter has.
             assert update.T_odom_base is not None
             assert answer.covariance is not None
             again = self._camera.restart(frame, self._map.camera_at(update.T_odom_base), answer.covariance)
             return answer if again.T_odom_body is None else self._begin(frame, again)
-        if is_believed:
-            self._map.accept(frame.stamp_s, seen.T_odom_body, update.T_odom_base)
-            self._map.refer(seen)
+        if is_accepted:
+            self._map.accept(frame.stamp_s, seen, update.T_odom_base)
             if self.loops is not None and answer.covariance is not None:
-                against = strayed(seen.motion, self._of_frame, self._settings.frame_walk_per_m)
+                against = strayed(seen.motion, self._of_frame, _FRAME_WALK_PER_M)
                 self.loops.add_tracked(replace(seen, motion=against), self._map.T_odom_map, answer.covariance)
-            self._restart.add_believed(answer, len(self.odometry.store))
+            self._restart.add_accepted(answer, len(self.odometry.store))
             if self.mapper is not None and isinstance(seen, DenseEstimate):
                 self.mapper.fuse_tracked(frame, seen)
         if update.is_reference:
@@ -250,8 +350,7 @@ class ByFusion:
         assert seen.T_odom_body is not None
         self._map.anchor = Anchor.at(seen.T_odom_body, seen.motion)
         update = self.filter.begin_frame(frame.stamp_s, self._map.anchor.covariance)
-        self._map.accept(frame.stamp_s, seen.T_odom_body, update.T_odom_base)
-        self._map.refer(seen)
+        self._map.accept(frame.stamp_s, seen, update.T_odom_base)
         self._kidnap.add_known_view(frame.stamp_s)
         self._check.begin(frame, seen, self._map.T_odom_map)
         reason = reason or update.answer.reason
@@ -268,7 +367,7 @@ class ByFusion:
         if self._camera.miss(seen) and self._camera.unknown == 1 and answer.T_odom_body is not None:
             # The view changed: if the wheels stood meanwhile, the robot may have been moved.
             self._kidnap.add_unknown_view(frame.stamp_s, expected, answer.T_odom_body)
-        is_lost = self._camera.is_lost and not self._kidnap.waits(expected)
+        is_lost = self._camera.unknown >= RESTART_AFTER and not self._kidnap.waits(expected)
         if (restarts or is_lost) and answer.covariance is not None:
             return self._restart_camera(frame, seen, answer)
         return answer
@@ -309,32 +408,27 @@ class ByFusion:
         if motions_there is not None:
             self._move_map(loops.hand_over(motions_there, self._map.keyframe))
 
-    def _without_camera(self, frame: RgbdFrame) -> Estimate:
+    def _without_camera(self, frame: RgbdFrame) -> FusedEstimate:
         """Return the wheels' pose at a frame of a camera that is left out. The frame may still show an area."""
-        self._map.forget_frame()
+        self._map.T_map_camera = None
         is_usable = self._check.by_wheels is None and self._camera.gate.why_not(frame) is None
         if is_usable and self._readmission.agrees(frame):
             self._check.readmit()  # at the next frames the camera restarts at the wheels' pose
         nothing = MotionEstimate.failed(Reason.CONTRADICTION)
-        return self._with_area(frame, self.filter.miss_frame(frame.stamp_s, nothing))
+        fused = self.filter.miss_frame(frame.stamp_s, nothing)
+        return fused if self._places is None else self._with_area(self._places, frame, fused)
 
-    def _miss(self, stamp_s: float) -> Estimate:
+    def _miss(self, stamp_s: float) -> FusedEstimate:
         """Return the estimate at a frame that cannot be aligned."""
         seen = self.odometry.miss(stamp_s)
         nothing = MotionEstimate.failed(Reason.FRAME_UNUSABLE, seen.matches, seen.inliers)
         return self.filter.miss_frame(stamp_s, nothing)
 
-    def _with_area(self, frame: RgbdFrame, answer: FusedEstimate) -> FusedEstimate:
+    def _with_area(self, places: PlaceSense, frame: RgbdFrame, fused: FusedEstimate) -> FusedEstimate:
         """Return the estimate after the area that the frame shows. The camera's map follows the correction."""
-        if self._places is None:
-            return answer
-        placed = self._places.update(frame, answer, self.filter)
+        placed = places.update(frame, fused, self.filter)
         self._map.lay(self.filter.last_frame())
         return placed
-
-    def _with_checks(self, answer: FusedEstimate) -> FusedEstimate:
-        """Return the filter's estimate with the status and covariance that the checks require."""
-        return self._kidnap.apply(self._restart.apply(self._check.apply(answer)))
 
     def _excludes(self, sensor: Culprit) -> bool:
         """Whether a sensor was just found wrong; a filter without it takes over."""
@@ -380,7 +474,8 @@ class ByFusion:
     @property
     def warnings(self) -> tuple[str, ...]:
         """One sentence for each fault of the gyroscope or of the calibration."""
-        return (*self._base.warnings, *self._check.warnings)
+        of_gyro = self._base.warnings if self._base.has_gyro else ()
+        return (*of_gyro, *self._check.verdict.warnings) if self._check.verdict.is_sure else of_gyro
 
     @property
     def last_place(self) -> PlaceMatch | None:
@@ -399,18 +494,14 @@ class BaseSensors:
     """
 
     def __init__(self, calibration: Calibration, settings: WheelSettings) -> None:
-        self._wheels = ByWheels(calibration, settings.model_copy(update={"gyro": False}))
+        self._wheels = odometry_of(calibration, settings.integration)
         self._with_gyro = ByWheels(calibration, settings)
-        assert calibration.any_wheels is not None  # ByWheels has refused it
+        assert calibration.any_wheels is not None  # odometry_of has refused it
         self._times = ReadingTimes(calibration.any_wheels)
-        self.uses_gyro, self._has_gyro, self._was_trusted = settings.gyro, False, False
+        self.hears = self._with_gyro.hears
+        self.uses_gyro, self.has_gyro, self._was_trusted = settings.gyro, False, False
         self.problem = ""
         self._last_s = -math.inf
-
-    @property
-    def hears(self) -> tuple[type[Event], ...]:
-        """Types of the events that it uses."""
-        return self._with_gyro.hears
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -422,13 +513,15 @@ class BaseSensors:
         """Uncertainty of the times of readings, seconds."""
         return self._times.noise_s
 
-    def process(self, reading: WheelReading) -> tuple[WheelEstimate | None, str]:
+    def process(self, reading: WheelReading) -> tuple[WheelEstimate, str]:
         """Return the estimate of the wheels alone, stamped by the time of the motion, and a note on the gyroscope."""
         self._last_s = reading.stamp_s
         if not isinstance(reading, WheelSpeeds):  # speeds have no distances by which to find the time
             reading = replace(reading, stamp_s=self._times.time_of(reading))
-        wheels, note = self._wheels.process(reading)
-        return wheels, self._with_gyro.process(reading)[1] if self._has_gyro else note
+        wheels = self._wheels.process(reading)
+        if self.has_gyro:
+            return wheels, self._with_gyro.process(reading)[1]
+        return wheels, slip_note(self._wheels) if isinstance(self._wheels, HolonomicOdometry) else ""
 
     def refuse(self, reading: WheelReading) -> None:
         """Take a reading whose stamp is far from all others, as after a jump of its clock or a long gap."""
@@ -440,7 +533,7 @@ class BaseSensors:
     def add_yaw_rate(self, rate: YawRate) -> bool:
         """Add a yaw rate; return whether the filter may use it: the gyroscope is enabled and agrees with the wheels."""
         if self.uses_gyro:
-            self._has_gyro = True
+            self.has_gyro = True
             self._with_gyro.process(rate)
         return self.uses_gyro and self._with_gyro.trusts_gyro
 
@@ -455,3 +548,210 @@ class BaseSensors:
     def forget_bias(self) -> None:
         """Pass the bias on again: the next filter does not know it."""
         self._was_trusted = False
+
+
+class FusedOdom:
+    """`odom` of the default filter, in which the base moves by its motion since a pose that the filter remembers.
+
+    A correction that moves the remembered pose as well is no part of that motion. The remembered pose is that of the
+    last wheel reading before the last frame: up to there wheel steps are complete. Without a frame for `COAST_AFTER_S`,
+    the next pose is remembered.
+
+    Attributes:
+        answered: frame of the last estimate.
+    """
+
+    def __init__(self) -> None:
+        self._frame = self.answered = OdomFrame()
+        self._begin: tuple[float, FloatArray, ErrorStateFilter] | None = None  # stamp and pose of the begin of the step
+        self._last: tuple[float, FloatArray] | None = None  # stamp and pose in odom of the last estimate
+        self._readings_s: deque[float] = deque(maxlen=_LONGEST_READING_GAP)
+
+    def frame_at(self, T_filter_body: FloatArray, fusion: ErrorStateFilter, event: Event | None) -> OdomFrame:
+        """Return the frame of an estimate (4, 4) after an event; None for one with an invalid stamp."""
+        own, frame = fusion.estimate, self._frame
+        T_own, stamp_s = own.T_odom_body, own.stamp_s
+        if T_own is None:
+            return self.answered
+        known = fusion.remembered(STEP_BEGIN)
+        if self._begin is not None and known is not None and self._begin[2] is fusion:
+            frame.keep(self._begin[1], known)
+            self._begin = self._begin[0], known, fusion
+        elif self._last is not None and own.twist is not None:  # another filter continues at the last twist
+            vx, vy, turn = own.twist * max(stamp_s - self._last[0], 0.0)
+            T_before_now = motions.exp(np.array([vx, vy, 0.0, 0.0, 0.0, turn]))
+            frame.lay(T_own, motions.times(self._last[1], T_before_now))
+        T_odom_body = motions.times(frame.T_odom_filter, T_own)
+        self._last = stamp_s, T_odom_body
+        self._remember(stamp_s, fusion, event)
+        # While sensors are being checked, the estimate may not be that of the filter.
+        self.answered = frame
+        if T_filter_body is not T_own and not np.array_equal(T_filter_body, T_own):
+            self.answered = OdomFrame()
+            self.answered.lay(T_filter_body, T_odom_body)
+        return self.answered
+
+    def _remember(self, stamp_s: float, fusion: ErrorStateFilter, event: Event | None) -> None:
+        """Remember the pose at the last reading up to a frame; or the current one, if no frame arrives."""
+        begin_s = -math.inf if self._begin is None or self._begin[2] is not fusion else self._begin[0]
+        due_s = stamp_s if stamp_s - begin_s > COAST_AFTER_S else -math.inf
+        if isinstance(event, WheelReading):
+            self._readings_s.append(stamp_s)
+        if isinstance(event, RgbdFrame | SkippedFrame):
+            past_s = [s for s in self._readings_s if event.stamp_s - COAST_AFTER_S < s <= event.stamp_s]
+            due_s = max(past_s, default=min(event.stamp_s, stamp_s))
+        if due_s > begin_s:
+            fusion.clone(due_s, STEP_BEGIN)
+            known = fusion.remembered(STEP_BEGIN)
+            self._begin = None if known is None else (due_s, known, fusion)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Anchor:
+    """Reference frame of the camera's motions in the filter.
+
+    Attributes:
+        T_map_camera: (4, 4) its pose by odometry.
+        covariance: (6, 6) of its alignment, in its own frame. All motions against it share this error.
+    """
+
+    T_map_camera: FloatArray
+    covariance: FloatArray
+
+    @classmethod
+    def at(cls, T_map_camera: FloatArray, motion: MotionEstimate) -> Anchor:
+        """Return the anchor of a frame at a pose that was aligned by `motion`."""
+        assert motion.T_reference_current is not None
+        assert motion.covariance is not None
+        return cls(T_map_camera, motions.carried(motions.inverse(motion.T_reference_current), motion.covariance))
+
+    def motion_to(self, T_map_camera: FloatArray, motion: MotionEstimate) -> MotionEstimate:
+        """Return the motion from here to a pose that was aligned by `motion` against another reference.
+
+        Its covariance and its degenerate directions are those of that alignment.
+        """
+        assert motion.T_reference_current is not None
+        assert motion.covariance is not None
+        T_anchor_camera = motions.mended(motions.times(motions.inverse(self.T_map_camera), T_map_camera))
+        T_anchor_reference = motions.times(T_anchor_camera, motions.inverse(motion.T_reference_current))
+        covariance, hidden = motions.carried(T_anchor_reference, motion.covariance), None
+        if motion.degenerate is not None and not motion.shows_all:
+            Ad = motions.adjoint(T_anchor_reference)
+            hidden = np.linalg.qr(((motion.degenerate / DEGENERATE_SCALE) @ Ad.T * DEGENERATE_SCALE).T)[0].T
+        return MotionEstimate(T_anchor_camera, covariance, None, motion.matches, motion.inliers, hidden, motion.fitting)
+
+
+class CameraMap:
+    """Pose of the camera's map in the filter's frame.
+
+    Corrections of the filter move the pose but no single surfel, which would tear the map apart. Instead the whole map
+    moves, so that the camera's last accepted pose in it is the filter's pose of that frame.
+
+    Attributes:
+        T_odom_map, T_map_odom: (4, 4) current pose of the map of camera and surfels, and its inverse.
+        T_map_camera: (4, 4) of the last frame, if it was accepted; else None.
+        anchor: reference frame of the camera's motions in the filter; None before the camera starts.
+        seen_s: stamp of the last accepted frame.
+        keyframe: by which that frame was tracked.
+
+    Args:
+        T_base_camera: (4, 4).
+        T_map_camera: (4, 4) initial pose of the camera, with the base at the origin of odom; None if the map starts
+            there.
+    """
+
+    def __init__(self, T_base_camera: FloatArray, T_map_camera: FloatArray | None = None) -> None:
+        self.T_odom_map: FloatArray = np.eye(4)
+        self.anchor: Anchor | None = None
+        self.seen_s = -np.inf
+        self._T_base_camera = T_base_camera
+        self.T_map_odom: FloatArray = np.eye(4)
+        if T_map_camera is not None:
+            self._lay(T_base_camera, T_map_camera)
+        self.T_map_camera: FloatArray | None = None
+        self.keyframe: KeyframeId | None = None
+        self._T_keyframe_map: FloatArray | None = None
+        self._tracked_s, self._is_contradicted = -np.inf, False
+
+    def track(self, stamp_s: float, *, is_accepted: bool) -> None:
+        """Note that a frame was tracked, and whether the filter accepted it."""
+        if not is_accepted and stamp_s - self._tracked_s <= _LONGEST_GAP_S:
+            self._is_contradicted = True
+        self._tracked_s = stamp_s
+
+    def is_left(self, T_map_camera: FloatArray, T_odom_base: FloatArray | None) -> bool:
+        """Whether a camera at a pose (4, 4) has left the map, by the filter's pose of the base.
+
+        If the filter rejected consecutive frames and accepts the next ones, the camera has jumped, for instance by the
+        period of a repeating pattern. Aligning the map with the camera's pose would make the map jump as well.
+        """
+        if not self._is_contradicted or T_odom_base is None:
+            return False
+        T_odom_camera = motions.times(T_odom_base, self._T_base_camera)
+        by_map = motions.times(self.T_odom_map, T_map_camera)
+        return bool(motions.view_shift_m(motions.times(motions.inverse(by_map), T_odom_camera)) > _LEFT_MAP_M)
+
+    def accept(self, stamp_s: float, seen: Estimate, T_odom_base: FloatArray | None) -> None:
+        """Accept the camera's pose in the map at a frame; `T_odom_base` is the base's pose when its image was taken."""
+        self.T_map_camera, self.seen_s = seen.T_odom_body, stamp_s
+        self._tracked_s, self._is_contradicted = stamp_s, False
+        self.lay(T_odom_base)
+        if seen.keyframe is not None and seen.T_keyframe_body is not None and seen.T_odom_body is not None:
+            self.keyframe = seen.keyframe
+            self._T_keyframe_map = motions.times(seen.T_keyframe_body, motions.inverse(seen.T_odom_body))
+
+    def lay(self, T_odom_base: FloatArray | None) -> None:
+        """Align the map so that the last frame, if it was accepted, is at the filter's current estimate of its pose."""
+        if self.T_map_camera is not None and T_odom_base is not None:
+            self._lay(motions.times(T_odom_base, self._T_base_camera), self.T_map_camera)
+
+    def _lay(self, T_odom_camera: FloatArray, T_map_camera: FloatArray) -> None:
+        self.T_odom_map = motions.mended(motions.times(T_odom_camera, motions.inverse(T_map_camera)))
+        self.T_map_odom = motions.inverse(self.T_odom_map)
+
+    def moved(self, T_new_old: FloatArray) -> None:
+        """Apply a correction (4, 4) of the map by loops, from the left, at the camera. In odom nothing moves."""
+        T_old_new = motions.inverse(T_new_old)
+        self.T_odom_map = motions.mended(motions.times(self.T_odom_map, T_old_new))
+        self.T_map_odom = motions.inverse(self.T_odom_map)
+        if self.anchor is not None:
+            self.anchor = replace(self.anchor, T_map_camera=motions.times(T_new_old, self.anchor.T_map_camera))
+        if self.T_map_camera is not None:
+            self.T_map_camera = motions.times(T_new_old, self.T_map_camera)
+        if self._T_keyframe_map is not None:
+            self._T_keyframe_map = motions.times(self._T_keyframe_map, T_old_new)
+
+    def camera_at(self, T_odom_base: FloatArray) -> FloatArray:
+        """Return T_map_camera (4, 4) for a pose of the base in odom."""
+        T_map_base = motions.times(motions.inverse(self.T_odom_map), T_odom_base)
+        return np.asarray(motions.mended(motions.times(T_map_base, self._T_base_camera)))
+
+    def keyframe_at(self, T_odom_base: FloatArray | None) -> tuple[KeyframeId | None, FloatArray | None]:
+        """Return the keyframe of the last accepted frame, and T_keyframe_base (4, 4) of a pose; or None of both."""
+        if self._T_keyframe_map is None or T_odom_base is None:
+            return None, None
+        return self.keyframe, motions.times(self._T_keyframe_map, motions.times(self.T_map_odom, T_odom_base))
+
+
+def blurred(motion: MotionEstimate, twist: FloatArray | None, noise_s: float) -> MotionEstimate:
+    """Return a motion of the camera with a covariance for the time error of wheel readings, at a velocity (6,).
+
+    Otherwise wrong stamps would look like slip.
+    """
+    if twist is None or motion.T_reference_current is None or motion.covariance is None or not noise_s:
+        return motion
+    apart = se3.adjoint(motion.T_reference_current) @ (twist * noise_s)
+    return replace(motion, covariance=motion.covariance + np.outer(apart, apart))
+
+
+def strayed(motion: MotionEstimate, of_frame: FloatArray, walk_per_m: float) -> MotionEstimate:
+    """Return a motion of the camera with a covariance for systematic errors `of_frame` (6, 6) that vary with the view.
+
+    Distorted depth and a rolling shutter affect neighbouring views alike, so that their relative motion is exact. The
+    errors show against a frame that is farther away.
+    """
+    T = motion.T_reference_current
+    if T is None or motion.covariance is None:
+        return motion
+    walk = of_frame * (walk_per_m * motions.view_shift_m(T))
+    return replace(motion, covariance=with_frame_error(motion.covariance, T, walk))

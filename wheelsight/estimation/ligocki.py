@@ -119,6 +119,8 @@ class ByLigocki:
 
 
 _PLANE = np.array([0, 1, 5])
+# σ of the drift of x, y and yaw, in metres and radians per √s, for the covariance alone.
+_WHEEL_DRIFT, _VISUAL_DRIFT = np.array([0.02, 0.02, 0.02]), np.array([0.005, 0.005, 0.003])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,12 +156,9 @@ class LigockiFilter:
     """
 
     def __init__(self, settings: LigockiSettings | None = None) -> None:
-        self.settings = settings or LigockiSettings()
-        s = self.settings
-        wheel = np.array([s.wheel_sigma_m_per_sqrt_s] * 2 + [s.wheel_sigma_rad_per_sqrt_s])
-        visual = np.array([s.visual_sigma_m_per_sqrt_s] * 2 + [s.visual_sigma_rad_per_sqrt_s])
+        self._weight = (settings or LigockiSettings()).weight
         self._Q = np.zeros((3, 4, 4))
-        self._Q[:, 0, 0], self._Q[:, 1, 1] = wheel**2, visual**2
+        self._Q[:, 0, 0], self._Q[:, 1, 1] = _WHEEL_DRIFT**2, _VISUAL_DRIFT**2
         self._x, self._P = np.zeros((3, 4)), np.zeros((3, 4, 4))  # x, y, yaw; each the state of eq. 2
         self._stamp_s: float | None = None
         self._wheels = np.zeros(3)
@@ -192,7 +191,7 @@ class LigockiFilter:
         dt_s = stamp_s - self._stamp_s
         if dt_s <= 0:
             return self._estimate(Status.FAILING, None, Reason.CLOCK_BACKWARDS)
-        H, A = measurement_matrix(self.settings.weight, dt_s), process_matrix(self.settings.weight)
+        H, A = measurement_matrix(self._weight, dt_s), process_matrix(self._weight)
         yaw_rad = (self._x @ H[0])[2] - self._wheels[2]
         c, s = np.cos(yaw_rad), np.sin(yaw_rad)
         turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -208,7 +207,7 @@ class LigockiFilter:
 
     def _estimate(self, status: Status, dt_s: float | None, reason: Reason | None = None) -> JoinedEstimate:
         assert self._stamp_s is not None
-        H = measurement_matrix(self.settings.weight, dt_s or 1.0)
+        H = measurement_matrix(self._weight, dt_s or 1.0)
         joined, spread = self._x @ H.T, H @ self._P @ H.T
         x, y, yaw = joined[:, 0]
         # From x, y, yaw to the left perturbation, which rotates about the map's origin.

@@ -8,30 +8,48 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
+from enum import Enum
 from itertools import chain
-from typing import TypeVar
 
 import numpy as np
 
 from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.estimates import CameraEstimate, Estimate, Status
+from wheelsight.core.estimates import CameraEstimate, Status
 from wheelsight.core.geometry import FloatArray, IntArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.geometry.chi_square import quantile
 from wheelsight.core.keyframes import KeyframeId, KeyframeStore
 from wheelsight.places.recognition import Recognizer
-from wheelsight.slam.drive_graph import CameraMotion, LivedKeyframe, SeenAgain
+from wheelsight.slam.drive_graph import JOIN_APART_M, CameraMotion, LivedKeyframe, SeenAgain
 from wheelsight.slam.graph import ANCHOR_SIGMA, RelativePose, aligned_edge, along_floor
 from wheelsight.slam.loop_closing import ClosedLoops, LiveLoops
+from wheelsight.slam.loop_gate import GATE_PROBABILITY
 from wheelsight.slam.place_recognition import KnownMap, LoopDetector
-from wheelsight.slam.settings import FROM_KEYFRAMES, PieceSettings
+from wheelsight.slam.settings import FROM_KEYFRAMES
 
 _LOG = logging.getLogger(__name__)
-AnyEstimate = TypeVar("AnyEstimate", bound=Estimate)
+
+# A piece counts as joined once the standard deviation of a pose in the map is at most this, along the worst axis.
+# Estimated: a place 0.5 m or 10 degrees off is wrong, and this is less than a third of it.
+_SURE_M, _SURE_RAD = 0.15, 0.06
+# In a fixed known map, a pose with a larger standard deviation is `coasting`. Larger than above, so that the status
+# does not alternate.
+_UNSURE_M, _UNSURE_RAD = 0.2, 0.08
+# Distance below the map at which unjoined pieces are kept, so that none is visible from another. Estimated: surfels
+# there are still placed to 0.02 mm.
+_APART_M = 200.0
 
 # New keyframes, grouped by the frames at which they were added.
 Kept = list[list[LivedKeyframe]]
+
+
+class InMap(Enum):
+    """What loops know of the pose in the map. The value is the status of a pose that is known in odom, or None."""
+
+    KNOWN = None
+    UNSURE = Status.COASTING
+    NOT_RECOGNISED = Status.INITIALIZING
 
 
 class LoopsBeside:
@@ -59,7 +77,7 @@ class LoopsBeside:
         waits: bool,
         detector: LoopDetector | None = None,
     ) -> None:
-        self._store, self._settings = store, settings.loops
+        self._store = store
         how = (calibration, settings.loops, settings.recognition)
         self._live = LiveLoops(store, *how, known=known, waits=waits, detector=detector)
         self._map_stays, self._was_sure = known is not None and not known.edges, False
@@ -182,7 +200,7 @@ class LoopsBeside:
             if not kept and self._seen_from is not None:
                 older, spread = self._seen_from
                 T_older_new = se3.invert(self._store.pose(older)) @ T_map_keyframe
-                seen_from = aligned_edge((older, number), T_older_new, spread, self._settings.matches)
+                seen_from = aligned_edge((older, number), T_older_new, spread)
             lived = (number, stamp_s, T_odom_keyframe, covariance, begins, T_before_now)
             kept.append(LivedKeyframe(*lived, None if kept else motion, T_map_keyframe, seen_from))
         self._added = len(self._store)
@@ -201,7 +219,7 @@ class LoopsBeside:
         # A filter that has taken over knows the motions to the last ones only.
         for kept, motion in zip(reversed(waiting), reversed(motions), strict=False):
             kept[0] = kept[0] if motion is None else replace(kept[0], motion=motion)
-        corrected = corrected_keyframes(self._store, waiting, self._settings.gate_probability)
+        corrected = corrected_keyframes(self._store, waiting, GATE_PROBABILITY)
         waiting, T_new = (waiting, None) if corrected is None else corrected
         for lived in chain.from_iterable(waiting):
             self._live.add(lived)
@@ -214,42 +232,38 @@ class LoopsBeside:
             return None
         return np.asarray(se3.nearest(self._store.pose(keyframe) @ se3.invert(T_old[keyframe])))
 
-    def with_map_status(self, answer: AnyEstimate) -> AnyEstimate:
-        """Return the estimate with a status for its pose in the map, and with `covariance_map` if that is known."""
-        covariance_map = self._covariance_map(answer) if self.is_laid else None
-        if not self.is_joined and answer.status is Status.TRACKING and self._is_sure(answer, covariance_map):
+    def evidence(
+        self, status: Status, T_odom_body: FloatArray | None, covariance: FloatArray | None, T_map_odom: FloatArray
+    ) -> tuple[InMap, FloatArray | None]:
+        """Return whether the pose in the map is known, and its covariance (6, 6) if loops know that.
+
+        Args:
+            status: of the pose in odom.
+            T_odom_body, covariance: (4, 4) and (6, 6) pose in odom; or None.
+            T_map_odom: (4, 4) pose of odom in the map.
+        """
+        place, C, T = self._live.place, None, None
+        if self.is_laid and place is not None and T_odom_body is not None and covariance is not None:
+            # That of the newest evaluated keyframe, and what odometry has added since.
+            _, grown = motions.step_between(place.T_odom_keyframe, place.covariance_odom, T_odom_body, covariance)
+            Ad = se3.adjoint(place.T_map_keyframe)
+            C, T = np.asarray(place.covariance + Ad @ grown @ Ad.T), T_map_odom @ T_odom_body
+        is_sure = False
+        if status is Status.TRACKING and not (self.is_joined and (self._was_sure or not self._map_stays)):
+            # Loops have placed the current piece of map, and the pose in the map is accurate enough.
+            is_current = place is not None and place.newest >= self._pieces[-1]
+            is_sure = is_current and _is_within(T, C, _SURE_M, _SURE_RAD)
+        if not self.is_joined and is_sure:
             self.is_joined, self._is_new = True, False
-        if self.is_joined:
-            answer = replace(answer, covariance_map=covariance_map)
-            if answer.status is not Status.TRACKING or not self._map_stays:
-                return answer
-            self._was_sure = self._was_sure or self._is_sure(answer, covariance_map)
+        if not self.is_joined:
+            return InMap.NOT_RECOGNISED if self._is_new else InMap.UNSURE, None
+        if status is Status.TRACKING and self._map_stays:
             # An existing map does not grow as uncertain as the drive. A given start is accepted as it is until loops
             # make it more certain.
-            if covariance_map is None or not self._was_sure:
-                return answer
-            is_known = _is_within(answer, covariance_map, self._settings.unsure_m, self._settings.unsure_rad)
-            return answer if is_known else replace(answer, status=Status.COASTING)
-        if answer.status not in (Status.TRACKING, Status.COASTING):
-            return answer
-        return replace(answer, status=Status.INITIALIZING if self._is_new else Status.COASTING)
-
-    def _is_sure(self, answer: Estimate, covariance_map: FloatArray | None) -> bool:
-        """Whether loops have placed the current piece of map, and the pose in the map is accurate enough."""
-        place = self._live.place
-        if covariance_map is None or place is None or place.newest < self._pieces[-1]:
-            return False
-        return _is_within(answer, covariance_map, self._settings.sure_m, self._settings.sure_rad)
-
-    def _covariance_map(self, answer: Estimate) -> FloatArray | None:
-        """Return (6, 6) of T_map_body: that of the newest evaluated keyframe, and what odometry has added since."""
-        place = self._live.place
-        if place is None or answer.T_odom_body is None or answer.covariance is None:
-            return None
-        before = place.T_odom_keyframe, place.covariance_odom
-        _, grown = motions.step_between(*before, answer.T_odom_body, answer.covariance)
-        Ad = se3.adjoint(place.T_map_keyframe)
-        return np.asarray(place.covariance + Ad @ grown @ Ad.T)
+            self._was_sure |= is_sure
+            if C is not None and self._was_sure and not _is_within(T, C, _UNSURE_M, _UNSURE_RAD):
+                return InMap.UNSURE, C
+        return InMap.KNOWN, C
 
     def apart(self, T_map_camera: FloatArray) -> FloatArray:
         """Return T_map_camera (4, 4) at the begin of a new piece of map, for a camera at (4, 4) in the current one."""
@@ -262,7 +276,7 @@ class LoopsBeside:
         self.is_laid = self.is_joined = self._was_sure = False
 
     def _apart(self, piece: int) -> FloatArray:
-        return apart(piece, self._settings.pieces)
+        return apart(piece)
 
     def tie(self, number: int) -> bool:
         """Whether loops connect keyframes from `number` on to older ones, from views as far apart as between pieces.
@@ -274,7 +288,7 @@ class LoopsBeside:
         if not len(ends):
             return False
         T = self._store.T_map_keyframe[ends]
-        return bool((se3.view_shift_m(se3.invert(T[0]) @ T) >= self._settings.join_apart_m).any())
+        return bool((se3.view_shift_m(se3.invert(T[0]) @ T) >= JOIN_APART_M).any())
 
     @property
     def kept(self) -> IntArray:
@@ -324,27 +338,27 @@ def loops_beside(
     return LoopsBeside(store, calibration, settings, known, waits=waits, detector=detector) if is_asked else None
 
 
-def begin_in(known: KnownMap, calibration: Calibration, settings: PieceSettings) -> FloatArray:
+def begin_in(known: KnownMap, calibration: Calibration) -> FloatArray:
     """Return T_map_camera (4, 4) at the start of a drive in an existing map."""
     if known.T_map_camera is not None:
         return known.T_map_camera
     T_base_camera = np.eye(4) if calibration.T_base_camera is None else se3.nearest(calibration.T_base_camera)
-    return apart(1, settings) @ T_base_camera if len(known.store) else T_base_camera
+    return apart(1) @ T_base_camera if len(known.store) else T_base_camera
 
 
-def apart(piece: int, settings: PieceSettings) -> FloatArray:
+def apart(piece: int) -> FloatArray:
     """Return (4, 4), the provisional pose of a piece of map until loops join it."""
     T = np.eye(4)
-    T[2, 3] = -settings.apart_m * piece
+    T[2, 3] = -_APART_M * piece
     return T
 
 
-def _is_within(answer: Estimate, covariance_map: FloatArray, most_m: float, most_rad: float) -> bool:
-    """Whether the σ of a pose in the map, along its worst axis, is within limits in metres and radians."""
-    if answer.T_odom_body is None:
+def _is_within(T_map_body: FloatArray | None, covariance: FloatArray | None, most_m: float, most_rad: float) -> bool:
+    """Whether the σ of a pose in the map, along its worst axis, is known and within limits in metres and radians."""
+    if T_map_body is None or covariance is None:
         return False
-    C = se3.position_covariance(answer.T_map_odom @ answer.T_odom_body, covariance_map)
-    sigma_m, sigma_rad = (np.sqrt(np.linalg.eigvalsh(one)[-1]) for one in (C, covariance_map[3:, 3:]))
+    C = se3.position_covariance(T_map_body, covariance)
+    sigma_m, sigma_rad = (np.sqrt(np.linalg.eigvalsh(one)[-1]) for one in (C, covariance[3:, 3:]))
     return bool(sigma_m <= most_m and sigma_rad <= most_rad)
 
 

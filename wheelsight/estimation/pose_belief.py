@@ -20,15 +20,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cached_property
+from operator import attrgetter
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wheelsight.core.calibration_parts import Gyro, HolonomicWheels, Wheels
 from wheelsight.core.estimates import DEGENERATE_SCALE, STEP_BEGIN, MotionEstimate, Reason
 from wheelsight.core.geometry import FloatArray, IntArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
-from wheelsight.core.settings.fusion import FilterParameters
+from wheelsight.core.settings.fusion import ErrorStateSettings
 from wheelsight.estimation.filter_kernels import (
     Poses,
     Step,
@@ -54,8 +57,164 @@ _SIX = np.arange(6)
 TWIST, ERRORS, CAMERA_ERRORS, LAG, BIAS = slice(0, 3), slice(3, 6), slice(6, 15), 15, 16
 REST_SIZE = 17
 MOUNT_SHIFT = [10, 11]  # among the camera's errors
+# As `rest` has them, after the twist; each has a sigma and a walk. The gyroscope's bias follows.
+_ERROR_NAMES = (
+    *("scale_{}", "drift_{}_rad_per_m", "turn_{}"),
+    *("camera_scale_{}", "camera_drift_{}_rad_per_m", "camera_turn_{}", "camera_drift_{}_rad_per_m"),
+    *("mount_{}_m", "mount_{}_m", "mount_{}_rad", "mount_{}_rad", "mount_{}_rad"),
+    "camera_lag_{}_s",
+)
+COAST_AFTER_S = 0.3  # without an accepted frame: some frames at any usual rate
 _NO_TWIST = np.full(3, np.nan)
 _NO_SLIP = np.zeros((6, 6))
+
+
+@dataclass(frozen=True)
+class FilterParameters:
+    """Numbers of the filter: the settings, the gyroscope's calibration, and constants, each with unit and reason.
+
+    Errors of sensors are random walks, given by their standard deviation after a metre. They are drawn back, so that an
+    error stays within its standard deviation before the drive.
+    """
+
+    # Settings, and noise of the gyroscope.
+    scale_sigma: float
+    drift_sigma_rad_per_m: float
+    turn_sigma: float
+    camera_scale_sigma: float
+    mount_sigma_m: float
+    mount_sigma_rad: float
+    camera_lag_sigma_s: float
+    clock_sigma_s: float
+    level_sigma_rad: float | None
+    acceleration_m_s2: float
+    acceleration_rad_s2: float
+    window_s: float
+    confidence: float
+    gyro: Gyro
+    # Random walks of the wheels' errors per √m (simulator).
+    scale_walk: float = 0.0005
+    drift_walk_rad_per_m: float = 0.0005
+    turn_walk: float = 0.0005
+    # Errors of the camera. Turn and pitch per metre are 0.002 to 0.009 on real recordings (decision 49). A Kinect that
+    # is calibrated by a board has turns 1 to 4 % off (decision 70). Scale fades along 200 m, drift along 18 m.
+    camera_drift_sigma_rad_per_m: float = 0.003
+    camera_turn_sigma: float = 0.02
+    camera_scale_walk: float = 0.002
+    camera_drift_walk_rad_per_m: float = 0.001
+    camera_turn_walk: float = 0.00025
+    mount_walk_m: float = 0.0001  # the point about which tyres let a base turn is not quite fixed
+    mount_walk_rad: float = 0.0002
+    camera_lag_walk_s: float = 0.0001
+    lag_chi2: float = 30.0  # of a change of twist that shows a delay: noise has 3, so nine tenths are motion
+    # Noise of the wheels, relative to the calibration's variance: floors change along 10 m. The least ratio is that of
+    # a hard floor (decision 65); at most, a calibration is wrong by a factor of two in σ. One stretch has a limited
+    # weight, so that a single wrong measurement has little effect. Readings must cover nearly all of its time.
+    wheel_noise_memory_m: float = 10.0
+    wheel_noise_least: float = 0.00390625
+    wheel_noise_most: float = 4.0
+    wheel_noise_cap_nats: float = 4.0
+    wheel_noise_covered_share: float = 0.95
+    # Motion that wheels do not measure; ramps begin at once. Turns on the spot count by half a track of 0.5 m.
+    side_m_per_sqrt_m: float = 0.005
+    rise_m_per_sqrt_m: float = 0.003
+    tilt_rad_per_sqrt_m: float = 0.05
+    lever_m: float = 0.25
+    # The level floor: length over which floors are level independently, way between two comparisons (for speed), and
+    # the tilt of a ramp: χ² of 2, 0.99.
+    level_m: float = 5.0
+    level_every_m: float = 0.25
+    ramp_chi2: float = 9.21
+    known_for_s: float = 0.25  # how long a measured twist gives the derivative of a step by the wheels' errors
+    # Acceleration to the side: wheels roll ahead alone. Of a holonomic base, that ahead.
+    side_acceleration_m_s2: float = 0.005
+    rate_readings: int = 16  # for their mean rate: longer than a busy host stalls, shorter than rates change
+    # Over a longer step, as across a pause, the base need not move evenly, and its heading may swing.
+    even_s: float = 0.25
+    swing_rad: float = 0.1
+    coast_after_s: float = COAST_AFTER_S
+    lost_after_s: float = 2.0  # since the last event: an older speed is worthless
+    # Position, height and tilt of a lost base: some rooms away.
+    lost_sigma_m: float = 30.0
+    lost_rise_m: float = 1.0
+    lost_tilt_rad: float = 0.3
+    # A pose with a larger covariance is unknown: anywhere in a town, any heading.
+    largest_sigma_m: float = 1000.0
+    largest_sigma_rad: float = 2 * np.pi
+    max_clones: int = 16  # remembered poses; mostly four and a keyframe, more during a contradiction
+    # The gyroscope: mean without wheel readings, share of a time that its readings must cover, and time of readings of
+    # which a share 1 - confidence fails the gate: each reports slip for `coast_after_s`.
+    gyro_mean_s: float = 0.05
+    gyro_covered_share: float = 0.5
+    gyro_test_s: float = 0.3
+    # Fault detection. The log-likelihood ratio that decides is 1 to 400, as Wald 1945 chooses error rates.
+    decision_nats: float = 6.0
+    # Jumps of velocity: σ of a robot's accelerations, share of that to the side, share of changes that are no jump, and
+    # the largest weight of a jump, which may be no Gaussian.
+    leap_m_s2: float = 2.0
+    leap_rad_s2: float = 6.0
+    leap_side_share: float = 0.25
+    leap_confidence: float = 0.99
+    leap_chi2_cap: float = 16.0
+    contradiction_nats: float = 1.5  # for slip: a contradicting frame with usual inliers, and slip shortly before
+    # Motion of a base whose wheels slip, at a walk; a lifted wheel tilts it.
+    slip_m_per_sqrt_s: float = 0.3
+    slip_rad_per_sqrt_s: float = 0.5
+    slip_rise_m_per_sqrt_s: float = 0.1
+    slip_tilt_rad_per_sqrt_s: float = 0.2
+    slippery_s: float = 5.0  # how long a floor stays slippery, at a walk (decision 46)
+    contradiction_nats_per_s: float = 8.0  # after a decision for the wheels: cameras fail for less than 2 s (simulator)
+    poor_inliers_nats: float = 2.0  # for visual failure: a frame with few inliers (simulator)
+    inlier_share: float = 0.6  # of the usual share; with fewer, a contradicting camera may be wrong
+    fitting_share: float = 0.75  # regions of the view that must fit, else the camera follows what moves
+    inlier_memory: float = 0.05  # change of the usual share by one frame: the last twenty count
+    likelihood_memory: float = 0.5  # rest of the log-likelihood ratio after a frame in which both agree
+    compared_s: float = 0.25  # longest time between frames whose speeds are compared
+    agreements: int = 5  # frames in a row that end a fault
+    undecided_s: float = 2.0  # then one hypothesis continues, and covers both
+
+    @classmethod
+    def of(
+        cls,
+        settings: ErrorStateSettings | None = None,
+        gyro: Gyro | None = None,
+        wheels: Wheels | HolonomicWheels | None = None,
+    ) -> FilterParameters:
+        """Return the parameters of a robot; None for the defaults. Holonomic bases accelerate to the side as ahead."""
+        settings = settings or ErrorStateSettings()
+        known: dict[str, Any] = dict(settings.with_wheels(wheels))
+        if isinstance(wheels, HolonomicWheels):
+            known |= {"side_acceleration_m_s2": settings.acceleration_m_s2, "leap_side_share": 1.0}
+        return cls(**known, gyro=gyro or Gyro())
+
+    @cached_property
+    def unseen_a_metre(self) -> FloatArray:
+        """Covariance (6, 6) per metre of motion that wheels do not measure: sideways, up, roll and pitch."""
+        sigmas = [0.0, self.side_m_per_sqrt_m, self.rise_m_per_sqrt_m, *[self.tilt_rad_per_sqrt_m] * 2, 0.0]
+        return np.diag(np.square(sigmas))
+
+    @cached_property
+    def variances(self) -> FloatArray:
+        """(14,) of the errors of wheels and camera and of the gyroscope's bias, before the drive."""
+        return np.square([*self._errors("sigma"), self.gyro.bias_sigma_rad_s])
+
+    @cached_property
+    def walks(self) -> FloatArray:
+        """(14,) growth of these per metre, of the gyroscope's bias per second."""
+        return np.square([*self._errors("walk"), self.gyro.bias_walk_rad_s_per_sqrt_s])
+
+    @cached_property
+    def fades(self) -> FloatArray:
+        """(14,) share of an error that fades per metre, or second; none of one that was certain.
+
+        With it, an error that nothing measures stays as uncertain as before the drive: a Gauss–Markov process.
+        """
+        variances = self.variances
+        return np.divide(self.walks, 2 * variances, out=np.zeros(len(variances)), where=variances > 0)
+
+    def _errors(self, which: str) -> list[float]:
+        """Return "sigma" or "walk" of all errors of wheels and camera, in a belief's order."""
+        return [getattr(self, name.format(which)) for name in _ERROR_NAMES]
 
 
 class Updates(Enum):
@@ -139,14 +298,16 @@ class PoseBelief:
         return float(self.rest[BIAS])
 
     @property
-    def wheel_errors(self) -> FloatArray:
-        """(3,) estimated errors of the wheels: scale of distances, turn per metre, scale of turns."""
-        return self.rest[ERRORS].copy()
-
-    @property
     def names(self) -> tuple[str, ...]:
         """Names of the remembered poses."""
-        return tuple(pose.name for pose in self.remembered)
+        return tuple(map(attrgetter("name"), self.remembered))
+
+    def place_of(self, name: str) -> int:
+        """Return the index in `T` of the pose remembered as `name`; 0 if there is none."""
+        for place, pose in enumerate(self.remembered, 1):
+            if pose.name == name:
+                return place
+        return 0
 
     @property
     def rest_at(self) -> int:
@@ -192,54 +353,45 @@ class PoseBelief:
 
         `spread` (6, 6), in the base's own frame, is added to its covariance: the error of the camera's pose there.
         """
-        there = self._at(name, stamp_s, most)
-        place = there.names.index(name) + 1
+        entry = Remembered(name, stamp_s, self.rest[TWIST].copy(), self.slip_covariance, self.by_errors)
+        place = self.place_of(name)
+        if place:
+            poses = (*self.remembered[: place - 1], entry, *self.remembered[place:])
+            there = changed(self, T=self.T.copy(), covariance=self.covariance.copy(), remembered=poses)
+        else:
+            here = self
+            while len(here.remembered) >= most:
+                here = here.dropped(min(here.remembered, key=attrgetter("stamp_s")).name)
+            there = here.selected(np.append(np.arange(len(here.T)), 0), (*here.remembered, entry))
+            place = len(there.remembered)
+        # The delay of the camera's stamps is part of the state (Li & Mourikis, IJRR 2014).
+        there.T[place], rows, spread_now = imaged_now(there.T[0], there.rest, there.covariance)
         at = slice(6 * place, 6 * place + 6)
-        there.T[place], rows, spread_now = there.imaged()
         there.covariance[at], there.covariance[:, at] = rows, rows.T
         there.covariance[at, at] = spread_now if spread is None else spread_now + motions.carried(self.T[0], spread)
         return there
 
-    def _at(self, name: str, stamp_s: float, most: int) -> PoseBelief:
-        """Return a belief with an entry for a pose of that name, with any content."""
-        if name in self.names:
-            poses = tuple(self._as(name, stamp_s) if pose.name == name else pose for pose in self.remembered)
-            return changed(self, T=self.T.copy(), covariance=self.covariance.copy(), remembered=poses)
-        here = self
-        while len(here.remembered) >= most:
-            here = here.dropped(min(here.remembered, key=lambda pose: pose.stamp_s).name)
-        poses = (*here.remembered, self._as(name, stamp_s))
-        return changed(here.selected(np.append(np.arange(len(here.T)), 0)), remembered=poses)
-
-    def imaged(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the pose (4, 4) when the current image was taken, its covariance with the state (6, n), and (6, 6).
-
-        The delay of the camera's stamps is part of the state (Li & Mourikis, IJRR 2014).
-        """
-        T, rows, spread = imaged_now(self.T[0], self.rest, self.covariance)
-        return T, rows, spread
-
     def dropped(self, name: str) -> PoseBelief:
         """Marginalise the remembered pose `name`."""
-        if name not in self.names:
+        place = self.place_of(name)
+        if not place:
             return self
-        place = self.names.index(name)
-        without = self.selected(np.delete(np.arange(len(self.T)), place + 1))
-        return changed(without, remembered=(*self.remembered[:place], *self.remembered[place + 1 :]))
+        rows = np.delete(np.arange(len(self.T)), place)
+        return self.selected(rows, (*self.remembered[: place - 1], *self.remembered[place:]))
 
-    def _as(self, name: str, stamp_s: float) -> Remembered:
-        return Remembered(name, stamp_s, self.rest[TWIST].copy(), self.slip_covariance, self.by_errors)
-
-    def selected(self, poses: IntArray) -> PoseBelief:
+    def selected(self, poses: IntArray, remembered: tuple[Remembered, ...]) -> PoseBelief:
         """Return a belief with some of the poses (K,), by their indices in `T`; all else stays."""
-        rows = np.concatenate([(6 * poses[:, None] + _SIX).ravel(), np.arange(self.rest_at, len(self.covariance))])
-        return changed(self, T=self.T[poses], covariance=self.covariance[rows[:, None], rows])
+        first = len(self.covariance) - REST_SIZE
+        rows = np.concatenate([(6 * poses[:, None] + _SIX).ravel(), np.arange(first, len(self.covariance))])
+        covariance = self.covariance[rows[:, None], rows]
+        return changed(self, T=self.T[poses], covariance=covariance, remembered=remembered)
 
     def reference(self, name: str) -> int:
         """Return the index in `T` of the remembered pose `name`. Raises KeyError."""
-        if name not in self.names:
+        place = self.place_of(name)
+        if not place:
             raise KeyError(name)
-        return self.names.index(name) + 1
+        return place
 
     def seen_from(self, name: str, T_base_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return T_reference_current (4, 4) of the camera since the pose `name`, and its covariance (6, 6)."""
@@ -248,9 +400,9 @@ class PoseBelief:
 
     def between(self, first: str, second: str, T_base_camera: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Return T_first_second (4, 4) of the camera, and its covariance (6, 6); None unless both are remembered."""
-        if first not in self.names or second not in self.names:
+        one, other = self.place_of(first), self.place_of(second)
+        if not one or not other:
             return None
-        one, other = self.reference(first), self.reference(second)
         T_camera_odom = motions.inverse(motions.times(self.T[one], T_base_camera))
         both = np.r_[6 * other + _SIX, 6 * one + _SIX]
         P = self.covariance[np.ix_(both, both)]
@@ -319,7 +471,7 @@ class PoseBelief:
 
     def corrected(self, by: Innovation) -> PoseBelief:
         """Return the belief after a Kalman update."""
-        by_this = (by.with_state, by.covariance, by.residual, self.rest_at + by.unlearned)
+        by_this = (by.with_state, by.covariance, by.residual, len(self.covariance) - REST_SIZE + by.unlearned)
         T, rest, P = correct(self.T, self.rest, self.covariance, *by_this)
         return changed(self, T=T, rest=rest, covariance=P)
 
@@ -343,8 +495,8 @@ class PoseBelief:
         grown = (Ad * q) @ Ad.T
         P = self.covariance.copy()
         P[:6, :6] += grown
-        if since_s is not None and STEP_BEGIN in self.names:
-            at = self.reference(STEP_BEGIN)
+        at = 0 if since_s is None else self.place_of(STEP_BEGIN)
+        if since_s is not None and at:
             before_s = self.remembered[at - 1].stamp_s - since_s
             then, shared = slice(6 * at, 6 * at + 6), grown * min(max(before_s / seconds, 0.0), 1.0) if seconds else 0.0
             P[then, then] += shared
@@ -370,8 +522,10 @@ class PoseBelief:
     def vision_accepted(self) -> PoseBelief:
         """Note an accepted camera measurement: no slip since it, and a known twist."""
         poses = self.remembered
-        if any(pose.slip_covariance is not _NO_SLIP for pose in poses):
-            poses = tuple(replace(pose, slip_covariance=_NO_SLIP) for pose in poses)
+        for pose in poses:
+            if pose.slip_covariance is not _NO_SLIP:
+                poses = tuple(replace(pose, slip_covariance=_NO_SLIP) for pose in poses)
+                break
         return changed(self, slip_covariance=_NO_SLIP, remembered=poses, known_twist=self.rest[TWIST], known_for_s=0.0)
 
     def turn_known(self) -> PoseBelief:

@@ -8,7 +8,6 @@ frames takes the jump (REP 105).
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -16,18 +15,15 @@ import numpy as np
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.clocks import Untimed
-from wheelsight.core.estimates import STEP_BEGIN, Estimate, FusedEstimate, Reason, Status, WheelEstimate
+from wheelsight.core.estimates import Estimate, Reason, Status, WheelEstimate
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.geometry import motion_kernels as motions
-from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, WheelReading, YawRate
-from wheelsight.estimation.filter import ErrorStateFilter
+from wheelsight.core.messages import WHEEL_READINGS, Event, WheelReading, YawRate
 from wheelsight.wheels import AnyWheelOdometry, GyroCheck, HolonomicOdometry, WheelSettings, YawRateMeter, odometry_of
 
 AnyEstimate = TypeVar("AnyEstimate", bound=Estimate)
 _STILL = np.eye(4)
-_IDENTITY = np.eye(4)
 _REPLAYED_S = 2.0  # driven again by the wheels alone if the gyroscope fails; longer than that takes to detect
-_READINGS = 256  # number of stamps kept: frames are hardly ever delayed by more readings
 
 
 class ByWheels:
@@ -137,9 +133,12 @@ class ByWheels:
 
     @property
     def _slip(self) -> str:
-        """Note on slip, if the wheels contradict each other."""
-        is_slipping = isinstance(self._alone, HolonomicOdometry) and self._alone.is_slipping
-        return "a wheel slips: the wheels contradict each other" if is_slipping else ""
+        return slip_note(self._alone) if isinstance(self._alone, HolonomicOdometry) else ""
+
+
+def slip_note(odometry: HolonomicOdometry) -> str:
+    """Return a note on slip if the wheels contradict each other, else an empty one."""
+    return "a wheel slips: the wheels contradict each other" if odometry.is_slipping else ""
 
 
 class OdomFrame:
@@ -148,12 +147,14 @@ class OdomFrame:
     It is planar: the filter estimates height and tilt of each pose directly.
 
     Attributes:
-        T_odom_filter: (4, 4) pose of the filter's frame in `odom`.
+        T_odom_filter, T_filter_odom: (4, 4) pose of the filter's frame in `odom`, and its inverse.
+        has_moved: whether `odom` is no longer the filter's frame.
     """
 
     def __init__(self) -> None:
-        self._T_filter_odom: FloatArray = _IDENTITY
-        self.T_odom_filter: FloatArray = _IDENTITY
+        self.T_filter_odom: FloatArray = _STILL
+        self.T_odom_filter: FloatArray = _STILL
+        self.has_moved = False
 
     def T_odom_body(self, T_filter_body: FloatArray) -> FloatArray:
         """Convert a pose (4, 4) of the filter to `odom`."""
@@ -162,21 +163,21 @@ class OdomFrame:
     def keep(self, T_before: FloatArray, T_now: FloatArray) -> None:
         """Keep a pose in `odom` when the filter has changed its estimate (4, 4) of it."""
         if (T_before != T_now).any():
-            self.lay(T_now, self.T_odom_body(T_before))
+            self.lay(T_now, motions.times(self.T_odom_filter, T_before))
 
     def lay(self, T_filter_body: FloatArray, T_odom_body: FloatArray) -> None:
         """Set the transform by one pose in both frames, (4, 4) each; only x, y and yaw count."""
-        self._T_filter_odom = motions.times(_planar(T_filter_body), motions.inverse(_planar(T_odom_body)))
-        self.T_odom_filter = motions.inverse(self._T_filter_odom)
+        self.T_filter_odom = motions.times(_planar(T_filter_body), motions.inverse(_planar(T_odom_body)))
+        self.T_odom_filter, self.has_moved = motions.inverse(self.T_filter_odom), True
 
     def framed(self, answer: AnyEstimate) -> AnyEstimate:
         """Return a filter's estimate in `odom`; its poses in the map and in the filter's frame do not change."""
-        if self._T_filter_odom is _IDENTITY:
+        if not self.has_moved:
             return answer
         T, C, Ad = answer.T_odom_body, answer.covariance, motions.adjoint(self.T_odom_filter)
         fields: dict[str, Any] = {
-            "T_map_odom": motions.times(np.ascontiguousarray(answer.T_map_odom), self._T_filter_odom),
-            "T_filter_odom": self._T_filter_odom,
+            "T_map_odom": motions.times(np.ascontiguousarray(answer.T_map_odom), self.T_filter_odom),
+            "T_filter_odom": self.T_filter_odom,
             "T_odom_body": None if T is None else self.T_odom_body(T),
             "covariance": None if C is None else Ad @ C @ Ad.T,
         }
@@ -184,68 +185,6 @@ class OdomFrame:
             stamp_s, T_before, C_before = answer.before
             fields["before"] = (stamp_s, self.T_odom_body(T_before), Ad @ C_before @ Ad.T)
         return replace(answer, **fields)
-
-
-class FusedOdom:
-    """`odom` of the default filter, in which the base moves by its motion since a pose that the filter remembers.
-
-    A correction that moves the remembered pose as well is no part of that motion. The remembered pose is that of the
-    last wheel reading before the last frame: up to there wheel steps are complete.
-
-    Args:
-        keep_s: time without a frame after which the next pose is remembered.
-
-    Attributes:
-        answered: frame of the last estimate.
-    """
-
-    def __init__(self, keep_s: float) -> None:
-        self._frame, self._keep_s = OdomFrame(), keep_s
-        self.answered = self._frame
-        self._begin: tuple[float, FloatArray, ErrorStateFilter] | None = None  # stamp and pose of the begin of the step
-        self._last: tuple[float, FloatArray] | None = None  # stamp and pose in odom of the last estimate
-        self._readings_s: deque[float] = deque(maxlen=_READINGS)
-
-    def framed(self, answer: AnyEstimate, fusion: ErrorStateFilter, event: Event | None = None) -> AnyEstimate:
-        """Return an estimate of the filter in `odom`; `event` is the event if its stamp is valid."""
-        own = fusion.estimate
-        if own.T_odom_body is None or answer.T_odom_body is None:
-            return self.answered.framed(answer)
-        self._follow(own, own.T_odom_body, fusion)
-        T_odom_body = self._frame.T_odom_body(own.T_odom_body)
-        self._last = own.stamp_s, T_odom_body
-        self._remember(own.stamp_s, fusion, event)
-        # While sensors are being checked, the estimate may not be that of the filter.
-        self.answered = self._frame
-        if not np.array_equal(answer.T_odom_body, own.T_odom_body):
-            self.answered = OdomFrame()
-            self.answered.lay(answer.T_odom_body, T_odom_body)
-        return self.answered.framed(answer)
-
-    def _follow(self, own: FusedEstimate, T_filter_body: FloatArray, fusion: ErrorStateFilter) -> None:
-        """Keep the remembered pose in `odom`; after a change of filter, continue at the last twist."""
-        known = fusion.remembered(STEP_BEGIN)
-        if self._begin is not None and known is not None and self._begin[2] is fusion:
-            self._frame.keep(self._begin[1], known)
-            self._begin = self._begin[0], known, fusion
-        elif self._last is not None and own.twist is not None:
-            vx, vy, turn = own.twist * max(own.stamp_s - self._last[0], 0.0)
-            T_before_now = motions.exp(np.array([vx, vy, 0.0, 0.0, 0.0, turn]))
-            self._frame.lay(T_filter_body, motions.times(self._last[1], T_before_now))
-
-    def _remember(self, stamp_s: float, fusion: ErrorStateFilter, event: Event | None) -> None:
-        """Remember the pose at the last reading up to a frame; or the current one, if no frame arrives."""
-        begin_s = -math.inf if self._begin is None or self._begin[2] is not fusion else self._begin[0]
-        due_s = stamp_s if stamp_s - begin_s > self._keep_s else -math.inf
-        if isinstance(event, WheelReading):
-            self._readings_s.append(stamp_s)
-        if isinstance(event, RgbdFrame | SkippedFrame):
-            past_s = (read_s for read_s in self._readings_s if event.stamp_s - self._keep_s < read_s <= event.stamp_s)
-            due_s = max(past_s, default=min(event.stamp_s, stamp_s))
-        if due_s > begin_s:
-            fusion.clone(due_s, STEP_BEGIN)
-            known = fusion.remembered(STEP_BEGIN)
-            self._begin = None if known is None else (due_s, known, fusion)
 
 
 def _planar(T: FloatArray) -> FloatArray:

@@ -11,8 +11,8 @@ from wheelsight.core.areas import AreaMap
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.estimates import Reason
 from wheelsight.core.geometry import FloatArray, se3
-from wheelsight.estimation import AreaRectifierSettings, ErrorStateFilter, PlaceMeter
-from wheelsight.estimation.area_rectifier import FloorShares, equivalent
+from wheelsight.estimation import ErrorStateFilter, PlaceMeter, area_rectifier
+from wheelsight.estimation.area_rectifier import AreaFilterParameters, FloorShares, equivalent
 
 SOUTH, WEST = 0, 6
 
@@ -70,15 +70,14 @@ def test_nothing_is_told_where_nothing_gets_narrower(covariance):
 def test_the_first_frame_takes_the_belief_to_its_product_with_the_likelihood(yaw):
     """By sums over a fine grid: of the Gaussian times the likelihood of "south" at each of its points."""
     xy, sigma = np.array([2.3, 1.4]), 0.8
-    settings = AreaRectifierSettings()
     told = PlaceMeter(loop()).measure(*in_map(xy, sigma, yaw), saying(SOUTH))
     mean, covariance = updated(xy, sigma**2 * np.eye(2), told)
 
-    forest = settings.forest
+    forest = AreaFilterParameters()
     steps = np.arange(-4 * sigma, 4 * sigma, 0.04)
     points = xy + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     tiny = 1e-9 * np.eye(2)
-    floor = FloorShares(loop(), settings.border_m)
+    floor = FloorShares(loop(), 0.4)
     shares = np.array([floor.parts_of(point, tiny)[0][:, 0] for point in points])
     weights = np.exp(-((points - xy) ** 2).sum(axis=1) / (2 * sigma**2))
     weights /= weights.sum()
@@ -100,12 +99,13 @@ def test_the_first_frame_takes_the_belief_to_its_product_with_the_likelihood(yaw
     np.testing.assert_allclose(covariance, (points - wanted).T * weights @ (points - wanted), atol=0.02)
 
 
-def test_what_says_nothing_or_nothing_that_fits_is_no_measurement():
+def test_what_says_nothing_or_nothing_that_fits_is_no_measurement(monkeypatch):
     meter = PlaceMeter(loop())
     here = in_map((7.0, 1.0), 0.1)
     assert meter.measure(*here, None) is None
     assert meter.measure(*here, np.full(8, 1 / 8)) is None
-    assert PlaceMeter(loop(), AreaRectifierSettings(least_support=0.5)).measure(*here, saying(WEST, 0.99)) is None
+    monkeypatch.setattr(area_rectifier, "_LEAST_SUPPORT", 0.5)
+    assert PlaceMeter(loop()).measure(*here, saying(WEST, 0.99)) is None
 
 
 def test_in_the_middle_of_a_corridor_nothing_is_told_along_it():

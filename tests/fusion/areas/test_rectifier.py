@@ -14,7 +14,7 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.estimates import Status, WheelEstimate
 from wheelsight.core.geometry import se2, se3
 from wheelsight.core.messages import WheelTicks
-from wheelsight.estimation import AreaRectifier, AreaRectifierSettings
+from wheelsight.estimation import AreaRectifier, AreaRectifierSettings, area_rectifier
 from wheelsight.wheels import WheelOdometry
 
 START = se3.from_plane(3.0, 1.0, 0.0)
@@ -152,9 +152,9 @@ def test_estimates_of_wheel_odometry_are_taken_as_they_come():
     assert (one.status, one.body, one.stamp_s) == (Status.TRACKING, "base", 4.0)
 
 
-def test_covariance_of_the_wheels_is_that_of_drives_with_such_wheels(rng):
-    settings = AreaRectifierSettings(scale_walk=0, drift_walk_rad_per_m=0, turn_walk=0)
-    rectifier = AreaRectifier(loop(), START, settings)
+def test_covariance_of_the_wheels_is_that_of_drives_with_such_wheels(rng, monkeypatch):
+    monkeypatch.setattr(area_rectifier, "_WHEEL_WALKS", (0.0, 0.0, 0.0))
+    rectifier = AreaRectifier(loop(), START)
     step = se3.from_plane(0.1, 0.0, 0.02)
     Q = np.zeros((6, 6))
     Q[PLANE] = np.diag([1e-5, 1e-6, 1e-5])
@@ -205,10 +205,8 @@ def test_what_cannot_be_rectified_is_refused():
         AreaRectifier(loop(), START).predict(np.full((4, 4), np.nan), np.eye(6))
     with pytest.raises(ConfigError, match="no pose"):
         AreaRectifier(loop(), START).predict_to(WheelEstimate(0.0, Status.FAILING))
-    with pytest.raises(ValidationError, match="border_m"):
-        AreaRectifierSettings(border_m=0.0)
-    with pytest.raises(ValidationError, match="scale_sigma"):
-        AreaRectifierSettings(scale_sigma=np.nan)
+    with pytest.raises(ValidationError, match="yaw_sigma_rad"):
+        AreaRectifierSettings(yaw_sigma_rad=np.nan)
 
 
 def test_stamps_and_probabilities_are_answered(rng):

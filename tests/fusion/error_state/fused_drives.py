@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 from wheelsight.core.estimates import MotionEstimate, Reason
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
-from wheelsight.estimation import ErrorStateFilter, ErrorStateSettings, FusedEstimate
+from wheelsight.estimation import ErrorStateFilter, FusedEstimate
 from wheelsight.estimation import filter_kernels as relative
+from wheelsight.estimation.pose_belief import FilterParameters
 
 T_BASE_CAMERA = se3.from_parts(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), [0.1, 0.05, 0.8])
 PLANE = [0, 1, 5]
@@ -64,7 +65,7 @@ def wheel_covariance(xi: FloatArray, slip_m_per_sqrt_m: float = SLIP_M_PER_SQRT_
     return Q
 
 
-def simulate(drive: Drive, rng: np.random.Generator, settings: ErrorStateSettings) -> list[Step]:
+def simulate(drive: Drive, rng: np.random.Generator, settings: FilterParameters) -> list[Step]:
     """A drive whose floor and sensors scatter as the settings and covariances say."""
     T, seen_from, steps = np.eye(4), np.eye(4), []
     for i in range(round(drive.seconds / drive.step_s)):
@@ -127,7 +128,7 @@ def blind(motion: MotionEstimate) -> MotionEstimate:
 
 
 def run(
-    steps: list[Step], settings: ErrorStateSettings | None = None, fusion: ErrorStateFilter | None = None
+    steps: list[Step], settings: FilterParameters | None = None, fusion: ErrorStateFilter | None = None
 ) -> list[FusedEstimate]:
     """The filter's answer after each step."""
     fusion = fusion or ErrorStateFilter(T_BASE_CAMERA, settings=settings)

@@ -11,11 +11,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wheelsight.core.geometry import se3
-from wheelsight.core.settings.fusion import FilterParameters
-from wheelsight.estimation import ErrorStateFilter, ErrorStateSettings
-from wheelsight.estimation.pose_belief import LAG, PLANE, REST_SIZE, Innovation, PoseBelief, RelativePose
+from wheelsight.estimation import ErrorStateFilter
+from wheelsight.estimation.pose_belief import (
+    LAG,
+    PLANE,
+    REST_SIZE,
+    FilterParameters,
+    Innovation,
+    PoseBelief,
+    RelativePose,
+)
 
-SETTINGS = FilterParameters()
+SETTINGS = FilterParameters.of()
 twists = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array)
 tangents = st.lists(st.floats(-1.2, 1.2), min_size=6, max_size=6).map(np.array)
 
@@ -47,7 +54,7 @@ def test_a_camera_that_is_late_sees_the_motion_between_two_instants_before(
     np.testing.assert_allclose(belief.apart(measurement), 0, atol=1e-9)
 
 
-def learned(steps: list[Step], settings: ErrorStateSettings = SETTINGS) -> tuple[float, float]:
+def learned(steps: list[Step], settings: FilterParameters = SETTINGS) -> tuple[float, float]:
     """The lag as a filter has it after a drive, and its standard deviation; seconds."""
     fusion = ErrorStateFilter(T_BASE_CAMERA, settings=settings)
     run(steps, fusion=fusion)

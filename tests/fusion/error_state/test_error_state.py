@@ -28,13 +28,13 @@ from wheelsight.core.errors import ArgumentError, ConfigError
 from wheelsight.core.estimates import MotionEstimate, Reason, Status
 from wheelsight.core.geometry import se3
 from wheelsight.core.messages import WheelTicks
-from wheelsight.core.settings.fusion import FilterParameters
 from wheelsight.estimation import ErrorStateFilter, ErrorStateSettings
+from wheelsight.estimation.pose_belief import FilterParameters
 from wheelsight.wheels import WheelOdometry
 
-SETTINGS = FilterParameters()
+SETTINGS = FilterParameters.of()
 NO_NOISE = np.zeros((6, 6))
-KNOWN_CAMERA = ErrorStateSettings(camera_turn_sigma=0.005)
+KNOWN_CAMERA = replace(FilterParameters.of(), camera_turn_sigma=0.005)
 
 
 def drive(seed=0, **others):
@@ -157,7 +157,7 @@ def test_what_is_to_be_expected_is_what_will_be_seen():
 def test_a_corridor_keeps_the_wheels_motion_along_and_the_cameras_turn(rng):
     """The camera says 0.3 m and a turn of 0.05; along its own z, which is forward, it names itself blind."""
     fusion = ErrorStateFilter(
-        T_BASE_CAMERA, settings=SETTINGS.model_copy(update={"clock_sigma_s": 0.0, "camera_lag_sigma_s": 0.0})
+        T_BASE_CAMERA, settings=replace(SETTINGS, **{"clock_sigma_s": 0.0, "camera_lag_sigma_s": 0.0})
     )
     fusion.clone(0.0, "frame")
     Q = np.diag([1e-4, 1e-4, 1e-6, 1e-4, 1e-4, 1e-2])
@@ -346,7 +346,7 @@ def test_a_start_that_is_none_is_an_error(arguments):
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"scale_sigma": -1}, {"confidence": 1.0}, {"window_s": np.inf}, {"max_clones": 0}, {"decision_nats": np.nan}],
+    [{"scale_sigma": -1}, {"confidence": 1.0}, {"window_s": np.inf}, {"mount_sigma_m": np.nan}],
 )
 def test_settings_that_are_none_are_errors(wrong):
     with pytest.raises(ValidationError, match=next(iter(wrong))):

@@ -13,10 +13,11 @@ from narrowing import not_none
 from scipy.stats import chi2
 
 from wheelsight.core.calibration_parts import Gyro
-from wheelsight.estimation import ErrorStateFilter, ErrorStateSettings
+from wheelsight.estimation import ErrorStateFilter
+from wheelsight.estimation.pose_belief import FilterParameters
 
 # Gates off and no pull to level: what is left is a plain Kalman filter, whose NEES and NIS are χ².
-PLAIN = ErrorStateSettings(level_sigma_rad=None, confidence=1 - 1e-9, clock_sigma_s=0.0)
+PLAIN = replace(FilterParameters.of(), level_sigma_rad=None, confidence=1 - 1e-9, clock_sigma_s=0.0)
 RUNS = 100
 ALONG = np.array([[0.0, 0, 1, 0, 0, 0]])
 FAULTS = {

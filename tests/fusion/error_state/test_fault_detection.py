@@ -7,11 +7,10 @@ import pytest
 
 from wheelsight.core.estimates import Reason
 from wheelsight.core.geometry import se3
-from wheelsight.core.settings.fusion import FilterParameters
 from wheelsight.estimation.fault_detection import Fault, FaultDetection, updated
-from wheelsight.estimation.pose_belief import PoseBelief, RelativePose, WheelStep, changed
+from wheelsight.estimation.pose_belief import FilterParameters, PoseBelief, RelativePose, WheelStep, changed
 
-SETTINGS = FilterParameters()
+SETTINGS = FilterParameters.of()
 BEGUN_S, FRAME_S = 8.0, 0.1
 APART = np.array([0.02, -0.03, 0.0, 0.0, 0.0, np.radians(2.4)])
 

@@ -47,6 +47,6 @@ def test_what_is_older_than_the_window_is_forgotten_and_refused():
         history.take(Note(0.1 * i, 0.1 * i))
     assert len(history) <= 6
     assert history.newest == 100
-    assert history.is_too_late(Note(9.3, 9.3))
-    assert not history.is_too_late(Note(9.5, 9.5))
-    assert history.is_too_late(Note(9.9, 9.3))
+    assert history.take(Note(9.3, 9.3)) is None
+    assert history.take(Note(9.9, 9.3)) is None
+    assert history.take(Note(9.5, 9.5)) is not None

@@ -13,10 +13,10 @@ from scipy.stats import chi2
 
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.geometry import se3
-from wheelsight.core.settings.fusion import ErrorStateSettings, FilterParameters
 from wheelsight.estimation import ErrorStateFilter
+from wheelsight.estimation.pose_belief import FilterParameters
 
-FLAT = FilterParameters().model_copy(update={"tilt_rad_per_sqrt_m": 0.002, "rise_m_per_sqrt_m": 0.001})
+FLAT = replace(FilterParameters.of(), **{"tilt_rad_per_sqrt_m": 0.002, "rise_m_per_sqrt_m": 0.001})
 FRAME_S, EVERY = 1 / 30, 5
 UP = np.array([[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]])
 
@@ -70,7 +70,7 @@ def test_frames_kept_in_doubt_lie_as_the_sensor_has_them_that_was_right(seed):
 
 
 def test_frames_wait_no_longer_than_there_is_room_to_remember_them():
-    then, settled, _, most = kept(driven(0), ErrorStateSettings(max_clones=5))
+    then, settled, _, most = kept(driven(0), replace(FilterParameters.of(), max_clones=5))
     assert most == 0
     # Where both hypotheses are one, a clone's linearisation is not that of the pose of now.
     for one, other in zip(then, settled, strict=True):

@@ -11,7 +11,6 @@ from scipy.optimize import least_squares
 
 from wheelsight.core.calibration_parts import Gyro
 from wheelsight.core.geometry import se3
-from wheelsight.core.settings.fusion import FilterParameters
 from wheelsight.estimation.pose_belief import (
     CAMERA_ERRORS,
     ERRORS,
@@ -19,13 +18,14 @@ from wheelsight.estimation.pose_belief import (
     PLANE,
     REST_SIZE,
     TWIST,
+    FilterParameters,
     PoseBelief,
     RelativePose,
     Updates,
     WheelStep,
 )
 
-SETTINGS = FilterParameters(level_sigma_rad=None)
+SETTINGS = replace(FilterParameters.of(), level_sigma_rad=None)
 tangents = st.lists(st.floats(-1.7, 1.7), min_size=6, max_size=6).map(np.array)
 
 
@@ -60,10 +60,10 @@ def test_the_covariance_goes_on_by_the_numeric_jacobian(rng, kind):
     wheels = WheelStep(2.0, 2.1, rng.normal(size=6) * 0.1, np.zeros((6, 6)))
     quiet = {
         name: 0.0
-        for name in type(SETTINGS).model_fields
+        for name in type(SETTINGS).__dataclass_fields__
         if name.endswith(("_walk", "_per_m", "_sqrt_m", "rad_s", "_s2", "walk_rad", "walk_m"))
     }
-    settings = SETTINGS.model_copy(update={**quiet, "gyro": Gyro(bias_walk_rad_s_per_sqrt_s=0.0)})
+    settings = replace(SETTINGS, **{**quiet, "gyro": Gyro(bias_walk_rad_s_per_sqrt_s=0.0)})
 
     def step(b):
         if kind == "glide":
@@ -158,8 +158,8 @@ def test_perturbing_all_poses_alike_changes_no_look(rng):
 
 def test_an_error_that_nothing_measures_stays_as_uncertain_as_it_was(rng):
     """And what was learned of it fades, each by its own length, as a Gauss–Markov process."""
-    settings = SETTINGS.model_copy(
-        update={"camera_drift_sigma_rad_per_m": 3e-4, "camera_drift_walk_rad_per_m": 1e-4, "lever_m": 0.0}
+    settings = replace(
+        SETTINGS, **{"camera_drift_sigma_rad_per_m": 3e-4, "camera_drift_walk_rad_per_m": 1e-4, "lever_m": 0.0}
     )
     belief, drift = PoseBelief.begin(np.eye(4), np.zeros((6, 6)), settings), CAMERA_ERRORS.start + 1
     rest = belief.rest.copy()
@@ -174,7 +174,7 @@ def test_an_error_that_nothing_measures_stays_as_uncertain_as_it_was(rng):
 
 
 def test_an_error_that_was_certain_only_walks(rng):
-    settings = SETTINGS.model_copy(update={"camera_scale_sigma": 0.0, "camera_scale_walk": 1e-3})
+    settings = replace(SETTINGS, **{"camera_scale_sigma": 0.0, "camera_scale_walk": 1e-3})
     belief = PoseBelief.begin(np.eye(4), np.zeros((6, 6)), settings)
     belief = belief.moved_by_wheels(
         WheelStep(0, 1, np.array([1.0, 0, 0, 0, 0, 0]), 1e-9 * np.eye(6)), 1.0, settings, False
@@ -191,12 +191,12 @@ def test_a_shift_of_another_size_is_refused(rng):
 def test_many_looks_are_one_least_squares_fit(rng):
     """Poses joined by wheels, and measured between each and the last three: all at once, by scipy, and one by one."""
     steps = [WheelStep(i, i + 1.0, rng.normal(size=6) * 0.05, np.diag(rng.uniform(1, 2, 6) * 1e-6)) for i in range(4)]
-    still = SETTINGS.model_copy(
-        update={"scale_sigma": 0.0, "drift_sigma_rad_per_m": 0.0, "turn_sigma": 0.0, "scale_walk": 0.0}
+    still = replace(
+        SETTINGS, **{"scale_sigma": 0.0, "drift_sigma_rad_per_m": 0.0, "turn_sigma": 0.0, "scale_walk": 0.0}
     )
     none = ("drift_walk_rad_per_m", "turn_walk", "side_m_per_sqrt_m", "rise_m_per_sqrt_m", "tilt_rad_per_sqrt_m")
-    of_camera = (name for name in type(SETTINGS).model_fields if name.startswith(("camera_", "mount_")))
-    settings = still.model_copy(update=dict.fromkeys((*none, *of_camera), 0.0))
+    of_camera = (name for name in type(SETTINGS).__dataclass_fields__ if name.startswith(("camera_", "mount_")))
+    settings = replace(still, **dict.fromkeys((*none, *of_camera), 0.0))
     belief = PoseBelief.begin(np.eye(4), np.zeros((6, 6)), settings).cloned("0", 0.0, 9)
     prior, measurements = [np.eye(4)], []
     for i, step in enumerate(steps, 1):

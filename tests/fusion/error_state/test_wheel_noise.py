@@ -11,11 +11,11 @@ from narrowing import not_none
 
 from wheelsight.core.estimates import MotionEstimate, Reason
 from wheelsight.core.geometry import se3
-from wheelsight.core.settings.fusion import FilterParameters
 from wheelsight.estimation import ErrorStateFilter
 from wheelsight.estimation.pose_belief import (
     ERRORS,
     LAG,
+    FilterParameters,
     Odometer,
     PoseBelief,
     Preintegration,
@@ -24,10 +24,11 @@ from wheelsight.estimation.pose_belief import (
     WheelStep,
 )
 
-SETTINGS = FilterParameters()
+SETTINGS = FilterParameters.of()
 # Wheels and camera err by noise alone: what is told of it is told of nothing else.
-RIGHT = SETTINGS.model_copy(
-    update=dict.fromkeys(("scale_sigma", "drift_sigma_rad_per_m", "turn_sigma", "camera_lag_sigma_s"), 1e-6)
+RIGHT = replace(
+    SETTINGS,
+    **dict.fromkeys(("scale_sigma", "drift_sigma_rad_per_m", "turn_sigma", "camera_lag_sigma_s"), 1e-6)
     | dict.fromkeys(("scale_walk", "drift_walk_rad_per_m", "turn_walk", "camera_lag_walk_s"), 0.0),
 )
 STATED_SLIP = 0.004
@@ -36,7 +37,7 @@ BEFORE = -0.25 * np.abs(np.arange(-16, 5))
 
 
 def remembering(memory_m: float) -> FilterParameters:
-    return SETTINGS.model_copy(update={"wheel_noise_memory_m": memory_m})
+    return replace(SETTINGS, **{"wheel_noise_memory_m": memory_m})
 
 
 def test_an_odometer_tells_of_a_stretch_what_wheels_alone_would(rng: np.random.Generator) -> None:

@@ -6,9 +6,6 @@ and by what places are recognised.
 
 from wheelsight.core.settings.base import ASKED, CHOSEN, ON_SIMULATOR, Settings, bounds, conflict, setting
 from wheelsight.core.settings.parts import (
-    BaseCheckSettings,
-    ColorCheckSettings,
-    FrameGateSettings,
     LiveCameraSettings,
     LivePageSettings,
     LocalizerSettings,
@@ -22,9 +19,6 @@ __all__ = [
     "ASKED",
     "CHOSEN",
     "ON_SIMULATOR",
-    "BaseCheckSettings",
-    "ColorCheckSettings",
-    "FrameGateSettings",
     "LiveCameraSettings",
     "LivePageSettings",
     "LocalizerSettings",
