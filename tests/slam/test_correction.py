@@ -7,7 +7,7 @@ from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import Match, SpeedVariances
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.slam.drive_graph import SeenAgain
-from wheelsight.slam.loop_closing import ClosedLoops, Unused, in_map, correct, corrected_by
+from wheelsight.slam.loop_closing import ClosedLoops, Unused, correct, corrected_by, in_map
 from wheelsight.slam.loop_gate import LoopReport
 from wheelsight.slam.solvers import OwnPoseGraph
 

@@ -12,8 +12,8 @@ import pytest
 
 from wheelsight.core.keyframes import Keyframe
 from wheelsight.slam.maps import MapFolder, journal
+from wheelsight.slam.maps.journal import RecordKind
 from wheelsight.slam.maps.keyframes import GREY_STEP, DepthSteps, grey_numbers, halved
-from wheelsight.slam.maps.records import RecordKind
 
 
 def packed(keyframe: Keyframe, steps: DepthSteps) -> bytes:

@@ -19,9 +19,9 @@ from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.settings import RecognitionSettings
 from wheelsight.mapping import SurfelMap, Surfels
 from wheelsight.places.recognition import Recognizer
-from wheelsight.slam.maps import MapFolder, discard_map, records
-from wheelsight.slam.maps.journal import FIRST_RECORD, HEAD_BYTES, JournalWriter, read_journal
-from wheelsight.slam.maps.records import Place, RecordKind
+from wheelsight.slam.maps import MapFolder, discard_map
+from wheelsight.slam.maps import journal as records
+from wheelsight.slam.maps.journal import FIRST_RECORD, HEAD_BYTES, JournalWriter, Place, RecordKind, read_journal
 
 
 def test_a_map_comes_back(written: Path) -> None:

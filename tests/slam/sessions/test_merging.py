@@ -16,7 +16,7 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import MapError, OutputError
 from wheelsight.core.geometry import se3
 from wheelsight.core.keyframes import KeyframeId
-from wheelsight.slam.maps import MapFolder, MergedMap, info_of, in_largest_piece, merge
+from wheelsight.slam.maps import MapFolder, MergedMap, in_largest_piece, info_of, merge
 from wheelsight.slam.maps.journal import read_journal
 
 MONDAY = RING[:6]

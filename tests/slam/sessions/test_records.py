@@ -12,10 +12,10 @@ from sessions.kept_views import CAMERA, INTRINSICS, edge, keyframe, pose
 from wheelsight.core.calibration_parts import DepthNoise
 from wheelsight.core.errors import MapError
 from wheelsight.core.keyframes import Keyframe, KeyframeFeatures
+from wheelsight.slam.maps import journal as records
 from wheelsight.slam.maps import keyframes as keyframe_records
-from wheelsight.slam.maps import records
+from wheelsight.slam.maps.journal import Place
 from wheelsight.slam.maps.keyframes import DEPTH_SIGMAS, GREY_STEP, DepthSteps
-from wheelsight.slam.maps.records import Place
 
 NOISE = DepthNoise()
 STEPS = DepthSteps.of_noise(NOISE)

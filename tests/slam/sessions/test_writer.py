@@ -22,8 +22,7 @@ from wheelsight.core.keyframes import KeyframeId, KeyframeStore
 from wheelsight.core.settings import RecognitionSettings
 from wheelsight.mapping import SurfelMap
 from wheelsight.slam.maps import MapFolder, MapWriter
-from wheelsight.slam.maps.journal import read_journal
-from wheelsight.slam.maps.records import RecordKind, unpack_poses
+from wheelsight.slam.maps.journal import RecordKind, read_journal, unpack_poses
 from wheelsight.slam.maps.writer import THREAD
 
 RECOGNITION = RecognitionSettings()
@@ -211,7 +210,7 @@ def test_whatever_goes_wrong_the_drive_goes_on_and_it_is_told(tmp_path: Path, mo
     def fail(*_: object) -> None:
         raise ZeroDivisionError("nobody thought of this")
 
-    monkeypatch.setattr("wheelsight.slam.maps.records.pack_place", fail)
+    monkeypatch.setattr("wheelsight.slam.maps.folder.pack_place", fail)
     store = KeyframeStore()
     writer = MapWriter(MapFolder.create(tmp_path / "map", CALIBRATION, SETTINGS), store)
     drive(writer, store, 3)

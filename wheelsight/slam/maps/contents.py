@@ -24,9 +24,8 @@ from wheelsight.mapping import MapEdits, NamedPoses, OccupancyGrid, OccupancyMap
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.maps.folder import OCCUPANCY_FILE, OCCUPANCY_IMAGE, RECOGNITION_FILE, SURFELS_FILE, MapFolder
-from wheelsight.slam.maps.journal import GRAPH, HEADER_FILE, KEYFRAMES, Health, MapHeader, Record, journals_of
+from wheelsight.slam.maps.journal import GRAPH, HEADER_FILE, KEYFRAMES, Health, MapHeader, Place, Record, journals_of
 from wheelsight.slam.maps.keyframes import KeptKeyframes, Size
-from wheelsight.slam.maps.records import Place
 
 Progress = Callable[[str, int, int], None]
 

@@ -22,7 +22,6 @@ from wheelsight.core.settings import RecognitionSettings
 from wheelsight.mapping import MapEdits, NamedPoses, SurfelMap, load_map, save_map
 from wheelsight.places.recognition import NO_FEATURES, Recognizer
 from wheelsight.slam.graph import RelativePose
-from wheelsight.slam.maps import records
 from wheelsight.slam.maps.journal import (
     GRAPH,
     HEADER_FILE,
@@ -34,15 +33,20 @@ from wheelsight.slam.maps.journal import (
     JournalWriter,
     MapCamera,
     MapHeader,
+    Place,
     Record,
+    RecordKind,
     journal_name,
     journals_of,
     next_number,
+    pack_edges,
+    pack_numbers,
+    pack_place,
+    pack_poses,
     read_contents,
     read_header,
 )
 from wheelsight.slam.maps.keyframes import DepthSteps, KeptKeyframes, pack_keyframe, read_descriptors
-from wheelsight.slam.maps.records import Place, RecordKind
 from wheelsight.slam.settings import SessionSettings
 
 CALIBRATION_FILE, RECOGNITION_FILE, SURFELS_FILE = "calibration.yaml", "recognition.npz", "map.surfels"
@@ -211,7 +215,7 @@ class MapFolder:
         journal = self._pieces.of_keyframes()
         record = journal.append(RecordKind.KEYFRAME, number, content)
         self._where[number] = journal.path, record
-        place = records.pack_place(Place(keyframe.stamp_s, T_map_keyframe, T_odom_keyframe))
+        place = pack_place(Place(keyframe.stamp_s, T_map_keyframe, T_odom_keyframe))
         self._pieces.graph().append(RecordKind.PLACE, number, place)
         return journal.path, record
 
@@ -220,7 +224,7 @@ class MapFolder:
         self._need_lock()
         first = self._edge_count
         if edges:
-            self._pieces.graph().append(RecordKind.EDGES, first, records.pack_edges(edges))
+            self._pieces.graph().append(RecordKind.EDGES, first, pack_edges(edges))
             self._edge_count += len(edges)
         return tuple(range(first, self._edge_count))
 
@@ -228,13 +232,13 @@ class MapFolder:
         """Withdraw edges, such as loops found to be wrong. Raises OutputError."""
         self._need_lock()
         if numbers:
-            self._pieces.graph().append(RecordKind.WITHDRAWN, 0, records.pack_numbers(numbers))
+            self._pieces.graph().append(RecordKind.WITHDRAWN, 0, pack_numbers(numbers))
 
     def append_poses(self, numbers: Sequence[int] | IntArray, T_map_keyframe: FloatArray) -> None:
         """Write poses (K, 4, 4) of keyframes (K,); the last pose of each is valid. Raises OutputError."""
         self._need_lock()
         if len(numbers):
-            self._pieces.graph().append(RecordKind.POSES, 0, records.pack_poses(numbers, T_map_keyframe))
+            self._pieces.graph().append(RecordKind.POSES, 0, pack_poses(numbers, T_map_keyframe))
 
     def flush(self) -> None:
         """Make appended data survive a loss of power. Raises OutputError."""
@@ -430,19 +434,14 @@ def make_room(out: StrPath) -> None:
     Raises MapError if another process makes a map there.
     """
     out = Path(out)
-    if _is_left_over(out):
+    # A folder with an unusable map, or with only the first or last files of one.
+    is_left_over = not is_there(out / HEADER_FILE) and _is_bare(out)
+    if is_there(out / HEADER_FILE):
+        with suppress(MapError):
+            is_left_over = not read_header(out).is_usable
+    if is_left_over:
         discard_map(out)
     refuse_full(out, NEW_FOLDER)
-
-
-def _is_left_over(path: Path) -> bool:
-    """Return whether a folder has an unusable map, or only the first or last files of one."""
-    if not is_there(path / HEADER_FILE):
-        return _is_bare(path)
-    try:
-        return not read_header(path).is_usable
-    except MapError:
-        return False
 
 
 def _is_bare(path: Path) -> bool:

@@ -26,8 +26,7 @@ from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId, Ke
 from wheelsight.core.threads import Rows
 from wheelsight.mapping import columns
 from wheelsight.places.recognition import known_grey
-from wheelsight.slam.maps.journal import Record, read_record
-from wheelsight.slam.maps.records import RecordKind
+from wheelsight.slam.maps.journal import Record, RecordKind, read_record
 from wheelsight.vision.dense.pyramid import Level, coarser
 from wheelsight.vision.dense.settings import DenseSettings
 

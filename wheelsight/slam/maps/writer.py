@@ -71,27 +71,6 @@ THREAD = "wheelsight-map-writer"
 _MOUNTED = Calibration(T_base_camera=np.eye(4))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _NewKeyframe:
-    seen: SeenKeyframe
-    T_map_keyframe: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Moved:
-    T_map_keyframe: FloatArray
-    is_last: bool
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Edges:
-    edges: tuple[RelativePose, ...]
-    holds: bool
-
-
-_Work = _NewKeyframe | _Moved | _Edges
-
-
 class MapWriter:
     """Appends keyframes, edges and changed poses to a map as they occur.
 
@@ -119,22 +98,22 @@ class MapWriter:
     ) -> None:
         self._folder, self._store, self._now_s = folder, store, now_s
         self._recognizer = None if recognition is None else Recognizer(recognition)
-        _load_kernels(folder, recognition)
+        _warm_up(folder, recognition)
         self._unsettled: deque[tuple[int, SeenKeyframe]] = deque()
         self._frames, self._taken = 0, len(store)
         self._revision, self._sent_s = store.revision, -np.inf
-        self._work: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
+        self._work: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._is_closed = False
         store.hold(folder.settings.memory_keyframes)
         store.is_written = True
-        self._written = _Written(folder, store, self._recognizer)
+        self._out = _FolderWriter(folder, store, self._recognizer)
         self._thread = threading.Thread(target=self._write, name=THREAD, daemon=True)
         self._thread.start()
 
     @property
     def keyframes(self) -> int:
         """Number of keyframes written so far."""
-        return self._written.keyframes
+        return self._out.keyframes
 
     @property
     def taken(self) -> int:
@@ -144,7 +123,7 @@ class MapWriter:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What could not be written, and why; one sentence each."""
-        return tuple(self._written.warnings)
+        return tuple(self._out.warnings)
 
     def look(self, estimate: Estimate | None) -> None:
         """Queue the changes of the store by the frame of `estimate`."""
@@ -162,11 +141,11 @@ class MapWriter:
         The writer itself adds odometry edges between successive keyframes; a given one is used only in place of a
         missing one.
         """
-        self._work.put(_Edges(tuple(edges), holds=True))
+        self._work.put(partial(self._out.add_edges, tuple(edges)))
 
     def withdraw_edges(self, edges: Sequence[RelativePose]) -> None:
         """Withdraw edges that were added, by identity, not by value."""
-        self._work.put(_Edges(tuple(edges), holds=False))
+        self._work.put(partial(self._out.withdraw_edges, tuple(edges)))
 
     def close(self, surfel_map: SurfelMap | None = None, recognizer: Recognizer | None = None) -> None:
         """Write the remaining changes and the data made of the keyframes, and close the folder.
@@ -184,18 +163,18 @@ class MapWriter:
         self._queue_poses(is_last=True)
         self._work.put(None)
         self._thread.join()
-        self._written.finish(surfel_map, recognizer)
+        self._out.finish(surfel_map, recognizer)
 
     def _queue_settled(self, last_frame: int) -> None:
         """Queue keyframes that were new at a frame or before."""
         while self._unsettled and self._unsettled[0][0] <= last_frame:
             _, seen = self._unsettled.popleft()
-            self._work.put(_NewKeyframe(seen, self._store.pose(seen.number)))
+            self._work.put(partial(self._out.add, seen, self._store.pose(seen.number)))
 
     def _queue_poses(self, *, is_last: bool = False) -> None:
         # Only of queued keyframes; the others are queued with their pose at that time.
         count = self._taken - len(self._unsettled)
-        self._work.put(_Moved(self._store.T_map_keyframe[:count].copy(), is_last))
+        self._work.put(partial(self._out.move, self._store.T_map_keyframe[:count].copy(), is_last=is_last))
         self._revision, self._sent_s = self._store.revision, self._now_s()
 
     def _write(self) -> None:
@@ -209,13 +188,13 @@ class MapWriter:
             else:
                 if work is None:
                     return
-                self._written.take(work)
+                self._out.do(work)
             if self._now_s() - flushed_s >= flush_s:
-                self._written.flush()
+                self._out.flush()
                 flushed_s = self._now_s()
 
 
-def _load_kernels(folder: MapFolder, recognition: RecognitionSettings | None) -> None:
+def _warm_up(folder: MapFolder, recognition: RecognitionSettings | None) -> None:
     """Load compiled kernels before the drive, since loading blocks all threads."""
     width_px = 2 * WIDTH_PX  # halved as images of most cameras are
     images = np.ones((width_px // 2, width_px), np.float32), np.ones((width_px // 2, width_px), np.float32)
@@ -227,7 +206,7 @@ def _load_kernels(folder: MapFolder, recognition: RecognitionSettings | None) ->
     OccupancyMapper(_MOUNTED).add(KeyframeId(0), keyframe, np.eye(4))
 
 
-class _Written:
+class _FolderWriter:
     """Writes to the folder in the thread. After the first write error, nothing more is written."""
 
     def __init__(self, folder: MapFolder, store: KeyframeStore, recognizer: Recognizer | None) -> None:
@@ -243,17 +222,7 @@ class _Written:
         self._is_over = self._is_dirty = False
         is_mounted = folder.calibration.T_base_camera is not None
         self._mapper = OccupancyMapper(folder.calibration, folder.settings.occupancy) if is_mounted else None
-        self._do(lambda: folder.begin(DRIVE))
-
-    def take(self, work: _Work) -> None:
-        """Append an item of the queue."""
-        match work:
-            case _NewKeyframe():
-                self._do(lambda: self._add(work))
-            case _Moved():
-                self._do(lambda: self._move(work.T_map_keyframe, is_last=work.is_last))
-            case _Edges():
-                self._do(lambda: self._add_edges(work.edges) if work.holds else self._withdraw_edges(work.edges))
+        self.do(lambda: folder.begin(DRIVE))
 
     def flush(self) -> None:
         """Flush appended data to the disk, and let the store drop flushed keyframes from memory."""
@@ -266,29 +235,30 @@ class _Written:
                 self._store.rest(number, partial(read_keyframe, *where, self._folder.header.camera.size_px))
             self._unflushed.clear()
 
-        self._do(to_disk)
+        self.do(to_disk)
         self._is_dirty = False
 
     def finish(self, surfel_map: SurfelMap | None, recognizer: Recognizer | None) -> None:
         """Write the data made of the keyframes and the occupancy grid, and close the folder."""
         found = self._recognizer if recognizer is None else recognizer
         if found is not None:
-            self._do(lambda: self._folder.save_recognition(found))
+            self.do(lambda: self._folder.save_recognition(found))
         if surfel_map is not None:
-            self._do(lambda: self._folder.save_surfels(surfel_map))
+            self.do(lambda: self._folder.save_surfels(surfel_map))
         if self._mapper is not None and self.keyframes and not self._is_over:
             # Of earlier drives' keyframes too. It can be made at any time, so that no error here ends the drive.
             try:
                 save_occupancy(MapFolder.open(self._folder.path, settings=self._folder.settings), mapper=self._mapper)
             except Exception as error:
                 self.warnings.append(f"The occupancy map was not written: {_why(error)}.")
-        self._do(self._folder.finish)
+        self.do(self._folder.finish)
         try:
             self._folder.close()
         except OutputError as error:
             self._end(error)
 
-    def _do(self, work: Callable[[], None]) -> None:
+    def do(self, work: Callable[[], None]) -> None:
+        """Run a piece of work, unless an earlier one has failed."""
         if self._is_over:
             return
         try:
@@ -302,16 +272,17 @@ class _Written:
             self.warnings.append(f"The map is not written any further: {_why(error)}.")
         self._is_over = True
 
-    def _add(self, new: _NewKeyframe) -> None:
-        number, before = new.seen.number, self._before
+    def add(self, seen: SeenKeyframe, T_map_keyframe: FloatArray) -> None:
+        """Append a keyframe with its pose (4, 4)."""
+        number, before = seen.number, self._before
         try:
             keyframe = self._store[number]
         except Exception as error:  # whatever failed in making it: the store reports it to the drive, too
             self.warnings.append(f"Keyframe {number} is not in the map: {error}.")
             return
-        where = self._folder.append_keyframe(number, keyframe, new.T_map_keyframe, new.seen.T_odom_keyframe)
+        where = self._folder.append_keyframe(number, keyframe, T_map_keyframe, seen.T_odom_keyframe)
         self._unflushed.append((number, where))
-        edge = None if before is None else odometry_edge(before, new.seen)
+        edge = None if before is None else odometry_edge(before, seen)
         if edge is not None and number not in self._stepped:
             self._folder.append_edges([edge])
             self._stepped.add(number)
@@ -319,22 +290,24 @@ class _Written:
             self._recognizer.add(number, keyframe)
         if self._mapper is not None:
             self._mapper.keep(number, keyframe)
-        self._before = new.seen
+        self._before = seen
         self._grow(number + 1)
-        self._T_map_keyframe[number] = new.T_map_keyframe
+        self._T_map_keyframe[number] = T_map_keyframe
         self.keyframes += 1
 
-    def _add_edges(self, edges: tuple[RelativePose, ...]) -> None:
+    def add_edges(self, edges: tuple[RelativePose, ...]) -> None:
+        """Append edges, except of odometry to keyframes that have one."""
         new = [edge for edge in edges if edge.is_loop or edge.second not in self._stepped]
         numbers = self._folder.append_edges(new)
         self._edges |= {id(edge): (edge, number) for edge, number in zip(new, numbers, strict=True)}
         self._stepped |= {edge.second for edge in new if not edge.is_loop}
 
-    def _withdraw_edges(self, edges: tuple[RelativePose, ...]) -> None:
+    def withdraw_edges(self, edges: tuple[RelativePose, ...]) -> None:
+        """Withdraw edges by identity."""
         known = [self._edges.pop(id(edge), None) for edge in edges]
         self._folder.withdraw_edges([number for _, number in filter(None, known)])
 
-    def _move(self, T_map_keyframe: FloatArray, *, is_last: bool) -> None:
+    def move(self, T_map_keyframe: FloatArray, *, is_last: bool) -> None:
         """Append changed poses: at the end all, before that as many as there is room for.
 
         Each loop moves all keyframes slightly. Writing all of them each time would take more, the longer the drive.
