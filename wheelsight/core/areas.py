@@ -22,16 +22,14 @@ __all__ = ["Area", "AreaError", "AreaMap", "load_areas", "save_areas"]
 FORMAT = "wheelsight-areas-1"
 _FIELDS = ("name", "polygon", "x_m", "y_m")
 _TOP_FIELDS = ("format", "areas")
-# Corners of one plan rarely meet to the last digit, so a square centimetre of overlap is allowed.
-_LARGEST_OVERLAP_M2 = 1e-4
+_LARGEST_OVERLAP_M2 = 1e-4  # corners of one plan rarely meet to the last digit
 _SMALLEST_AREA_M2 = 1e-4
-# More than a building has; the table of neighbours holds all pairs.
-_MOST_AREAS = 2000
+_MOST_AREAS = 2000  # more than a building has; the table of neighbours holds all pairs
 
 
 @dataclass(frozen=True, eq=False)
 class Area:
-    """A part of the floor that a classifier can distinguish from the others by its appearance.
+    """A part of the floor that a classifier can distinguish by its appearance.
 
     Attributes:
         name: its label.
@@ -40,8 +38,8 @@ class Area:
         y_m: the same for y.
 
     Raises:
-        AreaError: a polygon that crosses itself, has fewer than three corners or no surface, numbers that are not
-            finite, no coordinate at all, or one that no place within the polygon has.
+        AreaError: a polygon that crosses itself, has fewer than three corners or no surface; numbers that are not
+            finite; no coordinate, or one outside the polygon.
     """
 
     name: str
@@ -105,7 +103,7 @@ class AreaMap:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the areas, in their order."""
+        """Names of the areas in their order."""
         return tuple(area.name for area in self.areas)
 
     def __len__(self) -> int:
@@ -115,13 +113,13 @@ class AreaMap:
         return iter(self.areas)
 
     def index_of(self, name: str) -> int:
-        """The index of the area called `name`. Raises AreaError where there is none."""
+        """Return the index of the area `name`. Raises AreaError if there is none."""
         if name not in self.names:
             raise AreaError(f"no area is called {name!r}", fix=f"areas: {', '.join(self.names) or 'none'}")
         return self.names.index(name)
 
     def index_at(self, xy: ArrayLike) -> IntArray:
-        """Which area holds each point (..., 2) in metres: its index (...), -1 where none does or a number is NaN.
+        """Return the index (...) of the area of each point (..., 2) in metres; -1 without area or for NaN.
 
         A point on a common border belongs to the area that is listed first.
         """
@@ -134,14 +132,14 @@ class AreaMap:
         return found
 
     def name_at(self, x_m: float, y_m: float) -> str | None:
-        """The area that holds a point, or None."""
+        """Return the area of a point, or None."""
         index = int(self.index_at(np.array([x_m, y_m])))
         return None if index < 0 else self.areas[index].name
 
     def adjacency(self, within_m: float = 0.5) -> BoolArray:
-        """(A, A) whether one can go from one area straight to another: they touch, or come within `within_m`.
+        """Return (A, A) whether two areas touch or are within `within_m`.
 
-        Symmetric; an area is next to itself. Walls are not known here: rooms back to back count as neighbours.
+        Symmetric; an area is its own neighbour. Walls are unknown, so rooms back to back count as neighbours.
         """
         import shapely
 
@@ -154,7 +152,7 @@ def load_areas(path: StrPath) -> AreaMap:
     """Read an areas.yaml.
 
     Raises:
-        AreaError: naming the file, the area and what is wrong with it.
+        AreaError: with file, area and problem.
     """
     from wheelsight.core.inputs import read_yaml
 
@@ -173,17 +171,16 @@ def load_areas(path: StrPath) -> AreaMap:
 
 
 def save_areas(areas: AreaMap, path: StrPath) -> None:
-    """Write an areas.yaml, atomically; numbers keep their full precision. Raises OutputError."""
+    """Write an areas.yaml atomically, with all digits. Raises OutputError."""
     path = Path(path)
     import yaml
 
-    document = {"format": FORMAT, "areas": [_to_entry(area) for area in areas]}
+    entries = []
+    for area in areas:
+        given = {name: float(value) for name, value in (("x_m", area.x_m), ("y_m", area.y_m)) if value is not None}
+        entries.append({"name": area.name, "polygon": area.polygon.tolist(), **given})
+    document = {"format": FORMAT, "areas": entries}
     write_text(path, yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True))
-
-
-def _to_entry(area: Area) -> dict[str, Any]:
-    coordinates = {name: float(value) for name, value in (("x_m", area.x_m), ("y_m", area.y_m)) if value is not None}
-    return {"name": area.name, "polygon": area.polygon.tolist(), **coordinates}
 
 
 def _area(entry: Any, where: str) -> Area:
@@ -195,7 +192,16 @@ def _area(entry: Any, where: str) -> Area:
     _refuse_unknown(entry, _FIELDS, f"area {name!r}")
     if "polygon" not in entry:
         raise _area_error(name, "has no polygon", "give its corners: [[x, y], [x, y], [x, y]]")
-    coordinates = {key: _number(entry[key], name, key) for key in ("x_m", "y_m") if entry.get(key) is not None}
+    coordinates = {}
+    for key in ("x_m", "y_m"):
+        if (value := entry.get(key)) is None:
+            continue
+        try:
+            coordinates[key] = float(value)  # from text too: YAML 1.1 reads 1e-3, without a dot, as text
+        except (TypeError, ValueError):
+            coordinates[key] = np.nan
+        if isinstance(value, bool) or not np.isfinite(coordinates[key]):
+            raise _area_error(name, f"has {key} {value!r}, not a number", "metres in the map frame, or leave it out")
     return Area(name, entry["polygon"], **coordinates)
 
 
@@ -213,16 +219,6 @@ def _corners(polygon: Any, name: str) -> FloatArray:
     if not np.isfinite(corners).all():
         raise _area_error(name, "has a corner that is not finite", "metres in the map frame")
     return corners
-
-
-def _number(value: Any, name: str, key: str) -> float:
-    try:
-        number = float(value)  # from text too: YAML 1.1 reads 1e-3, without a dot, as text
-    except (TypeError, ValueError):
-        number = np.nan
-    if isinstance(value, bool) or not np.isfinite(number):
-        raise _area_error(name, f"has {key} {value!r}, not a number", "metres in the map frame, or leave it out")
-    return number
 
 
 def _refuse_unknown(mapping: dict[Any, Any], known: tuple[str, ...], where: str) -> None:

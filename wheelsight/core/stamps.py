@@ -14,17 +14,10 @@ from wheelsight.core.errors import ArgumentError, InputError
 from wheelsight.core.geometry import BoolArray, FloatArray, IntArray
 from wheelsight.core.messages import Event
 
-# What stamps look like: seconds, or what people take for them.
-
-
-_FEWEST = 4
-# Seconds since 1970, from the year 2001 to 2128.
-_EPOCH_S = 1e9, 5e9
-# Between two frames or readings, by the rates of sensors on robots: 200 Hz or less, and faster ones in finer units.
-_LEAST_STEP = 5.0
-# From here on whole seconds are no numbers but times since 1970.
-_LARGEST_NUMBER = 1e8
-# A step between two stamps that are plainly seconds, whatever their epoch.
+_FEWEST = 4  # stamps that show a unit
+_EPOCH_S = 1e9, 5e9  # since 1970, from the year 2001 to 2128
+_LEAST_STEP = 5.0  # of stamps in milliseconds: sensors of robots have 200 Hz or less, or finer units
+_LARGEST_NUMBER = 1e8  # of a sequence; larger whole numbers are times since 1970
 _LONGEST_STEP_S = 100.0
 
 
@@ -47,7 +40,7 @@ UNITS = (StampUnit("milliseconds", 1e3), StampUnit("microseconds", 1e6), StampUn
 
 
 def unit_of(stamps: ArrayLike) -> StampUnit | None:
-    """The likely unit of stamps (N,) of one sensor, or None if they may be seconds.
+    """Return the likely unit of stamps (N,) of one sensor, or None if they may be seconds.
 
     Times since 1970 fit one unit only. For others the step decides: 0.1 s may be 100 or 100 000, but no sensor of a
     robot is silent for 100 s. Consecutive whole numbers are sequence numbers.
@@ -79,7 +72,7 @@ class StampCheck:
         self._first: dict[str, list[float]] = {}
 
     def check(self, event: Event) -> None:
-        """Look at one more event. Raises ArgumentError."""
+        """Check the next event. Raises ArgumentError."""
         name = type(event).__name__
         first = self._first.setdefault(name, [])
         if len(first) >= _FEWEST or not np.isfinite(event.stamp_s):
@@ -96,7 +89,7 @@ class StampCheck:
         first.append(float(event.stamp_s))
 
 
-# A column of stamps by its name, alone or before what parts columns; its unit after "_", "/", "in" or in brackets.
+# The name of a column of stamps, with its unit after "_", "/", "in" or in brackets.
 _COLUMN = re.compile(
     r"[\"']?(?:time_?stamps?|stamps?|time|t)(?:\s*[\[(_/]\s*(?:in\s+)?|\s+in\s+)(?P<unit>[a-zµμ_]+)\s*[\])]?[\"']?(?=[\s,;]|$)",
     re.IGNORECASE,
@@ -110,9 +103,9 @@ _UNIT_NAMES = (
 
 
 def column_unit(text: str) -> StampUnit | None:
-    """The unit in a line or a name that begins with that of a column of stamps, such as `time [ms]`.
+    """Return the unit in a line or a name that begins like a column of stamps, such as `time [ms]`.
 
-    None if it begins otherwise, or names no unit: `timestamp` may have any.
+    None if it begins otherwise, or has no unit, as `timestamp`.
     """
     found = _COLUMN.match(text.strip())
     if found is None:
@@ -120,23 +113,18 @@ def column_unit(text: str) -> StampUnit | None:
     return next((unit for unit, name in _UNIT_NAMES if name.fullmatch(found["unit"])), None)
 
 
-# Which stamps of two sensors belong together: one-to-one, as many as possible, as near as possible.
-
-
 _LARGEST_VALUE = 2.0**62
 
 
 def associate(stamps_a_s: ArrayLike, stamps_b_s: ArrayLike, max_gap_s: float) -> IntArray:
-    """Pairs (M, 2) of indices into stamps a (N,) and stamps b (K,), both sorted, in seconds.
+    """Return pairs (M, 2) of indices into stamps a (N,) and stamps b (K,), both sorted, in seconds.
 
-    Of all one-to-one pairings without a gap over `max_gap_s` this has the most pairs, and of those with the most
-    pairs the smallest sum of gaps. Both columns grow: uncrossing two crossed pairs never makes a gap worse.
-
-    Where no two stamps share a nearest partner, nearest is best; only the stretches where some do are solved
-    by dynamic programming.
+    The pairing is one-to-one, without a gap over `max_gap_s`. It has the most pairs, and of those pairings the smallest
+    sum of gaps. Both columns grow. Nearest partners are best unless two stamps share one; such stretches are solved by
+    dynamic programming.
 
     Raises:
-        InputError: stamps that are not finite or not sorted, or a gap that is no number from 0 up.
+        InputError: stamps that are not finite or not sorted, or a gap that is negative or no number.
     """
     a, b = _sorted_stamps(stamps_a_s, "first"), _sorted_stamps(stamps_b_s, "second")
     if not (np.isfinite(max_gap_s) and max_gap_s >= 0):
@@ -172,7 +160,7 @@ def _sorted_stamps(stamps_s: ArrayLike, which: str) -> FloatArray:
 
 
 def _nearest_pairs(a: FloatArray, b: FloatArray, max_gap_s: float, stretch_a: IntArray) -> tuple[IntArray, BoolArray]:
-    """Each a with its nearest b in reach, and for each stretch whether two of its a share a nearest b."""
+    """Return each a with its nearest b in reach, and for each stretch whether two of its a share a nearest b."""
     right = np.searchsorted(b, a).clip(1, max(1, len(b) - 1))
     left = right - 1
     right = right.clip(max=len(b) - 1)
@@ -186,11 +174,10 @@ def _nearest_pairs(a: FloatArray, b: FloatArray, max_gap_s: float, stretch_a: In
 
 
 def _best_pairs(a: FloatArray, b: FloatArray, max_gap_s: float) -> IntArray:
-    """The best pairs (M, 2) by dynamic programming over the stamps in reach of each other.
+    """Return the best pairs (M, 2) by dynamic programming over the stamps in reach of each other.
 
-    `best[j]` is the value of the best pairing of the a seen so far with the first j of b. A pair is worth
-    more than all gaps together, so one integer orders by number first and by sum of gaps second; the scale
-    uses the 63 bits there are, finer than the stamps' own resolution.
+    `best[j]` is the value of the best pairing of the previous a with the first j of b. A pair is worth more than all
+    gaps together, so one integer orders by number, then by sum of gaps. Its scale uses 63 bits, finer than the stamps.
     """
     most = min(len(a), len(b)) + 1
     scale = _LARGEST_VALUE / (most**2 * max(max_gap_s, 1e-12))

@@ -7,6 +7,7 @@ import math
 import re
 from array import array
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -23,11 +24,11 @@ from wheelsight.core.stamps import StampUnit, column_unit
 _log = logging.getLogger(__name__)
 
 _ORTHONORMAL_TOLERANCE = 1e-2
-# Motion-capture files repeat a stamp now and then (TUM fr2/desk: one); stamps cut to seconds repeat nearly all.
+# Motion-capture files repeat a few stamps (TUM fr2/desk: one); stamps cut to seconds repeat nearly all.
 _REPEATED_SHARE_ALLOWED = 0.01
 _LINE_OF = {8: "stamp tx ty tz qx qy qz qw", 12: "three rows of R and t"}
 _TUM_COLUMNS = 8
-# As programs that write a first line of names call them.
+# By programs that write a first line of names.
 _COLUMN_NAMES = (
     ("timestamp", "stamp", "time", "t", "stamp_s", "time_s", "timestamp_s"),
     *((f"t{axis}", axis, f"p{axis}", f"p_{axis}", f"pos_{axis}", f"{axis}_m") for axis in "xyz"),
@@ -39,28 +40,19 @@ _LARGEST_STAMP, _LARGEST = 1e20, 1e12  # squares of these are summed; stamps may
 _FRAMES_LINE = re.compile(r"^#\s*frames:\s*T_(?P<frame>[a-z0-9]+)_(?P<body>[a-z0-9]+)\b")
 
 
-def _unchanging(given: ArrayLike) -> FloatArray:
-    """A read-only copy, or the array itself if it is read-only: covariances of an hour take 57 MB."""
-    values = np.asarray(given, float)
-    if values.flags.writeable or not values.flags.owndata:
-        values = values.copy()
-        values.setflags(write=False)
-    return values
-
-
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses of one body in one fixed frame, at strictly growing stamps. Nothing in it can be changed.
+    """Poses of one body in one fixed frame, at strictly growing stamps. Its arrays are read-only.
 
     Attributes:
         stamps_s: (N,) seconds.
-        T_frame_body: (N, 4, 4); of the frame `body`, "camera" or "base".
+        T_frame_body: (N, 4, 4) poses.
         covariances: (N, 6, 6) of the left perturbation (v, ω), or None.
-        body: name of the frame whose poses these are.
-        frame: name of the fixed frame they are in: "map" or "odom".
+        body: "camera" or "base".
+        frame: the fixed frame, "map" or "odom".
 
     Raises:
-        TrajectoryError: shapes that do not fit, stamps that do not grow, poses that are no rigid motions.
+        TrajectoryError: inconsistent shapes, stamps that do not grow, poses that are no rigid motions.
     """
 
     stamps_s: FloatArray
@@ -72,7 +64,12 @@ class Trajectory:
     def __post_init__(self) -> None:
         for name in ("stamps_s", "T_frame_body", "covariances"):
             if getattr(self, name) is not None:
-                object.__setattr__(self, name, _unchanging(getattr(self, name)))
+                values = np.asarray(getattr(self, name), float)
+                # A read-only array is not copied: covariances of an hour take 57 MB.
+                if values.flags.writeable or not values.flags.owndata:
+                    values = values.copy()
+                    values.setflags(write=False)
+                object.__setattr__(self, name, values)
         n = self.stamps_s.size
         if self.stamps_s.shape != (n,) or self.T_frame_body.shape != (n, 4, 4):
             shapes = f"{self.stamps_s.shape} and {self.T_frame_body.shape}"
@@ -97,7 +94,7 @@ class Trajectory:
 
     @property
     def duration_s(self) -> float:
-        """Seconds from the first stamp to the last; 0 when there are fewer than two."""
+        """Seconds from the first stamp to the last; 0 for fewer than two."""
         return float(self.stamps_s[-1] - self.stamps_s[0]) if len(self) else 0.0
 
     @property
@@ -112,15 +109,15 @@ class Trajectory:
         return float(self.distances_m[-1]) if len(self) else 0.0
 
     def at(self, stamps_s: ArrayLike, max_gap_s: float = np.inf) -> FloatArray:
-        """Poses (M, 4, 4) at stamps (M,), on geodesics between neighbours; NaN outside and in gaps over `max_gap_s`."""
+        """Return poses (M, 4, 4) at stamps (M,), on geodesics between neighbours; NaN outside and in gaps."""
         return interpolate_at(self.stamps_s, self.T_frame_body, stamps_s, max_gap_s)
 
     def between(self, start_s: float, end_s: float) -> Trajectory:
-        """The part with start ≤ stamp ≤ end, seconds."""
+        """Return the part with start ≤ stamp ≤ end, seconds."""
         return self.select((self.stamps_s >= start_s) & (self.stamps_s <= end_s))
 
     def select(self, which: ArrayLike | slice) -> Trajectory:
-        """The poses chosen by a mask (N,), a slice, or indices (M,); raises TrajectoryError if these do not grow."""
+        """Return the poses of a mask (N,), a slice, or indices (M,). Raises TrajectoryError if these do not grow."""
         if not isinstance(which, slice):
             which = np.asarray(which)
             which = which if which.size else which.astype(int)
@@ -129,7 +126,7 @@ class Trajectory:
         return Trajectory(self.stamps_s[index], self.T_frame_body[index], covariances, self.body, self.frame)
 
     def moved(self, T_new_frame: ArrayLike) -> Trajectory:
-        """The same trajectory seen from another fixed frame: every pose multiplied by (4, 4) from the left."""
+        """Return the trajectory in another fixed frame: every pose multiplied by (4, 4) from the left."""
         T = np.asarray(T_new_frame, float)
         Ad = se3.adjoint(T)
         covariances = None if self.covariances is None else Ad @ self.covariances @ Ad.T
@@ -139,16 +136,14 @@ class Trajectory:
 def read_tum(path: StrPath, body: str = "camera", warn: Callable[[str], None] = _log.warning) -> Trajectory:
     """Read TUM text: `stamp tx ty tz qx qy qz qw` a line, metres; # starts a comment.
 
-    Commas, semicolons (with decimal commas) or white space part the numbers; a first line may name the columns, which
-    may then stand in any order among others.
-
-    A line "# frames: T_frame_base" (wheelsight writes it) names the frames; else `body` does.
-    Quaternions within 1 % of unit length are normalised. Of lines with the same stamp the first is kept, and `warn`
-    gets one sentence, if they are under 1 % of all.
+    Numbers are separated by commas, semicolons (with decimal commas) or white space. A first line may name the columns,
+    in any order and among others. A line "# frames: T_frame_base", as wheelsight writes it, names the frames; else
+    `body` does. Quaternions within 1 % of unit length are normalised. If fewer than 1 % of the lines repeat a stamp,
+    the first of each is kept, and `warn` gets one sentence.
 
     Raises:
-        TrajectoryError: naming file and line, for text that is no such line, values that are not finite,
-            quaternions far from unit length, stamps that run backwards or repeat often, or a file without poses.
+        TrajectoryError: with file and line: no such text, values that are not finite, quaternions far from unit length,
+            stamps that run backwards or repeat often, or no poses.
     """
     path = Path(path)
     lines, values, frames = _read_rows(path, columns=8)
@@ -163,7 +158,7 @@ def read_tum(path: StrPath, body: str = "camera", warn: Callable[[str], None] = 
 
 
 def _first_of_each_stamp(stamps_s: FloatArray, lines: IntArray, path: Path, warn: Callable[[str], None]) -> BoolArray:
-    """Which rows (N,) to keep so that stamps (N,) strictly grow; raises TrajectoryError where that would lose much."""
+    """Return the rows (N,) with which stamps (N,) strictly grow. Raises TrajectoryError if many are lost."""
     steps_s = np.diff(stamps_s)
     for later in np.flatnonzero(steps_s < 0) + 1:
         raise TrajectoryError(
@@ -188,19 +183,19 @@ def _first_of_each_stamp(stamps_s: FloatArray, lines: IntArray, path: Path, warn
 
 
 def write_tum(trajectory: Trajectory, path: StrPath) -> None:
-    """Write TUM text, atomically; the header names the frames, and stamps read back exactly. Raises OutputError."""
+    """Write TUM text atomically, with a header of frames and exact stamps. Raises OutputError."""
     write_lines(path, chain((tum_header(trajectory),), tum_lines(trajectory)))
 
 
 def tum_header(trajectory: Trajectory) -> str:
-    """The comment lines that TUM text begins with; they name the trajectory's frames."""
+    """Return the comment lines at the begin of TUM text, with the trajectory's frames."""
     name = f"T_{trajectory.frame}_{trajectory.body}"
     frames = f"# frames: {name} (pose of the {trajectory.body} in the {trajectory.frame} frame)"
     return f"{frames}\n# timestamp tx ty tz qx qy qz qw\n"
 
 
 def tum_lines(trajectory: Trajectory) -> Iterator[str]:
-    """A line of TUM text for each pose."""
+    """Yield a line of TUM text for each pose."""
     t, q = trajectory.positions_m, so3.to_quaternion(trajectory.T_frame_body[:, :3, :3])
     for stamp, position, quaternion in zip(trajectory.stamps_s, t, q, strict=True):
         seconds = np.format_float_positional(stamp, min_digits=6)
@@ -208,10 +203,9 @@ def tum_lines(trajectory: Trajectory) -> Iterator[str]:
 
 
 def read_kitti(path: StrPath, period_s: float = 0.1, body: str = "camera") -> Trajectory:
-    """Read KITTI text: the first three rows of a pose, twelve numbers a line; stamps are counted at `period_s`.
+    """Read KITTI text: the first three rows of a pose, twelve numbers a line, every `period_s`.
 
-    Rotations are brought to the nearest orthonormal one, since the text rounds them.
-    Raises TrajectoryError naming file and line, as `read_tum`.
+    Rotations become the nearest orthonormal ones, since the text rounds them. Raises TrajectoryError as `read_tum`.
     """
     path = Path(path)
     lines, rows, frames = _read_rows(path, columns=12)
@@ -225,13 +219,13 @@ def read_kitti(path: StrPath, period_s: float = 0.1, body: str = "camera") -> Tr
 
 
 def write_kitti(trajectory: Trajectory, path: StrPath) -> None:
-    """Write KITTI text, atomically; stamps are not part of the format. Raises OutputError."""
+    """Write KITTI text, which has no stamps, atomically. Raises OutputError."""
     rows = trajectory.T_frame_body[:, :3, :].reshape(-1, 12)
     write_lines(path, (" ".join(f"{x:.9e}" for x in row) + "\n" for row in rows))
 
 
 def _read_rows(path: Path, columns: int) -> tuple[IntArray, FloatArray, tuple[str, str] | None]:
-    """Line numbers (N,) and values (N, columns) of all lines that are no comment, and the frames a comment names."""
+    """Return line numbers (N,) and values (N, columns) without comments, and the frames by a comment."""
     text = read_text(path, _FILE, TrajectoryError)
     begin, first, frames, unit = _comments_above(text)
     first_line = text[begin : text.find("\n", begin)]
@@ -253,7 +247,7 @@ def _read_rows(path: Path, columns: int) -> tuple[IntArray, FloatArray, tuple[st
 
 
 def _comments_above(text: str) -> tuple[int, int, tuple[str, str] | None, StampUnit | None]:
-    """Where the comments at the top end, the number of the next line, the frames they name, and the unit of stamps."""
+    """Return the end of the comments at the top, the number of the next line, and the frames and unit in them."""
     begin, number, frames, unit = 0, 1, None, None
     while text.startswith("#", begin):
         end = text.find("\n", begin)
@@ -268,14 +262,14 @@ def _comments_above(text: str) -> tuple[int, int, tuple[str, str] | None, StampU
 
 
 def _frames_of(named: re.Match[str]) -> tuple[str, str]:
-    """Names of the frame and the body; files before 2026-12 call the map frame "world"."""
+    """Return the names of frame and body; files before 2026-12 call the map frame "world"."""
     return "map" if named["frame"] == "world" else named["frame"], named["body"]
 
 
 def _read_lines(
     text: str, columns: int, path: Path
 ) -> tuple[IntArray, FloatArray, tuple[str, str] | None, StampUnit | None]:
-    """As `_read_rows`, line by line, for any text; and the unit that the first line names for its stamps."""
+    """As `_read_rows`, line by line, for any text; also the unit of stamps in the first line."""
     numbers, values = array("q"), array("d")
     frames, order, unit = None, None, None
     for number, line in enumerate(lines_of(text), start=1):
@@ -287,7 +281,8 @@ def _read_lines(
         words = split_words(bare)
         if not words:
             continue
-        if order is None and not numbers and columns == _TUM_COLUMNS and _is_header(words):
+        is_first = order is None and not numbers and columns == _TUM_COLUMNS and len(words) > 1
+        if is_first and all(math.isnan(as_number(word)) and word.lower() != "nan" for word in words):
             order, unit = _order(split_words(_UNIT_APART.sub("", bare)), path, number)
             continue
         if order is not None:
@@ -303,15 +298,10 @@ def _read_lines(
     return np.array(numbers, np.int64), np.array(values, np.float64).reshape(-1, columns), frames, unit
 
 
-def _is_header(words: list[str]) -> bool:
-    """Whether the words of a first line are names of columns rather than numbers."""
-    return len(words) > 1 and all(math.isnan(as_number(word)) and word.lower() != "nan" for word in words)
-
-
 def _order(words: list[str], path: Path, line: int) -> tuple[list[int], StampUnit | None]:
-    """Where a first line that names its columns has each of TUM's, and the unit of stamps that it names.
+    """Return the places of TUM's columns in a first line of names, its width, and the unit of stamps in it.
 
-    Raises TrajectoryError where it lacks a column.
+    Raises TrajectoryError if it lacks a column.
     """
     names = [word.lower() for word in words]
     stamps = [column_unit(name) for name in names]
@@ -330,10 +320,8 @@ def _numbers(words: list[str], columns: int, path: Path, line: int) -> list[floa
     if len(words) != columns:
         problem = f"{len(words)} values where {columns} are expected"
         raise TrajectoryError(problem, path=path, line=line, fix=f"{_LINE_OF[columns]} a line")
-    try:
+    with suppress(ValueError):
         return [float(word) for word in words]
-    except ValueError:
-        pass
     try:
         return [float(word) for word in numbers_with_commas(words)]
     except ValueError as error:

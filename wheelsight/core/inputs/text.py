@@ -18,9 +18,6 @@ from wheelsight.core.errors import InputError
 from wheelsight.core.files import StrPath
 from wheelsight.core.inputs.gate import Kind, read_text
 
-# Words of a line as people's programs write them: with commas, semicolons or spaces between, and in quotes.
-
-
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 _ODD = re.compile("[;,\"']")
 _BETWEEN = re.compile(r"[\s,]+")
@@ -28,9 +25,9 @@ _QUOTES = "\"'"
 
 
 def split_words(text: str) -> list[str]:
-    """The words of a line, without quotes; empty ones at its end are left out.
+    """Return the words of a line, without quotes and without empty ones at its end.
 
-    Semicolons part words if there are any, so that commas are decimal ones; else commas and white space do.
+    Semicolons separate words if there are any, and commas are decimal ones; else commas and white space do.
     """
     if not _ODD.search(text):
         return text.split()
@@ -47,42 +44,37 @@ def split_words(text: str) -> list[str]:
 
 
 def unquoted(word: str) -> str:
-    """A word without the white space and the pair of quotes around it."""
+    """Return a word without white space and quotes around it."""
     word = word.strip()
     return word[1:-1].strip() if len(word) > 1 and word[0] == word[-1] and word[0] in _QUOTES else word
 
 
 def numbers_with_commas(words: list[str]) -> list[str]:
-    """The words, with a point in place of the decimal comma where one is a number with such."""
+    """Return the words, with points for decimal commas."""
     return [word.replace(",", ".") if _DECIMAL_COMMA.fullmatch(word) else word for word in words]
 
 
 def as_number(word: str) -> float:
-    """The number that a word is, with point or decimal comma; NaN where it is none."""
+    """Return the number of a word, with point or decimal comma; NaN for others."""
     try:
         return float(word)
     except ValueError:
         return float(word.replace(",", ".")) if _DECIMAL_COMMA.fullmatch(word) else math.nan
 
 
-# Rows of plain numbers in bulk: what numpy reads at once; a reader of lines takes the rest, and says what is wrong.
-
-
-# Characters read at a time, so that the lines of a long text never stand in memory one by one.
-_PIECE = 1 << 22
+_PIECE = 1 << 22  # characters read at a time, so that a long text is never in memory line by line
 _PLAIN_ROWS_ODD = "#\"'\r"
 
 
 def plain_rows(text: str, whole: Sequence[bool], between: str | None) -> list[NDArray[Any]] | None:
-    """The columns (N,) of lines of numbers, or None where any line is anything else.
+    """Return the columns (N,) of lines of numbers; None if any line is blank, has a comment, or another width.
+
+    numpy reads them at once; a reader of lines takes the rest, and names the problem.
 
     Args:
-        text: from the first row on; ends after the last one, with or without a line end.
-        whole: of each column, whether it holds whole numbers: int64 then, else float64.
-        between: what parts the numbers of a line; None for white space.
-
-    Returns:
-        The columns, all as long as `text` has lines: no line is blank, has a comment, or more or fewer numbers.
+        text: rows, the last one with or without a line end.
+        whole: for each column, whether it has whole numbers: int64, else float64.
+        between: separator of numbers; None for white space.
     """
     text = text.rstrip()
     if not text or any(mark in text for mark in _PLAIN_ROWS_ODD):
@@ -92,26 +84,19 @@ def plain_rows(text: str, whole: Sequence[bool], between: str | None) -> list[ND
     while begin < len(text):
         end = text.find("\n", begin + _PIECE)
         end = len(text) if end < 0 else end
-        rows = _read(text[begin:end].split("\n"), kinds, between)
-        if rows is None:
+        lines = text[begin:end].split("\n")
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")  # whole numbers with a point, and only blank lines
+                rows = np.loadtxt(lines, dtype=kinds, delimiter=between, comments=None, ndmin=1)
+        except (ValueError, OverflowError, Warning):
+            return None
+        if len(rows) != len(lines):
             return None
         pieces.append(rows)
         begin = end + 1
     table = np.concatenate(pieces)
     return [np.ascontiguousarray(table[name]) for name in kinds.names or ()]
-
-
-def _read(lines: list[str], kinds: np.dtype[np.void], between: str | None) -> NDArray[np.void] | None:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # of whole numbers with a point, and of nothing but blank lines
-            rows = np.loadtxt(lines, dtype=kinds, delimiter=between, comments=None, ndmin=1)
-    except (ValueError, OverflowError, Warning):
-        return None
-    return rows if len(rows) == len(lines) else None
-
-
-# JSON from strangers: depth, size and numbers are bounded.
 
 
 _DEEPEST = 64
@@ -120,11 +105,11 @@ _LARGEST_INTEGER = 1 << 63
 
 
 def parse_json(text: str | bytes) -> Any:
-    """What a JSON text holds.
+    """Return the value of a JSON text.
 
     Raises:
-        ValueError: it is no JSON, is nested deeper than 64 levels, holds more than a million values, NaN, infinity, or
-            whole numbers beyond 64 bits.
+        ValueError: no JSON, nested deeper than 64 levels, more than a million values, NaN, infinity, or whole numbers
+            beyond 64 bits.
     """
     try:
         document = json.loads(text, parse_constant=_refuse, parse_int=_whole)
@@ -137,15 +122,12 @@ def parse_json(text: str | bytes) -> Any:
             raise ValueError(f"is nested deeper than {_DEEPEST} levels")
         if count > _MOST_VALUES:
             raise ValueError(f"holds more than {_MOST_VALUES} values")
-        level = [inner for value in level for inner in _inside(value)]
+        groups = (
+            value.values() if isinstance(value, dict) else value for value in level if isinstance(value, dict | list)
+        )
+        level = [inner for group in groups for inner in group]
         depth += 1
     return document
-
-
-def _inside(value: Any) -> Any:
-    if isinstance(value, dict):
-        return value.values()
-    return value if isinstance(value, list) else ()
 
 
 def _whole(digits: str) -> int:
@@ -159,13 +141,10 @@ def _refuse(constant: str) -> None:
     raise ValueError(f"holds {constant}, which is no JSON")
 
 
-# YAML from strangers: plain values alone; size, depth, aliases and numbers are bounded.
-
-
 YAML_FILE = Kind("a YAML file", most_mb=1, most_lines=100_000, longest_line=1 << 20)
-_YAML_FILES_DEEPEST = 32
-# With every alias counted as what it stands for. A map of a thousand areas with twenty corners each has 60 000.
-_YAML_FILES_MOST_VALUES = 100_000
+_DEEPEST_YAML = 32
+# Each alias counts as its content. A map of a thousand areas with twenty corners each has 60 000.
+_MOST_YAML_VALUES = 100_000
 _LARGEST = 1e15  # metres, seconds or pixels: beyond, squares and sums of squares lose their differences
 _EXPONENT = re.compile(r"[+-]?[\d.]+[eE][+-]?\d+")
 _TAG = "tag:yaml.org,2002:"
@@ -175,19 +154,19 @@ _Base: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 def read_yaml(path: StrPath, error: type[InputError]) -> Any:
-    """What a YAML file holds. Raises InputError of the type `error`, naming file, line and fix."""
+    """Return the value of a YAML file. Raises InputError of the type `error`, with file, line and fix."""
     return parse_yaml(read_text(path, YAML_FILE, error), path, error)
 
 
 def parse_yaml(text: str, path: StrPath, error: type[InputError]) -> Any:
-    """What a YAML text of the file at `path` holds: dicts, lists, text, numbers, booleans, None.
+    """Return the value of a YAML text of the file at `path`: dicts, lists, text, numbers, booleans, None.
 
-    Dates stay text, and OpenCV's first line and tag of matrices are passed over.
+    Dates stay text. OpenCV's first line and tag of matrices are ignored.
 
     Raises:
-        InputError: of the type `error`, naming file, line and fix: text that is no YAML, nesting deeper than 32
-            levels, more than 100 000 values (aliases count as what they stand for), tags of other kinds, whole numbers
-            beyond 64 bits, other numbers beyond 1e15.
+        InputError: of the type `error`, with file, line and fix: no YAML, nesting deeper than 32 levels, more than
+            100 000 values (aliases count as their content), other tags, whole numbers beyond 64 bits, other numbers
+            beyond 1e15.
     """
     path = Path(path)
     text = text.replace("%YAML:1.0", "", 1) if text.startswith("%YAML:1.0") else text
@@ -198,13 +177,16 @@ def parse_yaml(text: str, path: StrPath, error: type[InputError]) -> Any:
         _Size().check(text)
         return yaml.load(text, _Loader)
     except yaml.YAMLError as problem:
-        raise _told(problem, path, error) from problem
+        mark = getattr(problem, "problem_mark", None)
+        text = getattr(problem, "problem", None) or "its text ends too early"
+        text = text if type(problem) is yaml.MarkedYAMLError else f"is not YAML: {text}"
+        raise error(text, path=path, line=None if mark is None else mark.line + 1, fix=_FIX) from problem
 
 
 def line_of(path: StrPath, names: Sequence[str], error: type[InputError]) -> int | None:
-    """The line on which the last of nested `names` stands, or the innermost above it that the file has, if any.
+    """Return the line of the last of nested `names`, or of the innermost one that the file has, if any.
 
-    Raises InputError of the type `error` where the file, which `read_yaml` has taken, can no longer be read.
+    Raises InputError of the type `error` if the file can no longer be read.
     """
     node, line = yaml.compose(read_text(path, YAML_FILE, error), _Loader), None
     for name in names:
@@ -218,7 +200,7 @@ def line_of(path: StrPath, names: Sequence[str], error: type[InputError]) -> int
 
 
 class _Size:
-    """Counts the values of a document as its parser comes by them, before any is made."""
+    """Counts the values of a document before any is made."""
 
     def __init__(self) -> None:
         self._open: list[tuple[str | None, int]] = []
@@ -226,23 +208,23 @@ class _Size:
         self._count = 0
 
     def check(self, text: str) -> None:
-        """Raises yaml.MarkedYAMLError for too deep, too many, or an alias of what it lies in."""
+        """Raises yaml.MarkedYAMLError: too deep, too many, or an alias of its own surroundings."""
         for event in yaml.parse(text, _Loader):
             if isinstance(event, yaml.AliasEvent):
                 self._alias(event)
             elif isinstance(event, yaml.CollectionStartEvent):
                 self._begin(event.anchor)
-                if len(self._open) > _YAML_FILES_DEEPEST:
-                    _yaml_files_refuse(f"is nested deeper than {_YAML_FILES_DEEPEST} levels", event)
+                if len(self._open) > _DEEPEST_YAML:
+                    _yaml_error(f"is nested deeper than {_DEEPEST_YAML} levels", event)
             elif isinstance(event, yaml.CollectionEndEvent):
                 anchor, before = self._open.pop()
                 self._name(anchor, self._count - before)
             elif isinstance(event, yaml.ScalarEvent):
                 self._count += 1
                 self._name(event.anchor, 1)
-            if self._count > _YAML_FILES_MOST_VALUES:
-                _yaml_files_refuse(
-                    f"holds more than {_YAML_FILES_MOST_VALUES} values, aliases counted as what they stand for", event
+            if self._count > _MOST_YAML_VALUES:
+                _yaml_error(
+                    f"holds more than {_MOST_YAML_VALUES} values, aliases counted as what they stand for", event
                 )
 
     def _begin(self, anchor: str | None) -> None:
@@ -258,12 +240,12 @@ class _Size:
     def _alias(self, event: Any) -> None:
         values = self._named.get(event.anchor, 1)
         if values is None:
-            _yaml_files_refuse(f"alias {event.anchor!r} stands for what it lies in", event)
+            _yaml_error(f"alias {event.anchor!r} stands for what it lies in", event)
         self._count += values
 
 
 class _Loader(_Base):  # type: ignore[misc]
-    """Makes plain values only; whatever fails on the way is an error with its line."""
+    """Makes plain values only; each failure is an error with its line."""
 
     yaml_constructors: ClassVar = {f"{_TAG}{name}": _Base.yaml_constructors[f"{_TAG}{name}"] for name in _PLAIN}
     yaml_implicit_resolvers: ClassVar = {
@@ -272,16 +254,16 @@ class _Loader(_Base):  # type: ignore[misc]
     }
 
     def construct_object(self, node: Any, deep: bool = False) -> Any:
-        """The value of a node. Raises yaml.YAMLError alone."""
+        """Return the value of a node. Raises only yaml.YAMLError."""
         try:
             value = super().construct_object(node, deep)
         except yaml.YAMLError:
             raise
         except Exception as error:  # constructors fail in ways of their own: int(""), the wrong key, too many digits
             kind = node.tag.removeprefix(_TAG)
-            _yaml_files_refuse(f"{_clipped(node.value)} is no {kind}", node, cause=error)
+            _yaml_error(f"{_clipped(node.value)} is no {kind}", node, cause=error)
         if _is_beyond(value):
-            _yaml_files_refuse(f"{_clipped(node.value)} is beyond every number that means something here", node)
+            _yaml_error(f"{_clipped(node.value)} is beyond every number that means something here", node)
         return value
 
 
@@ -290,7 +272,7 @@ def _matrix(loader: _Loader, node: Any) -> Any:
 
 
 def _undefined(loader: _Loader, node: Any) -> NoReturn:
-    _yaml_files_refuse(f"has the tag {_clipped(node.tag)}, which means nothing here", node)
+    _yaml_error(f"has the tag {_clipped(node.tag)}, which means nothing here", node)
 
 
 _Loader.add_constructor(f"{_TAG}opencv-matrix", _matrix)
@@ -311,18 +293,10 @@ def _is_beyond(value: Any) -> bool:
     return isinstance(value, float) and math.isfinite(value) and abs(value) > _LARGEST
 
 
-def _yaml_files_refuse(problem: str, where: Any, cause: Exception | None = None) -> NoReturn:
+def _yaml_error(problem: str, where: Any, cause: Exception | None = None) -> NoReturn:
     raise yaml.MarkedYAMLError(problem=problem, problem_mark=where.start_mark) from cause
 
 
 def _clipped(value: Any) -> str:
     text = repr(value) if isinstance(value, str) else "a list or mapping"
     return text if len(text) <= 60 else f"{text[:57]}…"
-
-
-def _told(problem: yaml.YAMLError, path: Path, error: type[InputError]) -> InputError:
-    mark = getattr(problem, "problem_mark", None)
-    line = None if mark is None else mark.line + 1
-    said = getattr(problem, "problem", None) or "its text ends too early"
-    own = type(problem) is yaml.MarkedYAMLError
-    return error(said if own else f"is not YAML: {said}", path=path, line=line, fix=_FIX)
