@@ -63,7 +63,7 @@ class KnownSurfels:
         self._thinning = Thinning(self.map.settings)
         self._noise = calibration.depth_noise
         self._gridder = Gridder(calibration, settings, rows)
-        self._maker = ReferenceMaker(calibration.depth_noise, settings, rows)
+        self._maker = ReferenceMaker(calibration.depth_noise, rows)
 
     def fuse(self, frame: RgbdFrame, poses: TruePoses) -> None:
         """Straighten and fuse a frame, after its view was predicted, as a tracker needs it."""

@@ -22,8 +22,18 @@ from wheelsight.core.geometry import FloatArray, IntArray, se3
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.io.recordings import Recording, open_recording
 from wheelsight.vision.features import FeatureOdometry, FeatureSettings
-from wheelsight.vision.features.extraction import FeatureExtractor, Features, keypoint_sigma_px, straighten
-from wheelsight.vision.features.tracking import PointPairs, find_motion, match_all, refine_motion
+from wheelsight.vision.features.tracking import (
+    INLIER_CHI2,
+    PYRAMID_SCALE,
+    FeatureExtractor,
+    Features,
+    PointPairs,
+    find_motion,
+    keypoint_sigma_px,
+    match_all,
+    refine_motion,
+    straighten,
+)
 from wheelsight.vision.tracking_state import twist_between
 
 SHUTTERS_S = (0.0, 0.005, 0.010, 0.015, 0.018, 0.021, 0.024, 0.027, 0.030, 0.035)
@@ -72,9 +82,8 @@ def _pairs(before: Features, now: Features, calibration: Calibration) -> tuple[P
 
 
 def _aligned(pairs: PointPairs) -> FloatArray | None:
-    settings = FeatureSettings()
-    T = find_motion(pairs, settings, seed=0)
-    return None if isinstance(T, Reason) else refine_motion(pairs, T, settings).T_current_reference
+    T = find_motion(pairs, seed=0)
+    return None if isinstance(T, Reason) else refine_motion(pairs, T).T_current_reference
 
 
 def _chi_square(pairs: PointPairs, T: FloatArray) -> FloatArray:
@@ -92,7 +101,7 @@ def _disagreement(
         before, now = (straighten(views[k], velocities[k], shutter_s, height) for k in (i, i + GAP))
         pairs, _ = _pairs(before, now, calibration)
         if (T := _aligned(pairs)) is not None:
-            costs.append(np.minimum(_chi_square(pairs, T), FeatureSettings().inlier_chi2).mean())
+            costs.append(np.minimum(_chi_square(pairs, T), INLIER_CHI2).mean())
     return float(np.mean(costs))
 
 
@@ -122,11 +131,10 @@ def _noise_table(views: list[Features], velocities: list[FloatArray], calibratio
     table = Table(title="Noise of a keypoint, px")
     for name in ("level", "pixels of the level", "measured σ", "assumed σ"):
         table.add_column(name, justify="right")
-    settings = FeatureSettings()
     for level, parts in sorted(left.items()):
-        stated = keypoint_sigma_px(level, settings)
+        stated = keypoint_sigma_px(level)
         sigma = 1.4826 * np.median(np.abs(np.concatenate(parts))) / np.sqrt(2)
-        table.add_row(str(level), f"{settings.pyramid_scale**level:.2f}", f"{sigma:.2f}", f"{stated:.2f}")
+        table.add_row(str(level), f"{PYRAMID_SCALE**level:.2f}", f"{sigma:.2f}", f"{stated:.2f}")
     return table
 
 

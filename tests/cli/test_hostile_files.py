@@ -125,7 +125,7 @@ def test_seeds_have_bounds(refusal: Refusal, room: Path, tmp_path: Path, seed: i
         ("surfels: {far_m: 1.0e+9}", "surfels.far_m is 1000000000.0, which should be less than or equal to 40"),
         ("surfels: {max_surfels: 1000000000}", "surfels.max_surfels is 1000000000, which should be less than"),
         ("report: {pictures: 1000000}", "report.pictures is 1000000, which should be less than or equal to 100"),
-        ("features: {ransac_iterations: 10000000000}", "features.ransac_iterations is 10000000000, which should be"),
+        ("features: {keypoints: 10000000000}", "features.keypoints is 10000000000, which should be"),
         ("recording: {max_gap_s: 1.0e+9}", "recording.max_gap_s is 1000000000.0, which should be less than"),
     ],
 )

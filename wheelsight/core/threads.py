@@ -107,18 +107,21 @@ class Rows:
         self._threads = threads
         self._pool = ThreadPoolExecutor(threads, "wheelsight-dense") if threads > 1 else None
 
-    def share(self, height: int, work: Callable[[int, int], None]) -> None:
-        """Call `work(begin, end)` until all rows below `height` are done."""
+    def share(self, height: int, work: Callable[..., None], *given: Any, out: Any = None) -> None:
+        """Call `work(*given, begin, end, out)` until all rows below `height` are done; without `out`, leave it out."""
+        last = () if out is None else (out,)
         if self._pool is None or height < _FEWEST_ROWS:
-            work(0, height)
+            work(*given, 0, height, *last)
             return
         todo, parts = itertools.count(), _PARTS_A_THREAD * self._threads
 
         def take() -> None:
             while (part := next(todo)) < parts:
-                work(height * part // parts, height * (part + 1) // parts)
+                work(*given, height * part // parts, height * (part + 1) // parts, *last)
 
-        others = [self._pool.submit(take) for _ in range(1, self._threads)]
+        others = []
+        for _ in range(1, self._threads):
+            others.append(self._pool.submit(take))
         take()
         for other in others:
             if not other.cancel():

@@ -43,7 +43,7 @@ from wheelsight.mapping import SurfelMap
 from wheelsight.places import PlaceMatch
 from wheelsight.slam.place_recognition import KnownMap, LoopDetector
 from wheelsight.slam.settings import FROM_KEYFRAMES
-from wheelsight.vision.dense import halved_depth
+from wheelsight.vision.dense import DEPTH_JUMP, halved_depth
 from wheelsight.vision.features import MatchedPixels
 from wheelsight.vision.visual_odometry import VisualOdometry
 from wheelsight.wheels import AnyWheelOdometry
@@ -126,7 +126,7 @@ class Localizer(OneCaller):
         # A custom visual odometry expects images as the calibration describes them.
         is_full_size = self._has_places or visual_odometry is not None
         most_width_px = None if is_full_size else settings.localizer.most_width_px
-        self._images = SmallerImages(calibration, most_width_px, settings.dense.depth_jump)
+        self._images = SmallerImages(calibration, most_width_px, DEPTH_JUMP)
         self._calibration = calibration
         self._estimator = _estimator(self._images.calibration, settings, places, known, parts, waits=waits)
         self.body, self.frame = self._estimator.body, self._estimator.frame

@@ -280,21 +280,21 @@ class ViewMaker:
         self.settings = settings or DenseSettings()
         self.rows = Rows(self.settings.threads)
         self.gridder = Gridder(calibration, self.settings, self.rows)
-        self._keypoints = KeypointTracker(calibration, self.settings.verification, has_landmarks=False)
+        self._keypoints = KeypointTracker(calibration, has_landmarks=False)
 
     def of_frame(self, frame: RgbdFrame, twist: FloatArray | None = None) -> SeenView:
         """Return the view of a frame, by a camera that moves at `twist` (6,) in its own frame, or is at rest."""
         twist = np.zeros(6) if twist is None else twist
-        raw = self._keypoints.look(frame).result()
+        raw = self._keypoints.start(frame).result()
         features = self._keypoints.kept(self._keypoints.straightened(raw, twist))
         return SeenView(self.gridder.on_grid(frame, twist), features)
 
     def of_keyframe(self, keyframe: Keyframe) -> SeenView:
         """Return the view of a keyframe, halved to the grid's width: feature odometry stores full images."""
         finest = Level(keyframe.intrinsics, keyframe.depth_m, known_grey(keyframe))
-        levels = coarser(finest, self.settings, self.rows)
+        levels = coarser(finest, self.rows)
         while levels[0].depth_m.shape[1] > self.settings.finest_width_px:
-            levels = coarser(levels[1], self.settings, self.rows)
+            levels = coarser(levels[1], self.rows)
         return SeenView(GridFrame(keyframe.stamp_s, levels, np.zeros(6)), keyframe.features or NO_FEATURES)
 
     def of_one_size(self, first: SeenView, second: SeenView) -> tuple[SeenView, SeenView]:
@@ -309,7 +309,7 @@ class ViewMaker:
         return first, second
 
     def _halved(self, view: SeenView) -> SeenView:
-        levels = coarser(view.grid.levels[1], self.settings, self.rows)
+        levels = coarser(view.grid.levels[1], self.rows)
         return replace(view, grid=replace(view.grid, levels=levels))
 
 

@@ -25,9 +25,16 @@ from wheelsight.core.geometry.motion_kernels import is_definite
 from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId
 from wheelsight.core.settings import RecognitionSettings
 from wheelsight.places.recognition import SeenView, ViewMaker
-from wheelsight.vision.dense.alignment import Aligner, Judgement, Prior, SurfaceWeight, Told, judge
-from wheelsight.vision.dense.pyramid import Level, ReferenceMaker
-from wheelsight.vision.features.extraction import FeatureSettings
+from wheelsight.vision.dense.alignment import (
+    CORRELATION,
+    Aligner,
+    Judgement,
+    KeypointMotion,
+    MotionPrior,
+    SurfaceWeight,
+    judge,
+)
+from wheelsight.vision.dense.pyramid import LEVELS, Level, ReferenceMaker
 from wheelsight.vision.features.tracking import Alignment, PointPairs, find_motion, match_all, refine_motion
 
 # One in this many common points is used for camera errors, and at least this many are needed.
@@ -50,7 +57,7 @@ _CORRELATION = 20.0  # number of neighbouring keypoints that err as one, as in `
 _AGREE_M, _AGREE_RAD = 0.15, 0.12
 # Share of the view's points that must find a surface of the keyframe: with less, an edge of a table fits many places
 # (docs/decisions/recognition-and-sessions.md). Largest mean residual, in standard deviations of the sensor.
-_FIT_LIMITS = {"min_overlap": 0.15, "max_residual": 5.0}
+_MIN_OVERLAP, _MAX_RESIDUAL = 0.15, 5.0
 # Depth within which points belong to one surface: a distance, a share of the depth, by which real cameras err, and
 # standard deviations of depth; and the pixels of the coarsest level within which the nearest depth is the surface.
 # Chosen.
@@ -151,15 +158,13 @@ class PlaceVerifier:
         self._seed = (settings or RecognitionSettings()).seed
         self._views = views or ViewMaker(calibration)
         dense = self._views.settings
-        self._dense = dense.model_copy(update=_FIT_LIMITS)
-        self._features = FeatureSettings(min_inliers=_MIN_INLIERS, ransac_iterations=_ITERATIONS)
         self._calibration, self._noise = calibration, calibration.depth_noise
         self._of_frame = frame_covariance(calibration)
         sigmas = [_REGISTRATION_SIGMA_M] * 3 + [_REGISTRATION_SIGMA_RAD] * 3
         self._of_registration = np.diag(np.square(sigmas))
         self._sigma_xy = float(np.hypot(_KEYPOINT_PX, calibration.color_sigma_px))
         self._sigma_xy *= np.sqrt(2) / calibration.cameras[0].fx
-        self._maker = ReferenceMaker(self._noise, dense, self._views.rows)
+        self._maker = ReferenceMaker(self._noise, self._views.rows)
         self._aligner = Aligner(calibration, dense, self._views.rows, self._views.gridder, self._maker)
         self.refusals: Counter[Refusal] = Counter()
 
@@ -168,10 +173,10 @@ class PlaceVerifier:
     ) -> VerifiedPlace | RefusedPlace:
         """Return the pose of a view relative to a candidate, or the reason why it shows another place."""
         matched = self._matched(view.features, keyframe.features)
-        T_camera_keyframe = find_motion(matched, self._features, self._seed)
+        T_camera_keyframe = find_motion(matched, self._seed, _MIN_INLIERS, _ITERATIONS)
         if isinstance(T_camera_keyframe, Reason):
             return self._refused(candidate, _REFUSALS[T_camera_keyframe], len(matched))
-        found = refine_motion(matched, T_camera_keyframe, self._features)
+        found = refine_motion(matched, T_camera_keyframe)
         if not found.inliers >= _MIN_INLIERS:
             return self._refused(candidate, Refusal.TOO_FEW_INLIERS, len(matched))
         other = self._views.of_keyframe(keyframe) if isinstance(keyframe, Keyframe) else keyframe
@@ -188,8 +193,7 @@ class PlaceVerifier:
         off_m, off_rad = float(np.linalg.norm(T_off[:3, 3])), float(so3.angle(T_off[:3, :3]))
         if off_m > _AGREE_M or off_rad > _AGREE_RAD:
             return self._refused(candidate, Refusal.CONTRADICTED, *counts)
-        level = self._dense.levels - 1
-        seen = (other.grid.levels[level], view.grid.levels[level])
+        seen = (other.grid.levels[LEVELS - 1], view.grid.levels[LEVELS - 1])
         space = intrusion(*seen, T_keyframe_camera, self._noise)
         if space.share > _MAX_INTRUDING or space.free_share > _MAX_FREE:
             return self._refused(candidate, Refusal.INTRUDES, *counts)
@@ -223,22 +227,20 @@ class PlaceVerifier:
         T_keyframe_camera = se3.invert(found.T_current_reference)
         Ad = se3.adjoint(T_keyframe_camera)
         information = np.linalg.inv(_CORRELATION * Ad @ found.covariance @ Ad.T)
-        by_keypoints = Told(T_keyframe_camera, np.asarray(information, float))
+        by_keypoints = KeypointMotion(T_keyframe_camera, np.asarray(information, float))
         reference = self._maker.of_frame(other.grid, np.eye(4))
-        aligned = self._aligner.align(view.grid, reference, T_keyframe_camera, told=by_keypoints)
+        aligned = self._aligner.align(view.grid, reference, T_keyframe_camera, keypoints=by_keypoints)
         is_clear = found.inliers >= min(_CLEAR_INLIERS, _CLEAR_SHARE * matches)
         # Both are weighted by their distance; see `SurfaceWeight`.
-        correlation = self._dense.correlation
-        weight = SurfaceWeight(self._dense.joint)
-        joint = weight.meet(aligned.T_reference_frame, aligned.claimed / correlation, by_keypoints)
+        joint = SurfaceWeight().meet(aligned.T_reference_frame, aligned.claimed / CORRELATION, by_keypoints)
         surfaces = aligned.information / joint.factor
         # Surfaces constrain these directions however far they are off.
         hinted, information = aligned.information - surfaces, surfaces
         if is_clear:
-            hinted = hinted + (_CORRELATION - 1) * correlation * by_keypoints.information
-            information = information + correlation * by_keypoints.information
+            hinted = hinted + (_CORRELATION - 1) * CORRELATION * by_keypoints.information
+            information = information + CORRELATION * by_keypoints.information
         both = replace(aligned, T_reference_frame=joint.T_reference_frame, information=information, hinted=hinted)
-        return judge(both, Prior(T_keyframe_camera, _UNSEEN_SIGMA_M), self._dense)
+        return judge(both, MotionPrior(T_keyframe_camera, _UNSEEN_SIGMA_M), _MIN_OVERLAP, _MAX_RESIDUAL)
 
     def _systematic_covariance(self, other: Level, view: Level, T_keyframe_camera: FloatArray) -> FloatArray:
         """Return the covariance (6, 6) of errors other than noise and the view's own; NaN with too few common points.

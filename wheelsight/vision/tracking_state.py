@@ -1,6 +1,4 @@
-"""Shared parts of all visual odometries: `TrackingState`, the velocity between two poses, `Stopwatch` for the stages of
-a step, and undistortion maps.
-"""
+"""`CameraOdometry`, the base of all visual odometries, with its `TrackingState` and the `Stopwatch` of its stages."""
 
 from __future__ import annotations
 
@@ -8,12 +6,17 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar
 
-import cv2
 import numpy as np
 
-from wheelsight.core.estimates import Status
-from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera, se3, so3
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.checks import need_calibration, need_motion
+from wheelsight.core.estimates import CameraEstimate, MotionEstimate, Reason, Status
+from wheelsight.core.geometry import FloatArray, se3, so3
+from wheelsight.core.keyframes import KeyframeStore
+from wheelsight.core.stamps import StampCheck
+from wheelsight.core.threads import OneCaller, one_at_a_time
 
 # Variance of the first pose. It is exact by definition of the map, but no covariance may be singular.
 START_VARIANCE = 1e-12
@@ -86,8 +89,61 @@ class Stopwatch:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started
 
 
-def maps_without_lens(camera: PinholeCamera) -> tuple[Float32Array, Float32Array]:
-    """Column and row (h, w) in a camera's images of each pixel of the undistorted image, for `cv2.remap`."""
-    size = (camera.width, camera.height)
-    maps = cv2.initUndistortRectifyMap(camera.K, np.array(camera.distortion), None, camera.K, size, cv2.CV_32FC1)
-    return np.asarray(maps[0], np.float32), np.asarray(maps[1], np.float32)
+Answer = TypeVar("Answer", bound=CameraEstimate)
+
+
+class CameraOdometry(OneCaller, Generic[Answer]):
+    """Base of the visual odometries: first pose, tracking state, failures and times.
+
+    Args:
+        calibration: of the cameras.
+        estimate: the class of the estimates.
+        lost_after: number of consecutive failed frames after which the state is lost.
+        T_map_first: (4, 4) pose of the camera at the first tracked frame; default the map's origin.
+        store: receives keyframes; default a new one.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        estimate: type[Answer],
+        lost_after: int,
+        T_map_first: FloatArray | None,
+        store: KeyframeStore | None,
+    ) -> None:
+        self._calibration, self._estimate = need_calibration(calibration), estimate
+        self.store, self.watch = KeyframeStore() if store is None else store, Stopwatch()
+        self._state, self._stamps = TrackingState(lost_after), StampCheck()
+        self.begin_at(np.eye(4) if T_map_first is None else T_map_first)
+
+    @property
+    def stage_seconds(self) -> dict[str, float]:
+        """Seconds the last frame spent in each stage."""
+        return self.watch.seconds
+
+    @one_at_a_time
+    def begin_at(self, T_map_camera: FloatArray) -> None:
+        """Set the pose (4, 4) of the camera at the first tracked frame. Raises ArgumentError for no rigid motion."""
+        self._T_map_first = need_motion("T_map_first", T_map_camera)
+
+    @one_at_a_time
+    def miss(self, stamp_s: float) -> Answer:
+        """Count a frame that is unusable, and so never reached `process`, as a failed one."""
+        self._start_frame()
+        return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
+
+    def _start_frame(self) -> None:
+        self.watch.restart()
+
+    def _fail(self, stamp_s: float, failure: MotionEstimate, **more: Any) -> Answer:
+        """The estimate of a failed frame."""
+        self._state = self._state.failed()
+        return self._estimate(
+            stamp_s,
+            self._state.status,
+            reason=failure.reason,
+            matches=failure.matches,
+            inliers=failure.inliers,
+            motion=failure,
+            **more,
+        )

@@ -11,17 +11,16 @@ from typing import Any, Protocol
 import numpy as np
 
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.checks import answer_of, array_of, check_frame, need_calibration, need_method, need_motion
+from wheelsight.core.checks import answer_of, array_of, check_frame, need_method, need_motion
 from wheelsight.core.errors import ArgumentError, PartError
 from wheelsight.core.estimates import CameraEstimate, MotionEstimate, Reason
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry.motion_kernels import is_definite
 from wheelsight.core.keyframes import KeyframeId, KeyframeStore
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.core.stamps import StampCheck
-from wheelsight.core.threads import OneCaller, one_at_a_time
-from wheelsight.vision.features.extraction import FeatureExtractor, FeatureSettings, KeyframeMaker
-from wheelsight.vision.tracking_state import START_VARIANCE, Stopwatch, TrackingState, twist_between
+from wheelsight.core.threads import one_at_a_time
+from wheelsight.vision.features.tracking import FeatureExtractor, FeatureSettings, KeyframeMaker
+from wheelsight.vision.tracking_state import START_VARIANCE, CameraOdometry, twist_between
 
 # Distance between keyframes; a rotation by a radian counts as 1.5 m. Views of rooms then overlap by more than half.
 _KEYFRAME_WAY_M = 0.4
@@ -72,7 +71,7 @@ class _Reference:
         return np.asarray(store.pose(self.keyframe) @ self.T_keyframe_frame)
 
 
-class OwnOdometry(OneCaller):
+class OwnOdometry(CameraOdometry[CameraEstimate]):
     """Tracks a camera by a user's `VisualOdometry`, as `FeatureOdometry` does by features.
 
     Args:
@@ -96,19 +95,10 @@ class OwnOdometry(OneCaller):
     ) -> None:
         need_method("visual_odometry", part, "align")
         self._part, self._settings = part, settings or FeatureSettings()
-        self._calibration = need_calibration(calibration)
-        self.store = KeyframeStore() if store is None else store
+        super().__init__(calibration, CameraEstimate, self._settings.lost_after, T_map_first, store)
         self._maker, self._extractor = KeyframeMaker(calibration), FeatureExtractor(calibration, self._settings)
-        self._watch, self._stamps = Stopwatch(), StampCheck()
-        self._state = TrackingState(self._settings.lost_after)
         self._references: deque[_Reference] = deque(maxlen=_KEPT)  # keyframes, the newest last
         self._last: _Reference | None = None
-        self.begin_at(np.eye(4) if T_map_first is None else T_map_first)
-
-    @property
-    def stage_seconds(self) -> dict[str, float]:
-        """Seconds the last frame spent in each stage."""
-        return self._watch.seconds
 
     @one_at_a_time
     def process(
@@ -127,7 +117,7 @@ class OwnOdometry(OneCaller):
         """
         check_frame(frame, self._calibration, prior=T_previous_current_prior)
         self._stamps.check(frame)
-        self._watch.restart()
+        self.watch.restart()
         last = self._last
         if last is None:
             return self._start(frame, self._T_map_first, START_VARIANCE * np.eye(6))
@@ -137,7 +127,7 @@ class OwnOdometry(OneCaller):
             if T_previous_current_prior is not None:
                 T_map_expected = last.T_map_frame(self.store) @ T_previous_current_prior
                 prior = se3.nearest(se3.invert(reference.T_map_frame(self.store)) @ T_map_expected)
-            with self._watch.stage("align"):
+            with self.watch.stage("align"):
                 found = self._aligned(reference.frame, frame, prior)
             if found.reason is None and not self._is_plausible(last, reference, found, frame.stamp_s):
                 found = MotionEstimate.failed(Reason.IMPLAUSIBLE_MOTION, found.matches, found.inliers)
@@ -148,21 +138,10 @@ class OwnOdometry(OneCaller):
         return self._fail(frame.stamp_s, failure)
 
     @one_at_a_time
-    def begin_at(self, T_map_camera: FloatArray) -> None:
-        """Set the pose (4, 4) of the camera at the first tracked frame. Raises ArgumentError for no rigid motion."""
-        self._T_map_first = need_motion("T_map_first", T_map_camera)
-
-    @one_at_a_time
-    def miss(self, stamp_s: float) -> CameraEstimate:
-        """Count a frame that is unusable, and so never reached `process`, as a failed one."""
-        self._watch.restart()
-        return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
-
-    @one_at_a_time
     def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> CameraEstimate:
         """Restart at a frame with a pose (4, 4) from other sensors, its covariance (6, 6); references are dropped."""
         check_frame(frame, self._calibration, T_map_camera=T_map_camera, covariance=covariance)
-        self._watch.restart()
+        self.watch.restart()
         return self._start(frame, T_map_camera, covariance)
 
     def _candidates(self, last: _Reference) -> Sequence[_Reference]:
@@ -178,11 +157,11 @@ class OwnOdometry(OneCaller):
         found = answer_of(self._part, "align", reference, frame, prior)
         if not isinstance(found, MotionEstimate):
             fix = "MotionEstimate(T_reference_current, covariance), or MotionEstimate.failed(Reason.TOO_FEW_MATCHES)"
-            raise PartError(f"{name} answered {type(found).__name__}, not a MotionEstimate", fix=fix)
+            raise PartError(f"{name} returned {type(found).__name__}, not a MotionEstimate", fix=fix)
         if found.reason is not None or found.T_reference_current is None:
             return MotionEstimate.failed(found.reason or Reason.INVALID, found.matches, found.inliers)
         if found.covariance is None:
-            raise PartError(f"{name} answered a motion without a covariance", fix="(6, 6), of the left perturbation")
+            raise PartError(f"{name} returned a motion without a covariance", fix="(6, 6), of the left perturbation")
         try:
             return self._checked(name, found)
         except ArgumentError as error:
@@ -238,22 +217,11 @@ class OwnOdometry(OneCaller):
 
     def _keep(self, frame: RgbdFrame, T_map_camera: FloatArray, spread: FloatArray) -> None:
         """Make a frame a keyframe and the next reference; its keypoints serve place recognition only."""
-        with self._watch.stage("keyframe"):
+        with self.watch.stage("keyframe"):
             features = self._extractor.extract(frame)
             number = self.store.add(partial(self._maker.keyframe, frame, features), T_map_camera)
         self._last = _Reference(frame, number, np.eye(4), spread)
         self._references.append(self._last)
-
-    def _fail(self, stamp_s: float, failure: MotionEstimate) -> CameraEstimate:
-        self._state = self._state.failed()
-        return CameraEstimate(
-            stamp_s,
-            self._state.status,
-            reason=failure.reason,
-            matches=failure.matches,
-            inliers=failure.inliers,
-            motion=failure,
-        )
 
     def _answer(self, motion: MotionEstimate) -> CameraEstimate:
         last = self._last

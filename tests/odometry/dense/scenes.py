@@ -92,7 +92,7 @@ def bench(calibration: Calibration | None = None, **settings: Any) -> Bench:
     chosen = DenseSettings(**{"threads": 1, **settings})
     rows = Rows(chosen.threads)
     gridder = Gridder(calibration, chosen, rows)
-    maker = ReferenceMaker(calibration.depth_noise, chosen, rows)
+    maker = ReferenceMaker(calibration.depth_noise, rows)
     return Bench(gridder, maker, Aligner(calibration, chosen, rows, gridder, maker))
 
 

@@ -18,7 +18,7 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.geometry import PinholeCamera, se3, so3
 from wheelsight.core.keyframes import PredictedView
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.vision.dense.alignment import Step
+from wheelsight.vision.dense.alignment import PreviousPose
 from wheelsight.vision.dense.pyramid import Reference
 
 TRUTH = wobbling_trajectory(30)
@@ -100,11 +100,18 @@ def test_what_stands_out_before_a_wall_does_not_carry_the_camera_along() -> None
     assert abs(np.mean(off_m)) < 0.5e-3  # 2.2 mm too far with what is grey beside the boards
 
 
+@pytest.fixture
+def noise_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Grey counts on a plain wall too, where noise makes its gradient."""
+    monkeypatch.setattr("wheelsight.vision.dense.alignment.MIN_GRADIENT", 0.5)
+
+
+@pytest.mark.usefixtures("noise_counts")
 def test_a_guess_holds_what_only_noise_shows() -> None:
     """Before a plain wall the noise of grey values would pull along it, step by step."""
     wall, off_m = [Plane((0, 0, 1), 1.0)], []
     for sigma_m in (np.inf, 0.02):
-        parts = bench(min_gradient=0.5)
+        parts = bench()
         reference, frame = (
             parts.reference(frame_of(wall, np.eye(4), 0.0, 1)),
             parts.grid(frame_of(wall, np.eye(4), 0.1, 2)),
@@ -121,11 +128,12 @@ ON_WHEELS = replace(
 )
 
 
+@pytest.mark.usefixtures("noise_counts")
 def test_on_wheels_a_guess_holds_most_what_would_leave_the_floor() -> None:
     """A plain wall shows neither a rise nor a roll, and noise would have the camera climb it."""
     calibration, wall, climbed = ON_WHEELS, [Plane((0, 0, 1), 1.0)], {}
     for held_m in ((0.2, 0.2), (0.2, 0.03), (np.inf, 0.03)):
-        parts, motions = bench(calibration, min_gradient=0.5), []
+        parts, motions = bench(calibration), []
         for seed in range(3):
             reference = parts.reference(frame_of(wall, np.eye(4), 0.0, 2 * seed + 1))
             frame = parts.grid(frame_of(wall, np.eye(4), 0.1, 2 * seed + 2))
@@ -136,15 +144,16 @@ def test_on_wheels_a_guess_holds_most_what_would_leave_the_floor() -> None:
     assert (climbed[np.inf, 0.03] < 0.3 * climbed[0.2, 0.2]).all()
 
 
+@pytest.mark.usefixtures("noise_counts")
 def test_on_wheels_a_guess_is_not_followed_where_wheels_do_not_roll() -> None:
     """Sideways, up, and rolled about the way ahead: the base is held where the frame before had it."""
     wall, T_guess = [Plane((0, 0, 1), 1.0)], se3.exp([0.02, -0.03, 0, 0, 0, 0.05])
     for calibration, step, is_rolling in (
-        (ON_WHEELS, Step(np.eye(4), 0.1), True),
+        (ON_WHEELS, PreviousPose(np.eye(4), 0.1), True),
         (ON_WHEELS, None, False),
-        (Calibration.registered_camera(SMALL), Step(np.eye(4), 0.1), False),
+        (Calibration.registered_camera(SMALL), PreviousPose(np.eye(4), 0.1), False),
     ):
-        parts = bench(calibration, min_gradient=0.5)
+        parts = bench(calibration)
         reference = parts.reference(frame_of(wall, np.eye(4), 0.0, 1))
         frame = parts.grid(frame_of(wall, np.eye(4), 0.1, 2))
         found = parts.aligner.align(frame, reference, T_guess, step, held_m=(0.02, 0.005))
@@ -152,15 +161,16 @@ def test_on_wheels_a_guess_is_not_followed_where_wheels_do_not_roll() -> None:
         assert (x, y, roll) == pytest.approx((0.0, 0.0, 0.0) if is_rolling else (0.02, -0.03, 0.05), abs=0.01)
 
 
+@pytest.mark.usefixtures("noise_counts")
 def test_a_base_that_turns_carries_a_camera_beside_it_along() -> None:
     """What wheels roll is held as the guess has it: here a turn, which takes the camera sideways and ahead."""
     T_base_camera = not_none(ON_WHEELS.T_base_camera).copy()
     T_base_camera[:2, 3] = 0.4, 0.3
     T_guess = se3.invert(T_base_camera) @ se3.exp([0.03, 0, 0, 0, 0, 0.08]) @ T_base_camera
-    wall, parts = [Plane((0, 0, 1), 1.0)], bench(replace(ON_WHEELS, T_base_camera=T_base_camera), min_gradient=0.5)
+    wall, parts = [Plane((0, 0, 1), 1.0)], bench(replace(ON_WHEELS, T_base_camera=T_base_camera))
     reference = parts.reference(frame_of(wall, np.eye(4), 0.0, 1))
     frame = parts.grid(frame_of(wall, T_guess, 0.1, 2))
-    found = parts.aligner.align(frame, reference, T_guess, Step(np.eye(4), 0.1), held_m=(0.005, 0.001))
+    found = parts.aligner.align(frame, reference, T_guess, PreviousPose(np.eye(4), 0.1), held_m=(0.005, 0.001))
     metres, radians = apart(T_guess, found.T_reference_frame)
     assert np.linalg.norm(T_guess[:2, 3]) > 0.02
     assert metres < 0.004
@@ -284,7 +294,7 @@ def test_speed_is_refined_on_the_way(rolling_pair: tuple) -> None:
     parts = bench(shuttered())
     reference = parts.maker.of_frame(parts.grid(first, TWIST), np.eye(4))
     slow = parts.grid(second, 0.5 * TWIST)
-    refined = parts.aligner.align(slow, reference, np.eye(4), Step(np.eye(4), 1 / 30))
+    refined = parts.aligner.align(slow, reference, np.eye(4), PreviousPose(np.eye(4), 1 / 30))
     left = parts.aligner.align(slow, reference, np.eye(4))
     assert apart(T, refined.T_reference_frame)[1] < 2e-3
     assert apart(T, refined.T_reference_frame)[1] < 0.7 * apart(T, left.T_reference_frame)[1]

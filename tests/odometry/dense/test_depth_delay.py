@@ -15,7 +15,6 @@ from wheelsight.core.threads import Rows
 from wheelsight.vision.dense import DenseSettings
 from wheelsight.vision.dense.odometry import DepthDelay
 from wheelsight.vision.dense.pyramid import Gridder
-from wheelsight.vision.dense.settings import DelaySettings
 
 CORNER = [Plane((0, 0, 1), 2.0), Plane((1, 0, 0), 0.7), Plane((0, 1, 0), 0.6)]
 
@@ -23,7 +22,7 @@ CORNER = [Plane((0, 0, 1), 2.0), Plane((1, 0, 0), 0.7), Plane((0, 1, 0), 0.6)]
 @pytest.mark.parametrize(("true_s", "known_s"), [(-0.02, 0.0), (0.012, 0.0), (-0.015, -0.015), (0.0, 0.0)])
 def test_a_delay_is_learned_from_turns(true_s: float, known_s: float) -> None:
     """Frames are brought to colour's time by the delay in use; grey halves what is left to see."""
-    rng, delay = np.random.default_rng(2), DepthDelay(known_s, DelaySettings())
+    rng, delay = np.random.default_rng(2), DepthDelay(known_s)
     for _ in range(600):
         turning = rng.uniform(-1.5, 1.5, 3)
         left_s = true_s - delay.seconds
@@ -32,7 +31,7 @@ def test_a_delay_is_learned_from_turns(true_s: float, known_s: float) -> None:
 
 
 def test_what_hardly_turns_tells_no_delay() -> None:
-    delay = DepthDelay(0.0, DelaySettings())
+    delay = DepthDelay(0.0)
     for _ in range(200):
         delay.learn(np.array([0.002, 0.0, 0.0]), np.array([-0.1, 0.0, 0.0]))
     assert delay.seconds == 0.0

@@ -30,8 +30,7 @@ def fitting(residual: float, twist: FloatArray | None = None) -> Tracked:
 
 
 def after(*residuals: float) -> FaultDetector:
-    settings = DenseSettings()
-    faults = FaultDetector(settings.faults, settings.max_unseen_s)
+    faults = FaultDetector(DenseSettings().max_unseen_s)
     for residual in residuals:
         faults.learn(fitting(residual))
     return faults
@@ -120,5 +119,5 @@ def test_a_gap_is_bridged_where_surfaces_fit_just_where_wheels_expect_them(
 ) -> None:
     T_map_expected = moved([1.0, 2.0, 0.5, 0.1, 0.2, 0.3])
     found = replace(fitting(residual), T_map_camera=T_map_expected @ moved(off))
-    ahead = Prediction(found, (T_map_expected,), None, is_helped=True)
-    assert after().is_bridged(found, ahead, seconds) == is_bridged
+    ahead = Prediction(found, seconds, (T_map_expected,), None, is_helped=True)
+    assert after().is_bridged(found, ahead) == is_bridged

@@ -14,9 +14,7 @@ from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.vision.dense.keyframes import EvictedViews
-from wheelsight.vision.dense.settings import VerificationSettings
-from wheelsight.vision.dense.views import KeypointTracker, KnownView
+from wheelsight.vision.dense.views import EvictedViews, KeypointTracker, KnownView
 
 WALL = [Plane((0, 0, 1), 2.0, is_painted=True)]
 BENCH = bench()
@@ -31,13 +29,13 @@ class Known:
     """A store with a keyframe each metre, and what dense odometry holds of them."""
 
     def __init__(self, count: int = 3, shape: tuple[int, int] | None = None) -> None:
-        self.keypoints = keypoints = KeypointTracker(EXACT, VerificationSettings(), has_landmarks=False)
+        self.keypoints = keypoints = KeypointTracker(EXACT, has_landmarks=False)
         self.store = KeyframeStore()
         self.gone = EvictedViews(self.store, BENCH.gridder, BENCH.maker, keypoints, room=1)
         self.views: list[KnownView] = []
         for number in range(count):
             frame, T = frame_of(WALL, at(number), float(number)), at(number)
-            raw, grid = keypoints.look(frame).result(), BENCH.grid(frame)
+            raw, grid = keypoints.start(frame).result(), BENCH.grid(frame)
             finest = grid.levels[0]
             height, width = shape or finest.depth_m.shape
             images = finest.depth_m[:height, :width], finest.grey[:height, :width]
@@ -61,7 +59,7 @@ def test_it_comes_back_as_it_went(known: Known) -> None:
     np.testing.assert_allclose(back.reference.T_map_reference, went.reference.T_map_reference)
     np.testing.assert_allclose(back.covariance, went.covariance, atol=1e-12)
     np.testing.assert_array_equal(back.turning_rad_s, went.turning_rad_s)
-    for now, then in zip(back.reference.levels, went.reference.levels, strict=True):
+    for now, then in zip(back.reference.scales.levels, went.reference.scales.levels, strict=True):
         # Depth is kept in steps of 0.2 mm, grey in whole numbers.
         np.testing.assert_allclose(now.pixels[..., 4], then.pixels[..., 4], atol=2e-4)
         np.testing.assert_allclose(now.pixels[..., 5], then.pixels[..., 5], atol=0.5)

@@ -324,7 +324,7 @@ def test_a_crease_has_no_normal() -> None:
     planes = [Plane((1.0, 0.0, -1.0), -2.0), Plane((-1.0, 0.0, -1.0), -2.0)]  # meet at x = 0, 2 m away
     parts = bench()
     frame = frame_of(planes, np.eye(4), 0.0)
-    found, middle = parts.reference(frame).steep.normal[30], round(parts.grid(frame).levels[2].intrinsics[2])
+    found, middle = parts.reference(frame).scales.steep.normal[30], round(parts.grid(frame).levels[2].intrinsics[2])
     assert not found[middle].any()
     assert found[middle - 8, 2] != 0
     assert found[middle + 8, 2] != 0

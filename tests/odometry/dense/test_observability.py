@@ -12,8 +12,9 @@ from odometry.dense.scenes import Plane, apart, bench, dense, frame_of
 
 from wheelsight.core.estimates import Reason, Status
 from wheelsight.core.geometry import se3
-from wheelsight.vision.dense import DenseEstimate, DenseSettings
-from wheelsight.vision.dense.alignment import DenseAlignment, Prior, judge
+from wheelsight.vision.dense import DenseEstimate
+from wheelsight.vision.dense.alignment import DenseAlignment, MotionPrior, judge
+from wheelsight.vision.dense.tracking import PRIOR_SIGMA_M_S
 from wheelsight.vision.dense.views import KeypointTracker
 
 WALL = [Plane((0.0, 0.0, -1.0), -1.6)]
@@ -49,10 +50,9 @@ def test_one_plain_wall_shows_three_directions() -> None:
 
 
 def test_unseen_directions_have_the_priors_variance() -> None:
-    settings = DenseSettings()
     estimate = tracked(WALL, MOTION)
     sigma = np.sqrt(np.diag(not_none(estimate.motion.covariance)))
-    assert sigma[[0, 1]] == pytest.approx(settings.prior_sigma_m_s / 30, rel=0.1)
+    assert sigma[[0, 1]] == pytest.approx(PRIOR_SIGMA_M_S / 30, rel=0.1)
     assert sigma[2] < 0.1 * sigma[0]
 
 
@@ -82,7 +82,7 @@ def test_judge_keeps_an_alignment_that_shows_all() -> None:
     found = DenseAlignment(
         T, 1e9 * np.eye(6), 1000, 900, 1000, 1.0, grey_sigma=8.0, claimed=np.eye(6), compared=np.zeros((6, 6))
     )
-    judged = judge(found, Prior(np.eye(4), 0.01), DenseSettings())
+    judged = judge(found, MotionPrior(np.eye(4), 0.01))
     np.testing.assert_array_equal(judged.T_reference_frame, T)
     assert judged.reason is None
     assert len(judged.degenerate) == 0
@@ -109,7 +109,7 @@ def test_judge_says_why_not(planes: int, residual: float, strength: float, reaso
         claimed=np.eye(6),
         compared=np.zeros((6, 6)),
     )
-    assert judge(found, Prior(np.eye(4), 0.01), DenseSettings()).reason is reason
+    assert judge(found, MotionPrior(np.eye(4), 0.01)).reason is reason
 
 
 @pytest.mark.parametrize(("first_off_m", "is_kept"), [(0.002, True), (0.05, False)])
@@ -120,7 +120,7 @@ def test_what_is_hidden_is_left_to_the_expectation_that_fits_what_is_seen(first_
         np.eye(4), information, 1000, 900, 1000, 1.0, grey_sigma=8.0, claimed=np.eye(6), compared=np.zeros((6, 6))
     )
     first, other = se3.exp([0.3, 0, first_off_m, 0, 0, 0]), se3.exp([0.01, 0, 0.001, 0, 0, 0])
-    judged = judge(found, Prior(first, 0.05, (other,)), DenseSettings())
+    judged = judge(found, MotionPrior(first, 0.05, (other,)))
     assert judged.T_reference_frame[0, 3] == pytest.approx(0.3 if is_kept else 0.01)
     np.testing.assert_allclose(judged.T_reference_frame[1:3, 3], 0, atol=1e-12)
 
@@ -140,7 +140,7 @@ def test_a_direction_that_the_frame_does_not_confirm_is_not_shown(confirmed: flo
         claimed=np.eye(6),
         compared=compared,
     )
-    judged = judge(found, Prior(np.eye(4), 0.01), DenseSettings())
+    judged = judge(found, MotionPrior(np.eye(4), 0.01))
     assert (len(judged.degenerate) == 0) is is_shown
     assert judged.T_reference_frame[0, 3] == pytest.approx(0.1 if is_shown else 0.0)
 
@@ -154,11 +154,15 @@ def test_a_frame_confirms_the_marks_that_it_shows(planes: list[Plane], least: fl
     assert least < share < most
 
 
-def test_information_counts_independent_residuals_only() -> None:
+def test_information_counts_independent_residuals_only(monkeypatch: pytest.MonkeyPatch) -> None:
     parts = bench()
     first, second = (frame_of(PAINTED_WALL, T, 0.0, noise_seed=seed) for seed, T in ((1, np.eye(4)), (2, MOTION)))
     found = parts.align(first, second)
-    one, thirty = (judge(found, Prior(MOTION, 0.1), DenseSettings(correlation=c)) for c in (1.0, 30.0))
+    judged = []
+    for alike in (1.0, 30.0):
+        monkeypatch.setattr("wheelsight.vision.dense.alignment.CORRELATION", alike)
+        judged.append(judge(found, MotionPrior(MOTION, 0.1)))
+    one, thirty = judged
     np.testing.assert_allclose(thirty.covariance, 30 * one.covariance, rtol=1e-9)
 
 

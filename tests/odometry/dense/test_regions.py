@@ -12,10 +12,8 @@ from odometry.views import room_frame
 from wheelsight.core.calibration_parts import DepthNoise
 from wheelsight.core.geometry import BoolArray, FloatArray, se3
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.vision.dense.settings import RegionSettings
-from wheelsight.vision.dense.tracking import Misfits, misfits, without
+from wheelsight.vision.dense.tracking import REGION_COLUMNS, REGION_ROWS, Misfits, misfits, without
 
-SETTINGS, NOISE = RegionSettings(), DepthNoise()
 MOTION = se3.exp([0.02, -0.01, 0.03, 0.004, 0.01, -0.006])
 # Columns of the image that a person hides: two of eight regions' width.
 HIDDEN = slice(80, 160)
@@ -41,9 +39,7 @@ def seen(T: FloatArray, stamp_s: float, person_m: float | None = None) -> RgbdFr
 
 
 def misfits_of(parts: Bench, first: RgbdFrame, second: RgbdFrame, T: FloatArray) -> Misfits:
-    coarsest = 2
-    reference, frame = parts.reference(first), parts.grid(second)
-    return misfits(frame.levels[coarsest], reference.levels[coarsest], T, NOISE, SETTINGS)
+    return misfits(parts.grid(second), parts.reference(first), T, DepthNoise())
 
 
 def moving(parts: Bench, first: RgbdFrame, second: RgbdFrame, T: FloatArray) -> BoolArray:
@@ -69,18 +65,18 @@ def test_a_pose_that_the_room_contradicts_may_be_as_far_off_as_that_says(parts: 
     """Whoever follows somebody close by has most pixels on his side, and most of the room against him."""
     first, second = seen(np.eye(4), 0.0, 1.0), seen(MOTION, 0.1, 0.8)
     with_person = se3.exp([0.0, 0.0, 0.2, 0.0, 0.0, 0.0]) @ MOTION
-    assert misfits_of(parts, first, second, MOTION).pose_error_m == 0
-    assert 0.05 < misfits_of(parts, first, second, with_person).pose_error_m < 0.4
+    assert misfits_of(parts, first, second, MOTION).pose_error()[0] == 0
+    assert 0.05 < misfits_of(parts, first, second, with_person).pose_error()[0] < 0.4
 
 
 def test_the_share_of_regions_that_fit_is_all_but_the_persons_at_the_true_pose_and_few_at_his(parts: Bench) -> None:
     first, second = seen(np.eye(4), 0.0, 1.0), seen(MOTION, 0.1, 0.8)
     by_person = se3.exp([0.0, 0.0, 0.2, 0.0, 0.0, 0.0]) @ MOTION
-    assert misfits_of(parts, seen(np.eye(4), 0.0), seen(MOTION, 0.1), MOTION).fitting == 1.0
-    assert 0.6 < (misfits_of(parts, first, second, MOTION).fitting or 0.0) < 0.9
-    assert (misfits_of(parts, first, second, by_person).fitting or 0.0) < 0.5
+    assert misfits_of(parts, seen(np.eye(4), 0.0), seen(MOTION, 0.1), MOTION).pose_error()[1] == 1.0
+    assert 0.6 < (misfits_of(parts, first, second, MOTION).pose_error()[1] or 0.0) < 0.9
+    assert (misfits_of(parts, first, second, by_person).pose_error()[1] or 0.0) < 0.5
     blank = replace(second, depth_m=np.zeros_like(second.depth_m))
-    assert misfits_of(parts, first, blank, MOTION).fitting is None
+    assert misfits_of(parts, first, blank, MOTION).pose_error()[1] is None
 
 
 def test_alignment_goes_by_the_room_once_the_person_is_left_out(parts: Bench) -> None:
@@ -96,7 +92,7 @@ def test_alignment_goes_by_the_room_once_the_person_is_left_out(parts: Bench) ->
 
 def test_left_out_regions_have_no_depth_at_any_level_and_others_keep_theirs(parts: Bench) -> None:
     frame = parts.grid(seen(np.eye(4), 0.0))
-    regions = np.zeros((SETTINGS.rows, SETTINGS.columns), bool)
+    regions = np.zeros((REGION_ROWS, REGION_COLUMNS), bool)
     regions[1, 2] = True
     for before, after in zip(frame.levels, without(frame, regions).levels, strict=True):
         h, w = before.depth_m.shape

@@ -13,17 +13,15 @@ from scipy.optimize import least_squares
 
 from wheelsight.core.estimates import MotionEstimate
 from wheelsight.core.geometry import FloatArray, se3
-from wheelsight.vision.dense import DenseSettings
-from wheelsight.vision.dense import keyframes as keyframe_policy
-from wheelsight.vision.dense.keyframes import joined
+from wheelsight.vision.dense import odometry
+from wheelsight.vision.dense.odometry import joined
 
-SETTINGS = DenseSettings().keyframes
 T_SHORT = se3.exp([0.4, 0.1, 0.9, 0.1, -0.3, 0.2])
 T_LONG = T_SHORT @ se3.exp([1e-3, -2e-3, 2e-3, 4e-4, -6e-4, 3e-4])
 
 
 def met(T_short: FloatArray, short: MotionEstimate, T_long: FloatArray, long: MotionEstimate) -> FloatArray:
-    return joined(T_short, short, T_long, long, SETTINGS, np.zeros((6, 6)))
+    return joined(T_short, short, T_long, long, np.zeros((6, 6)))
 
 
 def told(T_reference_current: FloatArray, covariance: FloatArray) -> MotionEstimate:
@@ -71,7 +69,7 @@ def test_where_nothing_is_left_but_what_both_share_the_short_one_stands(left: fl
     """It ended a drive: a matrix of rounding alone cannot be solved."""
     C = np.diag([1e-6] * 3 + [1e-7] * 3)
     given = (T_SHORT, told(np.eye(4), C), T_LONG, told(np.eye(4), C))
-    np.testing.assert_array_equal(joined(*given, SETTINGS, C - left * np.eye(6)), T_SHORT)
+    np.testing.assert_array_equal(joined(*given, C - left * np.eye(6)), T_SHORT)
 
 
 def test_ways_that_contradict_each_other_leave_the_short_one() -> None:
@@ -103,14 +101,14 @@ def test_motions_told_by_two_keyframes_drift_less(monkeypatch: pytest.MonkeyPatc
         """(3, 6) how far off the last pose is in as many drives."""
         off = []
         for frames in drives:
-            odometry = dense()
-            found = not_none(run(odometry, frames)[-1].T_odom_body)
-            assert len(odometry.store) > 3
+            subject = dense()
+            found = not_none(run(subject, frames)[-1].T_odom_body)
+            assert len(subject.store) > 3
             off.append(se3.log(se3.invert(poses[-1]) @ found))
         return np.array(off)
 
     by_two = ends()
-    monkeypatch.setattr(keyframe_policy, "joined", lambda T_short, *_: T_short)
+    monkeypatch.setattr(odometry, "joined", lambda T_short, *_: T_short)
     by_one = ends()
     assert not np.array_equal(by_two, by_one)
     assert (by_two[:, 3:] ** 2).mean() < 0.8 * (by_one[:, 3:] ** 2).mean()

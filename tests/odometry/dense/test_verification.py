@@ -16,7 +16,6 @@ from wheelsight.core.estimates import Reason, Status
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.vision.dense import DenseSettings
 from wheelsight.vision.dense.tracking import FaultDetector
 from wheelsight.vision.dense.views import KeypointPose, KeypointTracker, KnownView
 from wheelsight_sim import Robot
@@ -38,7 +37,7 @@ def still(planes: list[Plane], count: int, begin_s: float = 0.0) -> list[RgbdFra
 
 
 def keypoint_tracker() -> KeypointTracker:
-    return KeypointTracker(Calibration.registered_camera(SMALL), DenseSettings().verification)
+    return KeypointTracker(Calibration.registered_camera(SMALL))
 
 
 def tell(monkeypatch: pytest.MonkeyPatch, told: KeypointPose | None) -> None:
@@ -49,14 +48,14 @@ def tell(monkeypatch: pytest.MonkeyPatch, told: KeypointPose | None) -> None:
 
 def test_keypoints_tell_where_a_frame_is_and_nothing_of_another_place(frames: list[RgbdFrame]) -> None:
     keypoints = keypoint_tracker()
-    features = keypoints.straightened(keypoints.look(frames[0]).result(), np.zeros(6))
+    features = keypoints.straightened(keypoints.start(frames[0]).result(), np.zeros(6))
     keyframes = [KnownView(KeyframeId(0), bench().reference(frames[0]), 1e-12 * np.eye(6), features)]
-    told = keypoints.recognise(keypoints.look(frames[6]).result(), keyframes, np.zeros(6))
+    told = keypoints.recognise(keypoints.start(frames[6]).result(), keyframes, np.zeros(6))
     assert told is not None
     assert apart(IN_WORLD[6], told.T_map_camera)[0] < 0.02
     assert 20 < told.inliers <= told.matches
     elsewhere = frame_of(CORNER, np.eye(4), 1.0, noise_seed=1)
-    assert keypoints.recognise(keypoints.look(elsewhere).result(), keyframes, np.zeros(6)) is None
+    assert keypoints.recognise(keypoints.start(elsewhere).result(), keyframes, np.zeros(6)) is None
 
 
 def test_keypoints_agree_with_what_they_cannot_tell_from_their_own() -> None:
@@ -157,9 +156,12 @@ def test_keypoints_that_clearly_contradict_surfaces_are_the_pose(
     assert (np.linalg.eigvalsh(not_none(answer.covariance) - told.covariance) > -1e-12).all()
 
 
-def test_what_keypoints_track_is_tracked_where_surfaces_show_nothing(frames: list[RgbdFrame]) -> None:
+def test_what_keypoints_track_is_tracked_where_surfaces_show_nothing(
+    frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Depth of a tenth of the image, around what is textured: too little for surfaces."""
-    subject = dense(min_depth_share=0.9)
+    monkeypatch.setattr("wheelsight.vision.dense.odometry._MIN_DEPTH_SHARE", 0.9)
+    subject = dense()
     blind = [
         replace(f, depth_m=np.where(np.arange(f.depth_m.shape[1]) < 0.7 * f.depth_m.shape[1], f.depth_m, 0))
         for f in frames
@@ -194,7 +196,8 @@ def test_a_pose_that_neither_wheels_nor_keypoints_expect_is_not_taken(
     frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Somebody who walks by carries the surfaces along: what keypoints clearly say is the pose."""
-    subject = dense(faults={"leap_m_s": 9.0, "leap_rad_s": 9.0})  # as smooth as any
+    monkeypatch.setattr("wheelsight.vision.dense.tracking._LEAP", (9.0, 9.0))  # as smooth as any
+    subject = dense()
     run(subject, frames[:7])
     by_wheels = IN_WORLD[7] @ se3.exp([0.06, 0, 0, 0, 0, 0])
     tell(monkeypatch, told_at(by_wheels))

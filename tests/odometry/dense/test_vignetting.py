@@ -12,8 +12,7 @@ from odometry.views import run
 
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.vision.dense import DenseSettings
-from wheelsight.vision.dense.keyframes import Vignetting
+from wheelsight.vision.dense.pyramid import Vignetting
 
 ROOM = [
     Plane((0, 0, 1), 4.0),
@@ -33,7 +32,7 @@ def behind_lens(frame: RgbdFrame, exponent: float, gain: float = 1.0) -> RgbdFra
 def learned(exponent: float, poses: list[FloatArray], gain: float = 1.0, evened: float = 0.0) -> Vignetting:
     """What is learned from frames at poses, each against the one before, if they are evened from the second on."""
     parts = bench()
-    vignetting, reference = Vignetting(parts.gridder, DenseSettings()), None
+    vignetting, reference = Vignetting(parts.gridder), None
     for number, T in enumerate(poses):
         seen = frame_of(ROOM, T, 0.1 * number, noise_seed=number)
         frame = parts.grid(behind_lens(seen, exponent, gain**number))

@@ -6,10 +6,8 @@ from scipy.stats import chi2
 
 from wheelsight.core.estimates import Reason
 from wheelsight.core.geometry import se3
-from wheelsight.vision.features.extraction import FeatureSettings
 from wheelsight.vision.features.tracking import PointPairs, find_motion, refine_motion
 
-DEFAULTS = FeatureSettings()
 SIGMA_XY, TRIALS = 0.002, 300
 
 
@@ -38,7 +36,7 @@ def errors_and_covariances(rng, **how):
     """Errors (TRIALS, 6) as left perturbations, and the covariances (TRIALS, 6, 6) stated with them."""
     T = motion(rng)
     view = rng.uniform(-0.5, 0.5, (150, 2)), rng.uniform(1, 4, 150)
-    found = [refine_motion(pairs_of(rng, T, view=view, **how), T, DEFAULTS) for _ in range(TRIALS)]
+    found = [refine_motion(pairs_of(rng, T, view=view, **how), T) for _ in range(TRIALS)]
     errors = np.array([se3.log(one.T_current_reference @ se3.invert(T)) for one in found])
     return errors, np.array([one.covariance for one in found])
 
@@ -80,9 +78,9 @@ def test_the_motion_is_found_and_the_right_pairs_told_apart(rng, outliers):
     for seed in range(5):
         T = motion(rng)
         pairs = pairs_of(rng, T, 200, noise=0.0, outliers=outliers)
-        rough = find_motion(pairs, DEFAULTS, seed)
+        rough = find_motion(pairs, seed)
         assert not isinstance(rough, Reason)
-        found = refine_motion(pairs, rough, DEFAULTS)
+        found = refine_motion(pairs, rough)
         np.testing.assert_allclose(found.T_current_reference, T, atol=1e-6 if outliers == 0 else 2e-3)
         right = round((1 - outliers) * 200)
         assert right <= found.inliers <= right + 5
@@ -92,24 +90,24 @@ def test_the_motion_is_found_and_the_right_pairs_told_apart(rng, outliers):
 def test_one_seed_gives_one_motion(rng):
     pairs = pairs_of(rng, motion(rng), outliers=0.4)
     np.testing.assert_array_equal(
-        find_motion(pairs, FeatureSettings(ransac_iterations=50), 11),
-        find_motion(pairs, FeatureSettings(ransac_iterations=50), 11),
+        find_motion(pairs, 11, iterations=50),
+        find_motion(pairs, 11, iterations=50),
     )
 
 
 def test_too_few_pairs_with_depth_are_too_few_matches(rng):
     pairs = pairs_of(rng, motion(rng), 100, without_depth=0.9)
-    assert find_motion(pairs, DEFAULTS, 0) is Reason.TOO_FEW_MATCHES
-    assert not isinstance(find_motion(pairs, FeatureSettings(min_inliers=10), 0), Reason)
+    assert find_motion(pairs, 0) is Reason.TOO_FEW_MATCHES
+    assert not isinstance(find_motion(pairs, 0, min_inliers=10), Reason)
 
 
 def test_pairs_that_do_not_belong_together_are_too_few_inliers(rng):
-    assert find_motion(pairs_of(rng, motion(rng), 100, outliers=1.0), DEFAULTS, 0) is Reason.TOO_FEW_INLIERS
+    assert find_motion(pairs_of(rng, motion(rng), 100, outliers=1.0), 0) is Reason.TOO_FEW_INLIERS
 
 
 def test_what_pairs_say_nothing_about_is_very_uncertain_never_infinite(rng):
     none = pairs_of(rng, motion(rng), 0)
-    found = refine_motion(none, np.eye(4), DEFAULTS)
+    found = refine_motion(none, np.eye(4))
     np.testing.assert_array_equal(found.T_current_reference, np.eye(4))
     np.testing.assert_allclose(found.covariance, 1e6 * np.eye(6))
     assert found.inliers == 0
@@ -118,5 +116,5 @@ def test_what_pairs_say_nothing_about_is_very_uncertain_never_infinite(rng):
 def test_points_in_one_small_patch_leave_the_motion_uncertain(rng):
     T = motion(rng)
     spread, patch = ((rng.uniform(-r, r, (100, 2)), rng.uniform(2 - r, 2 + r, 100)) for r in (0.5, 0.01))
-    wide, narrow = (refine_motion(pairs_of(rng, T, 100, view=view), T, DEFAULTS).covariance for view in (spread, patch))
+    wide, narrow = (refine_motion(pairs_of(rng, T, 100, view=view), T).covariance for view in (spread, patch))
     assert np.linalg.eigvalsh(narrow)[-1] > 100 * np.linalg.eigvalsh(wide)[-1]

@@ -12,7 +12,7 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import DepthNoise
 from wheelsight.core.geometry import PinholeCamera
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.vision.features.extraction import FeatureExtractor, Features, FeatureSettings, spread
+from wheelsight.vision.features.tracking import FeatureExtractor, Features, FeatureSettings, spread
 
 T_WORLD_CAMERA = wobbling_trajectory(1).T_frame_body[0]
 
@@ -38,8 +38,9 @@ def test_what_a_frame_s_features_are(view):
     assert (features.px < (CAMERA.width, CAMERA.height)).all()
 
 
-def test_descriptors_are_opencv_s_at_those_keypoints(view):
-    features = extract(view, pyramid_levels=1)
+def test_descriptors_are_opencv_s_at_those_keypoints(view, monkeypatch):
+    monkeypatch.setattr("wheelsight.vision.features.tracking.PYRAMID_LEVELS", 1)
+    features = extract(view)
     orb = cv2.ORB.create(nlevels=1)
     keypoints = orb.detect(cv2.cvtColor(view.color, cv2.COLOR_RGB2GRAY), None)
     keypoints, words = orb.compute(cv2.cvtColor(view.color, cv2.COLOR_RGB2GRAY), keypoints)
@@ -139,8 +140,9 @@ def test_the_corners_of_squares_lie_around_their_centres_on_every_level(scale):
         assert np.abs(np.mean(off, axis=0)).max() < 0.45, f"level {level}"
 
 
-def test_keypoints_are_spread_over_the_image(view):
-    features = extract(view, keypoints=300, candidates=3000, cell_px=40)
+def test_keypoints_are_spread_over_the_image(view, monkeypatch):
+    monkeypatch.setattr("wheelsight.vision.features.tracking._SPREAD_CELL_PX", 40)
+    features = extract(view, keypoints=300, candidates=3000)
     grey = cv2.cvtColor(view.color, cv2.COLOR_RGB2GRAY)
     strongest = sorted(cv2.ORB.create(3000, fastThreshold=20).detect(grey, None), key=lambda k: -k.response)[:300]
 
@@ -170,10 +172,11 @@ def test_spread_takes_the_strongest_of_each_cell_in_turn(seed, wanted):
         assert not len(tied_left) or tied_kept.min() > tied_left.max()
 
 
-def test_a_dull_image_falls_back_to_faint_corners(view):
+def test_a_dull_image_falls_back_to_faint_corners(view, monkeypatch):
     dull = RgbdFrame(0.0, (110 + 0.12 * (view.color.astype(float) - 128)).astype(np.uint8), view.depth_m)
-    without = extract(dull, fast_threshold_faint=20)
     features = extract(dull)
+    monkeypatch.setattr("wheelsight.vision.features.tracking._FAINT_THRESHOLD", 20)
+    without = extract(dull)
     assert len(features) > 1.5 * len(without)
     assert len(features) >= 100
 

@@ -9,7 +9,6 @@ from odometry.plain_kernels import plain
 
 from wheelsight.core.geometry.hamming_kernels import hamming
 from wheelsight.vision.features import feature_kernels as compiled
-from wheelsight.vision.features.extraction import FeatureSettings
 from wheelsight.vision.features.tracking import match_all, match_near
 
 in_python = plain(compiled)
@@ -124,7 +123,7 @@ def test_match_near_finds_what_a_search_of_everything_finds(seed, radius_px, max
     expected_px = rng.uniform(0, (200, 150), (33, 2))
     expected_px[:20] = px[rng.integers(0, 40, 20)] + rng.normal(0, 3, (20, 2))
     expected_px = expected_px.clip(0, None)
-    matches = match_near(expected_px, asked, px, seen, radius_px, FeatureSettings(max_hamming=max_hamming))
+    matches = match_near(expected_px, asked, px, seen, radius_px, max_hamming)
     pairs = set(zip(matches.first.tolist(), matches.second.tolist(), strict=True))
     assert pairs == nearby_by_hand(expected_px, asked, px, seen, radius_px, max_hamming)
     assert len(set(matches.second.tolist())) == len(matches.second)
@@ -134,9 +133,9 @@ def test_nearest_within_in_plain_python(rng, monkeypatch):
     seen, px = descriptors(rng, 60), rng.uniform(0, 100, (60, 2))
     expected_px, asked = px[:40] + rng.normal(0, 2, (40, 2)), flipped(rng, seen[:40], 12)
     expected_px[7] = np.nan
-    got = match_near(expected_px, asked, px, seen, 8.0, FeatureSettings())
+    got = match_near(expected_px, asked, px, seen, 8.0)
     monkeypatch.setattr(compiled, "nearest_within", in_python.nearest_within)
-    expected = match_near(expected_px, asked, px, seen, 8.0, FeatureSettings())
+    expected = match_near(expected_px, asked, px, seen, 8.0)
     assert len(got.first) > 25
     assert 7 not in got.first
     np.testing.assert_array_equal(got, expected)
@@ -146,7 +145,7 @@ def test_a_keypoint_goes_to_the_landmark_whose_descriptor_is_nearest(rng):
     seen = descriptors(rng, 1)
     px = np.array([[50.0, 50.0]])
     asked = np.concatenate([flipped(rng, seen, 20), flipped(rng, seen, 5), flipped(rng, seen, 30)])
-    matches = match_near(np.repeat(px, 3, axis=0), asked, px, seen, 10.0, FeatureSettings())
+    matches = match_near(np.repeat(px, 3, axis=0), asked, px, seen, 10.0)
     assert (matches.first.tolist(), matches.second.tolist()) == ([1], [0])
 
 
@@ -154,20 +153,20 @@ def test_a_repeated_texture_matches_nothing(rng):
     word = descriptors(rng, 1)
     seen = np.concatenate([flipped(rng, word, 20), flipped(rng, word, 20)])
     px = np.array([[50.0, 50.0], [54.0, 50.0]])
-    assert len(match_near(px[:1], word, px, seen, 10.0, FeatureSettings()).first) == 0
-    assert len(match_near(px[:1], word, px, seen, 3.0, FeatureSettings()).first) == 1
+    assert len(match_near(px[:1], word, px, seen, 10.0).first) == 0
+    assert len(match_near(px[:1], word, px, seen, 3.0).first) == 1
 
 
 def test_landmarks_that_lie_nowhere_and_images_without_keypoints_match_nothing(rng):
     px, words = rng.uniform(0, 100, (5, 2)), descriptors(rng, 5)
     none_px, no_words = np.zeros((0, 2)), np.zeros((0, 4), np.uint64)
-    assert len(match_near(np.full((5, 2), np.nan), words, px, words, 1e3, FeatureSettings(max_hamming=256)).first) == 0
-    assert len(match_near(px, words, none_px, no_words, 1e3, FeatureSettings(max_hamming=256)).first) == 0
-    assert len(match_near(none_px, no_words, px, words, 1e3, FeatureSettings(max_hamming=256)).first) == 0
+    assert len(match_near(np.full((5, 2), np.nan), words, px, words, 1e3, 256).first) == 0
+    assert len(match_near(px, words, none_px, no_words, 1e3, 256).first) == 0
+    assert len(match_near(none_px, no_words, px, words, 1e3, 256).first) == 0
 
 
 def test_keypoints_straightened_out_of_the_image_are_still_found(rng):
     px = np.array([[-3.0, 40.0], [60.0, -2.0], [100.5, 80.5]])
     words = descriptors(rng, 3)
     expected_px = np.array([[1.0, 40.0], [60.0, 1.0], [99.0, 79.0]])
-    np.testing.assert_array_equal(match_near(expected_px, words, px, words, 5.0, FeatureSettings()).second, [0, 1, 2])
+    np.testing.assert_array_equal(match_near(expected_px, words, px, words, 5.0).second, [0, 1, 2])

@@ -10,8 +10,7 @@ from synthetic import wobbling_trajectory
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import se3
 from wheelsight.core.keyframes import KeyframeId
-from wheelsight.vision.features.extraction import Features, FeatureSettings
-from wheelsight.vision.features.tracking import LandmarkMap, View
+from wheelsight.vision.features.tracking import Features, KeypointView, LandmarkMap
 
 FIRST = KeyframeId(0)
 
@@ -25,9 +24,9 @@ def features_at(points: np.ndarray, sigma_m: float = 0.01, has_depth: np.ndarray
     return Features(0.0, 100 * xy, np.zeros(n, int), words, xy, depth_m, np.ones(n), np.full(n, sigma_m))
 
 
-def view_at(T: np.ndarray, points: np.ndarray, landmark: np.ndarray | None = None, **how: Any) -> View:
+def view_at(T: np.ndarray, points: np.ndarray, landmark: np.ndarray | None = None, **how: Any) -> KeypointView:
     landmark = np.full(len(points), -1) if landmark is None else landmark
-    return View(features_at(points, **how), T, np.eye(6), landmark)
+    return KeypointView(features_at(points, **how), T, np.eye(6), landmark)
 
 
 @pytest.fixture
@@ -42,7 +41,7 @@ def aside(metres: float) -> np.ndarray:
 def test_keypoints_with_depth_become_landmarks_of_the_world(rng, points):
     T = se3.exp(rng.standard_normal(6))
     has_depth = np.arange(10) % 3 > 0
-    landmarks = LandmarkMap(FeatureSettings(kept_keyframes=5))
+    landmarks = LandmarkMap(5)
     keyframe = landmarks.add_keyframe(view_at(T, points, has_depth=has_depth), FIRST)
     np.testing.assert_array_equal(keyframe.landmark >= 0, has_depth)
     np.testing.assert_array_equal(landmarks.numbers, np.arange(6))
@@ -53,7 +52,7 @@ def test_keypoints_with_depth_become_landmarks_of_the_world(rng, points):
 
 
 def test_known_landmarks_are_not_made_twice(points):
-    landmarks = LandmarkMap(FeatureSettings(kept_keyframes=5))
+    landmarks = LandmarkMap(5)
     first = landmarks.add_keyframe(view_at(np.eye(4), points), FIRST)
     again = first.landmark.copy()
     again[6:] = -1
@@ -63,7 +62,7 @@ def test_known_landmarks_are_not_made_twice(points):
 
 
 def test_averaging_is_the_mean_weighted_by_the_depths_certainty(rng, points):
-    landmarks = LandmarkMap(FeatureSettings(kept_keyframes=5))
+    landmarks = LandmarkMap(5)
     sigmas = [0.01, 0.02, 0.005, 0.04]
     seen = [points + s * rng.standard_normal(points.shape) for s in sigmas]
     landmarks.add_keyframe(view_at(np.eye(4), seen[0], sigma_m=sigmas[0]), FIRST)
@@ -78,7 +77,7 @@ def test_averaging_is_the_mean_weighted_by_the_depths_certainty(rng, points):
 
 
 def test_a_sighting_without_depth_moves_nothing_but_counts(points):
-    landmarks = LandmarkMap(FeatureSettings(kept_keyframes=5))
+    landmarks = LandmarkMap(5)
     landmarks.add_keyframe(view_at(np.eye(4), points), FIRST)
     features = features_at(points + 1, has_depth=np.arange(10) >= 3)
     features.descriptors[:] += np.uint64(7)
@@ -92,7 +91,7 @@ def test_a_sighting_without_depth_moves_nothing_but_counts(points):
 
 
 def test_the_oldest_keyframe_is_forgotten_and_numbers_are_not_used_again(points):
-    landmarks = LandmarkMap(FeatureSettings(kept_keyframes=2))
+    landmarks = LandmarkMap(2)
     landmarks.add_keyframe(view_at(np.eye(4), points), FIRST)
     kept_on = np.where(np.arange(10) < 3, np.arange(10), -1)
     landmarks.add_keyframe(view_at(np.eye(4), points, kept_on), FIRST)
@@ -112,7 +111,7 @@ def test_the_oldest_keyframe_is_forgotten_and_numbers_are_not_used_again(points)
 
 
 def test_near_are_the_landmarks_of_keyframes_that_look_there(points):
-    landmarks = LandmarkMap(FeatureSettings(kept_keyframes=100))
+    landmarks = LandmarkMap(100)
     for i in range(10):
         landmarks.add_keyframe(view_at(aside(2.0 * i), points), FIRST)
     np.testing.assert_array_equal(landmarks.near(aside(6.1), 1), np.arange(30, 40))
@@ -122,7 +121,7 @@ def test_near_are_the_landmarks_of_keyframes_that_look_there(points):
 
 
 def test_a_view_the_other_way_is_not_near(points):
-    landmarks = LandmarkMap(FeatureSettings(kept_keyframes=100))
+    landmarks = LandmarkMap(100)
     back = se3.exp(np.array([0, 0, 0, 0, np.pi, 0]))
     for T in (back, aside(1.0), aside(1.5)):
         landmarks.add_keyframe(view_at(T, points), FIRST)
@@ -130,14 +129,14 @@ def test_a_view_the_other_way_is_not_near(points):
 
 
 def test_near_goes_on_after_forgetting(points):
-    landmarks = LandmarkMap(FeatureSettings(kept_keyframes=4))
+    landmarks = LandmarkMap(4)
     for i in range(9):
         landmarks.add_keyframe(view_at(aside(2.0 * i), points), FIRST)
     np.testing.assert_array_equal(landmarks.near(aside(12.2), 1), np.arange(60, 70))
 
 
 def test_landmarks_and_views_go_with_the_keyframe_that_made_them(rng, points):
-    landmarks = LandmarkMap(FeatureSettings(kept_keyframes=5))
+    landmarks = LandmarkMap(5)
     T = se3.exp(0.5 * rng.standard_normal((2, 6)))
     first = landmarks.add_keyframe(view_at(T[0], points), KeyframeId(0))
     known = np.where(np.arange(10) < 4, first.landmark, -1)
@@ -174,7 +173,7 @@ def test_a_long_drive_stays_within_its_memory():
 
 
 def test_landmarks_stay_as_they_are_where_keypoints_of_older_keyframes_are_forgotten(points):
-    kept, subject = (LandmarkMap(FeatureSettings(kept_keyframes=3)) for _ in range(2))
+    kept, subject = (LandmarkMap(3) for _ in range(2))
     known = np.full(10, -1)
     for number in range(5):
         for one in (kept, subject):

@@ -12,7 +12,7 @@ from wheelsight.core.geometry import se3, so3
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.vision.features import FeatureOdometry, FeatureSettings
-from wheelsight.vision.features.extraction import Features, straighten
+from wheelsight.vision.features.tracking import Features, straighten
 from wheelsight.vision.tracking_state import twist_between
 
 SHUTTER_S = 0.03

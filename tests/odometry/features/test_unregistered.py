@@ -83,7 +83,8 @@ def test_calling_the_sensor_registered_spoils_it(frames):
 
 def test_a_prior_of_the_depth_camera_is_turned_into_the_colour_camera_s(frames, monkeypatch):
     monkeypatch.setattr("wheelsight.vision.features.tracking.match_all", lambda *_: pytest.fail("the prior was off"))
-    subject = FeatureOdometry(calibration(), FeatureSettings(reference="previous", prior_radii=0.4))
+    monkeypatch.setattr("wheelsight.vision.features.tracking._PRIOR_RADII", 0.4)
+    subject = FeatureOdometry(calibration(), FeatureSettings(reference="previous"))
     subject.process(frames[0])
     world = from_start(TRUTH.T_frame_body)
     step = se3.invert(world[0]) @ world[3]

@@ -326,8 +326,8 @@ def _fused(
     noise, numbers = like.calibration.depth_noise, sorted(stamps_s, key=lambda number: stamps_s[number])
     if not numbers:
         raise MapError("has no keyframes", path=like.path, fix=_FIX_EMPTY)
-    surfel_map, dense = SurfelMap(settings, store, keeps_unstable=True), DenseSettings()
-    maker = ReferenceMaker(noise, dense, Rows(dense.threads))
+    surfel_map = SurfelMap(settings, store, keeps_unstable=True)
+    maker = ReferenceMaker(noise, Rows(DenseSettings().threads))
     for done, number in enumerate(numbers, start=1):
         keyframe = store[number]
         how = (keyframe.stamp_s, noise, _REBUILD_FRAMES, number)

@@ -1,41 +1,47 @@
 """`DenseOdometry` estimates the pose of a camera frame by frame from all pixels and reports when tracking is lost.
-`DepthDelay` estimates how much later than colour the camera measures depth.
+`KeyframePolicy` decides which frames become keyframes. `DepthDelay` estimates how much later than colour the camera
+measures depth.
 """
 
 from __future__ import annotations
 
 from concurrent.futures import Future
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.checks import check_frame, need_calibration, need_motion, need_twist
+from wheelsight.core.checks import check_frame, need_twist
 from wheelsight.core.estimates import MotionEstimate, Reason
 from wheelsight.core.geometry import FloatArray, se3
-from wheelsight.core.keyframes import FrameSurface, KeyframeStore, ReferenceModel
+from wheelsight.core.geometry import motion_kernels as motions
+from wheelsight.core.keyframes import FrameSurface, Keyframe, KeyframeId, KeyframeStore, ReferenceModel
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.core.stamps import StampCheck
-from wheelsight.core.threads import OneCaller, Rows, one_at_a_time
+from wheelsight.core.threads import Rows, one_at_a_time
 from wheelsight.vision.dense.alignment import Aligner
-from wheelsight.vision.dense.keyframes import EvictedViews, KeyframePolicy
-from wheelsight.vision.dense.pyramid import Gridder, GridFrame, ReferenceMaker
-from wheelsight.vision.dense.settings import DelaySettings, DenseSettings
+from wheelsight.vision.dense.pyramid import Gridder, GridFrame, ReferenceMaker, Vignetting
+from wheelsight.vision.dense.settings import DenseSettings
 from wheelsight.vision.dense.tracking import Locator, Verifier
 from wheelsight.vision.dense.views import (
     DenseEstimate,
+    EvictedViews,
     KeypointTracker,
+    KnownView,
     Prediction,
     PriorMotion,
     Tracked,
-    Views,
+    ViewCache,
     predict,
 )
-from wheelsight.vision.features.extraction import Features
-from wheelsight.vision.tracking_state import LONGEST_STEP_S, START_VARIANCE, Stopwatch, TrackingState, twist_between
+from wheelsight.vision.features.tracking import Features
+from wheelsight.vision.tracking_state import LONGEST_STEP_S, START_VARIANCE, CameraOdometry, twist_between
+
+_MIN_DEPTH_SHARE = 0.05  # share of a frame's pixels that must have depth
 
 
-class DenseOdometry(OneCaller):
+class DenseOdometry(CameraOdometry[DenseEstimate]):
     """Aligns each frame with a keyframe, with the previous frame, or with the view that a map predicts.
 
     The first frame with depth starts the map. Each frame passes four steps: predict its pose, align it with known
@@ -64,38 +70,30 @@ class DenseOdometry(OneCaller):
         T_map_first: FloatArray | None = None,
         store: KeyframeStore | None = None,
     ) -> None:
-        self._calibration, self._settings = need_calibration(calibration), settings or DenseSettings()
-        self.store, self.watch = KeyframeStore() if store is None else store, Stopwatch()
+        self._settings = settings or DenseSettings()
+        super().__init__(calibration, DenseEstimate, self._settings.lost_after, T_map_first, store)
         self._follower = self.store.follow()
         rows = Rows(self._settings.threads)
         self._gridder = Gridder(calibration, self._settings, rows)
-        self._delay = DepthDelay(calibration.depth_late_s, self._settings.delay)
-        self._maker = ReferenceMaker(calibration.depth_noise, self._settings, rows)
+        self._delay = DepthDelay(calibration.depth_late_s)
+        self._maker = ReferenceMaker(calibration.depth_noise, rows)
         aligner = Aligner(calibration, self._settings, rows, self._gridder, self._maker)
         has_landmarks = model is not None or self._settings.reference == "keyframes"
         keypoints = KeypointTracker(
             calibration,
-            self._settings.verification,
             has_landmarks=has_landmarks,
             threads=self._settings.threads,
             fastest=(self._settings.max_speed_m_s, self._settings.max_turn_rad_s),
         )
         self._keypoints = keypoints
-        self._views = Views(self._settings, self._gridder, self._maker, self.watch, model)
+        self._views = ViewCache(self._settings, self._gridder, self._maker, self.watch, model)
         self._locator = Locator(calibration, self._settings, aligner, self._views, self.watch)
         self._verifier = Verifier(self._settings, keypoints, self._views, self._locator.by_regions, self.watch)
         evicted = EvictedViews(self.store, self._gridder, self._maker, keypoints, self._settings.kept_keyframes)
         parts = (self._gridder, self._locator, keypoints, self._views, self.store, evicted)
         self._policy = KeyframePolicy(self._settings, *parts)
-        self.begin_at(np.eye(4) if T_map_first is None else T_map_first)
-        self._state, self._stamps = TrackingState(self._settings.lost_after), StampCheck()
         self._first: tuple[RgbdFrame, Features] | None = None
         self._last: Tracked | None = None
-
-    @property
-    def stage_seconds(self) -> dict[str, float]:
-        """Seconds the last frame spent in each stage."""
-        return self.watch.seconds
 
     @property
     def intrinsics(self) -> FloatArray:
@@ -135,7 +133,7 @@ class DenseOdometry(OneCaller):
         if twist is not None:
             twist = need_twist(twist)
         self._start_frame()
-        last, features = self._last, self._keypoints.look(frame)
+        last, features = self._last, self._keypoints.start(frame)
         if last is None:
             return self._begin(frame, features, self._T_map_first, START_VARIANCE * np.eye(6), is_first=True)
         prior = PriorMotion(T_previous_current_prior, T_previous_current_other, twist)
@@ -147,23 +145,12 @@ class DenseOdometry(OneCaller):
         return self._accept(found) if isinstance(found, Tracked) else self._fail(frame.stamp_s, found)
 
     @one_at_a_time
-    def begin_at(self, T_map_camera: FloatArray) -> None:
-        """Set the pose (4, 4) of the camera at the first frame with depth. Raises ArgumentError for no rigid motion."""
-        self._T_map_first = need_motion("T_map_first", T_map_camera)
-
-    @one_at_a_time
-    def miss(self, stamp_s: float) -> DenseEstimate:
-        """Count a frame that is unusable, and so never reached `process`, as a failed one."""
-        self._start_frame()
-        return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
-
-    @one_at_a_time
     def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> DenseEstimate:
         """Restart at a frame with a pose (4, 4) from other sensors, its covariance (6, 6); earlier keyframes stay."""
         check_frame(frame, self._calibration, T_map_camera=T_map_camera, covariance=covariance)
         self._start_frame()
         self._verifier.faults.unseen_s = 0.0
-        return self._begin(frame, self._keypoints.look(frame), T_map_camera, covariance)
+        return self._begin(frame, self._keypoints.start(frame), T_map_camera, covariance)
 
     @one_at_a_time
     def refer_to(self, model: ReferenceModel | None) -> None:
@@ -187,10 +174,13 @@ class DenseOdometry(OneCaller):
         """The frame's pose, predicted from the prior or constant velocity, or the reason of the failure."""
         ahead, twist = predict(last, frame.stamp_s, prior)
         ahead = self._verifier.ask(features.result(), twist, ahead, self._state)
+        pose, seen_twist = ahead.keypoint_pose, twist
+        if pose is not None and pose.is_usable and 0 < ahead.seconds <= LONGEST_STEP_S:
+            seen_twist = twist_between(ahead.last.T_map_camera, pose.T_map_camera, ahead.seconds)
         with self.watch.stage("prepare"):
-            grid = self._gridder.on_grid(frame, self._seen_twist(ahead, frame.stamp_s, twist))
+            grid = self._gridder.on_grid(frame, seen_twist)
         found: Tracked | MotionEstimate = MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH)
-        if grid.depth_share >= self._settings.min_depth_share:
+        if grid.depth_share >= _MIN_DEPTH_SHARE:
             found = self._locator.locate(grid, ahead, self._state)
             if isinstance(found, Tracked) and self._first is not None:
                 found, ahead = self._begin_again(found, features.result(), ahead)
@@ -199,13 +189,6 @@ class DenseOdometry(OneCaller):
             with self.watch.stage("keyframe"):
                 found = self._policy.update(frame, features.result(), found, ahead)
         return found
-
-    def _seen_twist(self, ahead: Prediction, stamp_s: float, twist: FloatArray) -> FloatArray:
-        """The camera's velocity (6,) by keypoints if most of them agree, else the predicted one."""
-        seconds = ahead.seconds_to(stamp_s)
-        if ahead.keypoint_pose is None or not ahead.keypoint_pose.is_usable or not 0 < seconds <= LONGEST_STEP_S:
-            return twist
-        return twist_between(ahead.last.T_map_camera, ahead.keypoint_pose.T_map_camera, seconds)
 
     def _begin(
         self,
@@ -218,7 +201,7 @@ class DenseOdometry(OneCaller):
     ) -> DenseEstimate:
         with self.watch.stage("prepare"):
             grid = self._gridder.on_grid(frame, np.zeros(6))
-        if grid.depth_share < self._settings.min_depth_share:
+        if grid.depth_share < _MIN_DEPTH_SHARE:
             return self._fail(frame.stamp_s, MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH))
         with self.watch.stage("keyframe"):
             start = self._policy.begin(features.result(), grid, T_map_camera, covariance)
@@ -262,24 +245,207 @@ class DenseOdometry(OneCaller):
             frame=found.frame,
         )
 
-    def _fail(self, stamp_s: float, failure: MotionEstimate) -> DenseEstimate:
-        self._state = self._state.failed()
+    def _fail(self, stamp_s: float, failure: MotionEstimate, **more: Any) -> DenseEstimate:
         if self._last is not None:
             self._last = replace(self._last, twist=np.zeros(6))
-        return DenseEstimate(
-            stamp_s,
-            self._state.status,
-            reason=failure.reason,
-            matches=failure.matches,
-            inliers=failure.inliers,
-            motion=failure,
-            shows_all=self._shows_all,
-        )
+        return super()._fail(stamp_s, failure, shows_all=self._shows_all, **more)
 
     @property
     def _shows_all(self) -> bool:
         """Whether the last frames constrained every direction of motion; else part of the pose is a prediction."""
         return self._verifier.faults.unseen_s == 0
+
+
+# Share of the covariance of a motion to the last keyframe relative to that to the one before, and their largest
+# difference: χ² of 6, 99.9 %.
+_SHORT_MOTIONS, _JOINED_CHI2 = 2.0, 22.5
+# Error of rows in pixels above which the rolling shutter is corrected again, of keyframes and of other frames, where it
+# costs 2 ms; chosen.
+_KEPT_STRAIGHT_PX, _STRAIGHT_PX = 0.3, 1.0
+# Number of recent keyframes; older ones return if a loop closure ties one of these to another visit. The newest is not
+# verified yet, and not every one is recognised. Chosen.
+_TIED_VIEWS = 5
+
+
+class KeyframePolicy:
+    """Makes keyframes of frames that show much that is new.
+
+    Args:
+        settings: of dense odometry.
+        gridder: corrects the rolling shutter of frames.
+        locator: aligns a frame with another keyframe.
+        keypoints: holds the landmarks of keyframes.
+        views: the cache of keyframes.
+        store: holds all keyframes and their poses.
+        evicted: keyframes that left the cache.
+    """
+
+    def __init__(
+        self,
+        settings: DenseSettings,
+        gridder: Gridder,
+        locator: Locator,
+        keypoints: KeypointTracker,
+        views: ViewCache,
+        store: KeyframeStore,
+        evicted: EvictedViews,
+    ) -> None:
+        self._settings, self._gridder, self._store = settings, gridder, store
+        self._locator, self._keypoints, self._views, self._evicted = locator, keypoints, views, evicted
+        self.vignetting = Vignetting(gridder)
+
+    def begin(self, features: Features, grid: GridFrame, T_map_camera: FloatArray, covariance: FloatArray) -> Tracked:
+        """Start, or restart, with a keyframe at a pose (4, 4) with its covariance (6, 6)."""
+        motion = MotionEstimate(np.eye(4), START_VARIANCE * np.eye(6))
+        start = Tracked(grid, T_map_camera, covariance, motion, KeyframeId(-1))
+        start, view = self._stored(start, features)
+        self._views.drop_prediction()
+        self._keep(view)
+        return start
+
+    def begin_again(self, features: Features, first: Tracked) -> KnownView:
+        """Replace the first keyframe by the same frame with its rolling shutter corrected."""
+        self._keypoints.forget()
+        self._keypoints.remember(first, features)
+        features = self._keypoints.straightened(features, first.twist)
+        self._store.replace(first.keyframe, partial(self._kept, first.frame, features))
+        view = replace(self._views.of_frame(first), features=features)
+        self._views.keyframes[:] = [view]
+        return view
+
+    def update(self, frame: RgbdFrame, features: Features, found: Tracked, ahead: Prediction) -> Tracked:
+        """Update landmarks by a frame, and make it a keyframe if it shows much that the last one did not.
+
+        Returns the frame with its rolling shutter corrected by the estimated speed.
+        """
+        if self._settings.reference == "previous" and not self._views.has_model:
+            return self._replace_view(frame, features, found)
+        if not self._views.lack(found, is_helped=ahead.is_helped):
+            return self._remembered(self._straightened(frame, found, is_kept=False), features)
+        seen = self._revisited(found, ahead)
+        if seen is not None:
+            return self._remembered(replace(seen, keypoint_pose=found.keypoint_pose), features)
+        straight = self._straightened(frame, self._refined(found, ahead))
+        self.vignetting.learn(straight.frame, straight.T_map_camera, self._views.keyframes[-1].reference)
+        straight, view = self._stored(straight, features)
+        self._keep(view)
+        return straight
+
+    def _remembered(self, tracked: Tracked, features: Features) -> Tracked:
+        tracked = tracked.with_pose_error()
+        self._keypoints.remember(tracked, features)
+        return tracked
+
+    def _replace_view(self, frame: RgbdFrame, features: Features, found: Tracked) -> Tracked:
+        """Make the frame the only known view, and a keyframe of the store if the last one there is far."""
+        straight = self._straightened(frame, found).with_pose_error()
+        T_keyframe_camera = se3.invert(self._store.pose(found.keyframe)) @ straight.T_map_camera
+        if float(se3.view_shift_m(T_keyframe_camera)) > self._settings.keyframe_way_m:
+            straight, view = self._stored(straight, features)
+        else:
+            straightened = self._keypoints.straightened(features, straight.twist)
+            view = replace(self._views.of_frame(straight), features=straightened)
+            self._keypoints.remember(straight, features)
+        self._views.keyframes[:] = [view]
+        return straight
+
+    def _revisited(self, found: Tracked, ahead: Prediction) -> Tracked | None:
+        """The frame located by a nearer, older keyframe with enough overlap, which ends the drift; else None."""
+        if self._views.has_model:
+            return None
+        here, nearest = ahead.at(found.T_map_camera), self._views.nearest(found.T_map_camera)
+        evicted, newest = None, self._views.keyframes[-_TIED_VIEWS:]
+        if any(self._evicted.is_tied(view.keyframe) for view in newest):  # a loop ties it to older ones
+            evicted = self._evicted.nearer(found.T_map_camera, nearest.distance_m(found.T_map_camera))
+        for view in (evicted, nearest):
+            if view is None or view is self._views.keyframes[-1]:
+                continue
+            seen = self._locator.by_view(found.frame, view, here, here.T_map_camera)
+            if isinstance(seen, Tracked) and seen.overlap > self._settings.keyframe_overlap:
+                self._keep(view)
+                return seen
+        return None
+
+    def _keep(self, view: KnownView) -> None:
+        """Mark a view as the most recently used keyframe."""
+        self._evicted.take(view)
+        for evicted in self._views.keep(view):
+            self._evicted.put(evicted)
+
+    def _refined(self, found: Tracked, ahead: Prediction) -> Tracked:
+        """The frame located by the last two keyframes together; without a map, this reduces drift."""
+        before = self._views.keyframes[-2:-1]
+        if not before or self._views.has_model or not found.is_by_keyframe:
+            return found
+        here = ahead.at(found.T_map_camera)
+        seen = self._locator.by_view(found.frame, before[0], here, here.T_map_camera)
+        if not isinstance(seen, Tracked):
+            return found
+        poses = (found.T_map_camera, found.motion, seen.T_map_camera, seen.motion)
+        return replace(found, T_map_camera=joined(*poses, self._locator.of_frame))
+
+    def _straightened(self, frame: RgbdFrame, found: Tracked, *, is_kept: bool = True) -> Tracked:
+        """The frame with its rolling shutter corrected by the estimated speed instead of the predicted one."""
+        wrong = np.abs(found.twist - found.frame.twist)[3:].max() * np.abs(self._gridder.late_s).max()
+        if wrong * self._gridder.intrinsics[0] < (_KEPT_STRAIGHT_PX if is_kept else _STRAIGHT_PX):
+            return found
+        return replace(found, frame=self._gridder.on_grid(frame, found.twist))
+
+    def _stored(self, tracked: Tracked, features: Features) -> tuple[Tracked, KnownView]:
+        """Add a frame to the store as a keyframe, and return it with its view."""
+        tracked = tracked.with_pose_error()
+        straight = self._keypoints.straightened(features, tracked.twist)
+        number = self._store.add(partial(self._kept, tracked.frame, straight), tracked.T_map_camera)
+        tracked = replace(tracked, keyframe=number)
+        self._keypoints.remember(tracked, features)
+        return tracked, replace(self._views.of_frame(tracked), features=straight)
+
+    def _kept(self, grid: GridFrame, features: Features) -> Keyframe:
+        finest = grid.levels[0]
+        images = (grid.stamp_s, finest.intrinsics, finest.depth_m, finest.grey)
+        return Keyframe.of_images(*images, self._keypoints.kept(features))
+
+
+def joined(
+    T_map_short: FloatArray,
+    short: MotionEstimate,
+    T_map_long: FloatArray,
+    long: MotionEstimate,
+    shared: FloatArray,
+) -> FloatArray:
+    """T_map_camera (4, 4) by the motions against the last two keyframes, weighted by their covariances.
+
+    It is the pose by the last keyframe if both contradict each other, or if one is degenerate. The covariance of the
+    short motion counts `_SHORT_MOTIONS` times, because the pose of its keyframe relative to the other one has the same
+    error. `shared` (6, 6) is the covariance of the error common to both, as a right perturbation; it is subtracted.
+    """
+    if not (short.shows_all and long.shows_all):
+        return T_map_short
+    C_short, C_long = _SHORT_MOTIONS * (_right_covariance(short) - shared), _right_covariance(long) - shared
+    off = se3.log(se3.invert(T_map_short) @ T_map_long)
+    C = np.ascontiguousarray(C_short + C_long)
+    if not (np.isfinite(C).all() and motions.is_definite(C)):  # singular up to rounding
+        return T_map_short
+    innovation = np.linalg.solve(C, off)
+    if not off @ innovation < _JOINED_CHI2:
+        return T_map_short
+    return np.asarray(se3.nearest(T_map_short @ se3.exp(C_short @ innovation)))
+
+
+def _right_covariance(motion: MotionEstimate) -> FloatArray:
+    """Covariance (6, 6) of a motion's right perturbation, in the frame of the moved camera."""
+    assert motion.T_reference_current is not None
+    assert motion.covariance is not None
+    return np.asarray(motions.carried(motions.inverse(motion.T_reference_current), motion.covariance))
+
+
+# Standard deviations of the delay before the first frame (a Kinect's), of its change per frame, and of the difference
+# between both rotations of a frame for other reasons; chosen.
+_DELAY_SIGMA_S, _DELAY_WALK_S, _ROTATION_SIGMA_RAD = 0.015, 0.0002, 0.02
+# The estimate replaces the calibration's delay if it differs by so many standard deviations; chosen.
+_CLEAR_SIGMAS = 1.0
+# A slower rotation gives no measurement, a larger difference is no delay, and none is longer than 1.5 frames; chosen.
+_LEAST_TURN_RAD_S, _MOST_DIFFERENCE_RAD, _MOST_DELAY_S = 0.2, 0.15, 0.05
 
 
 class DepthDelay:
@@ -291,18 +457,16 @@ class DepthDelay:
 
     Args:
         seconds: the delay by calibration.
-        settings: its standard deviation, and the noise of a measurement.
     """
 
-    def __init__(self, seconds: float, settings: DelaySettings) -> None:
-        self._settings = settings
+    def __init__(self, seconds: float) -> None:
         self._expected_s = self._estimate_s = seconds
-        self._variance = settings.sigma_s**2
+        self._variance = _DELAY_SIGMA_S**2
 
     @property
     def seconds(self) -> float:
         """The delay: the estimate if it differs clearly from the calibration, else the calibration's."""
-        is_clear = abs(self._estimate_s - self._expected_s) > self._settings.clear_sigmas * self._variance**0.5
+        is_clear = abs(self._estimate_s - self._expected_s) > _CLEAR_SIGMAS * self._variance**0.5
         return self._estimate_s if is_clear else self._expected_s
 
     def learn(self, ahead_rad: FloatArray, turning_rad_s: FloatArray) -> None:
@@ -312,14 +476,13 @@ class DepthDelay:
             ahead_rad: (3,) rotation by keypoints beyond that by surfaces, in the reference's frame.
             turning_rad_s: (3,) angular velocity at the frame minus that at its reference, in the same frame.
         """
-        limits = self._settings
         squared = float(turning_rad_s @ turning_rad_s)
-        if squared < limits.least_rad_s**2 or np.linalg.norm(ahead_rad) > limits.most_rad:
+        if squared < _LEAST_TURN_RAD_S**2 or np.linalg.norm(ahead_rad) > _MOST_DIFFERENCE_RAD:
             return
-        self._variance += limits.walk_s**2
+        self._variance += _DELAY_WALK_S**2
         # Frames are corrected by the delay in use, so the measurement is the remainder.
         measured = self.seconds - float(turning_rad_s @ ahead_rad) / squared - self._estimate_s
-        variance = limits.turn_sigma_rad**2 / squared
+        variance = _ROTATION_SIGMA_RAD**2 / squared
         gain = self._variance / (self._variance + variance)
-        self._estimate_s = float(np.clip(self._estimate_s + gain * measured, -limits.most_s, limits.most_s))
+        self._estimate_s = float(np.clip(self._estimate_s + gain * measured, -_MOST_DELAY_S, _MOST_DELAY_S))
         self._variance *= 1 - gain

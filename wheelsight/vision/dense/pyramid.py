@@ -1,5 +1,5 @@
 """`Gridder` resamples frames onto the pixel grid of an ideal camera, as image pyramids. `ReferenceMaker` makes the
-references that frames are aligned with.
+references that frames are aligned with. `Vignetting` estimates the vignetting of the lens.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import DepthNoise
-from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, IntArray, PinholeCamera
+from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, PinholeCamera, se3
 from wheelsight.core.keyframes import PredictedView
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.threads import Rows
-from wheelsight.vision.dense.alignment_kernels import CHANNELS
+from wheelsight.vision.dense.alignment_kernels import ALONG_U, ALONG_V, CHANNELS, DEPTH, GREY
 from wheelsight.vision.dense.pyramid_kernels import (
     Exposure,
     halve_depth,
@@ -33,8 +33,25 @@ from wheelsight.vision.dense.settings import DenseSettings
 
 _NO_IMAGE = np.empty((0, 0), np.float32)
 _BRIGHTEST = np.float32(255)
-# Stride, in pixels, of the samples that decide whether an image is dark.
-_DARK_STRIDE = 8
+# An image is dark, and its grey is noise, if fewer than this share of its pixels, sampled with this stride, exceed this
+# grey (real Kinects with covered lenses).
+_DARK_SHARE, _DARK_STRIDE, _DARK_GREY = 0.01, 8, 12.0
+
+# Number of pyramid levels for alignment, each half as wide as the one before, and the second of them; chosen.
+LEVELS, SECOND = 3, 1
+# Share of depth that separates two surfaces; chosen.
+DEPTH_JUMP = 0.03
+# Neighbours on one surface differ by at most this many standard deviations of depth more: √2 times three. A limit that
+# noise reaches selects neighbours with similar errors (docs/decisions/dense-alignment.md).
+_DEPTH_JUMP_SIGMAS = 4.2
+# Largest deviation of a surface from its plane, in standard deviations of depth, to show a motion: a plane fitted to a
+# crease is not in the scene. Chosen.
+_CREASE_SIGMAS = 2.0
+# A nearer surface within two pixels, by this share of depth and these standard deviations, makes an occlusion boundary:
+# its grey moves with the nearer surface. Without it distances on a corridor were 0.09 % too long, with it 0.01 %
+# (simulator: docs/decisions/dense-alignment.md).
+_OCCLUSION_SHARE, _OCCLUSION_SIGMAS = 0.02, 3.0
+_NORMAL_RADIUS_PX = 2  # half width of the window that a normal is fitted to
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +107,8 @@ class Gridder:
 
     def __init__(self, calibration: Calibration, settings: DenseSettings, rows: Rows) -> None:
         self._color, self._depth = calibration.cameras
-        self._calibration, self._settings, self._rows = calibration, settings, rows
+        self._calibration, self._rows, self._is_registered = calibration, rows, calibration.is_registered
+        self._is_straight = not self._depth.has_distortion and not calibration.rolling_shutter_s
         self.halvings = 0
         while self._depth.width >> self.halvings > settings.finest_width_px:
             self.halvings += 1
@@ -118,25 +136,28 @@ class Gridder:
     def on_grid(self, frame: RgbdFrame, twist: FloatArray) -> GridFrame:
         """The frame's pyramid, with the rolling shutter corrected for a camera that moves at `twist` (6,).
 
-        Grey of a dark image is noise. If fewer than `dark_share` of the pixels exceed `dark_grey`, all grey is unknown.
+        All grey of a dark image is unknown, because it is noise.
         """
-        depth_m, grey = self._small_depth(frame), self._small_grey(frame)
+        depth_m = self._small_depth(frame)
+        bright = self._small(np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), np.uint8))
+        grey: Float32Array = np.minimum(bright * self._brighter, _BRIGHTEST)
+        if self._is_dark(frame.color):
+            grey = np.full_like(grey, -1)
         behind_s = frame.depth_late_s + self.depth_late_s
         if not (self._is_straight and behind_s == 0):
-            registered = self._calibration.is_registered
-            out = np.empty((1 + registered, *self.shape), np.float32)
-            images = (depth_m, grey if registered else _NO_IMAGE)
+            out = np.empty((1 + self._is_registered, *self.shape), np.float32)
+            images = (depth_m, grey if self._is_registered else _NO_IMAGE)
             exposure = self._exposure(twist, behind_s if twist.any() else 0.0)
-            given = (*images, self._source_px, exposure, np.float32(self._settings.depth_jump))
+            given = (*images, self._source_px, exposure, np.float32(DEPTH_JUMP))
             self._rows.share(self.shape[0], lambda begin, end: straighten(*given, (begin, end), out))
-            depth_m, grey = out[0], out[1] if registered else grey
-        if not self._calibration.is_registered:
+            depth_m, grey = out[0], out[1] if self._is_registered else grey
+        if not self._is_registered:
             grey = self._looked_up(grey, depth_m, twist)
         return GridFrame(frame.stamp_s, self.pyramid(depth_m, grey), twist, self._vignetting)
 
     def pyramid(self, depth_m: Float32Array, grey: Float32Array) -> tuple[Level, ...]:
         """The pyramid of images (h, w) that are on the ideal grid already."""
-        return coarser(Level(self.intrinsics, depth_m, grey), self._settings, self._rows)
+        return coarser(Level(self.intrinsics, depth_m, grey), self._rows)
 
     def color_on_grid(self, frame: RgbdFrame, grid: GridFrame) -> Float32Array:
         """Red, green and blue (h, w, 3) from 0 to 255 on the grid of `grid`, which was made from `frame`.
@@ -146,13 +167,16 @@ class Gridder:
         if self._is_dark(frame.color):
             return np.full((*self.shape, 3), -1, np.float32)
         image = self._small(frame.color)
-        if not self._calibration.is_registered:
+        if not self._is_registered:
             return self._looked_up(image, grid.levels[0].depth_m, grid.twist)
-        return image.astype(np.float32) if self._is_straight else self._straightened_color(image, frame, grid.twist)
-
-    @property
-    def _is_straight(self) -> bool:
-        return not self._depth.has_distortion and not self._calibration.rolling_shutter_s
+        if self._is_straight:
+            return image.astype(np.float32)
+        has_moved = self._calibration.rolling_shutter_s and grid.twist.any()
+        depth_m = self._small_depth(frame) if has_moved else _NO_IMAGE
+        given = (image, depth_m, self._source_px, self._exposure(grid.twist))
+        out = np.empty((*self.shape, 3), np.float32)
+        self._rows.share(len(out), lambda begin, end: straighten_color(*given, (begin, end), out))
+        return out
 
     def _halved(self, camera: PinholeCamera) -> FloatArray:
         """fx, fy, cx, cy (4,) of the camera's halved images."""
@@ -162,25 +186,12 @@ class Gridder:
         """Depth (h, w) as measured, halved."""
         depth_m = frame.depth_m
         for _ in range(self.halvings):
-            depth_m = halved_depth(depth_m, self._settings.depth_jump, self._rows)
+            depth_m = halved_depth(depth_m, DEPTH_JUMP, self._rows)
         return depth_m
-
-    def _small_grey(self, frame: RgbdFrame) -> Float32Array:
-        """Grey (H, W), halved and corrected for vignetting; -1 if the image is dark."""
-        grey = np.minimum(self._small(_grey(frame.color)) * self._brighter, _BRIGHTEST)
-        return np.full_like(grey, -1) if self._is_dark(frame.color) else grey
 
     def _small(self, image: ByteArray) -> ByteArray:
         size = (image.shape[1] >> self.halvings, image.shape[0] >> self.halvings)
         return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8) if self.halvings else image
-
-    def _straightened_color(self, image: ByteArray, frame: RgbdFrame, twist: FloatArray) -> Float32Array:
-        """Colour (h, w, 3) on the grid of depth, without lens distortion and rolling shutter."""
-        depth_m = self._small_depth(frame) if self._shutter_s(twist) else _NO_IMAGE
-        given = (image, depth_m, self._source_px, self._exposure(twist))
-        out = np.empty((*self.shape, 3), np.float32)
-        self._rows.share(len(out), lambda begin, end: straighten_color(*given, (begin, end), out))
-        return out
 
     def _looked_up(self, image: Float32Array | ByteArray, depth_m: Float32Array, twist: FloatArray) -> Float32Array:
         """The image of a separate colour camera, grey (H, W) or colour (H, W, 3), at the 3D point of each pixel."""
@@ -194,27 +205,25 @@ class Gridder:
         return out
 
     def _exposure(self, twist: FloatArray, depth_late_s: float = 0.0) -> Exposure:
-        shutter_s = np.float32(self._shutter_s(twist))
+        shutter_s = np.float32(self._calibration.rolling_shutter_s if twist.any() else 0.0)
         return Exposure(_numbers(self.intrinsics), _numbers(twist), shutter_s, np.float32(depth_late_s))
 
     def _is_dark(self, color: ByteArray) -> bool:
         """Whether a subsample of a colour image (H, W, 3) shows nothing but noise."""
-        some = _grey(np.ascontiguousarray(color[::_DARK_STRIDE, ::_DARK_STRIDE]))
-        bright = np.count_nonzero(some > self._settings.dark_grey)
-        return bool(bright < self._settings.dark_share * some.size)
-
-    def _shutter_s(self, twist: FloatArray) -> float:
-        return self._calibration.rolling_shutter_s if twist.any() else 0.0
+        some = cv2.cvtColor(np.ascontiguousarray(color[::_DARK_STRIDE, ::_DARK_STRIDE]), cv2.COLOR_RGB2GRAY)
+        return bool(np.count_nonzero(some > _DARK_GREY) < _DARK_SHARE * some.size)
 
 
-def coarser(finest: Level, settings: DenseSettings, rows: Rows) -> tuple[Level, ...]:
-    """`settings.levels` pyramid levels that begin with `finest`, and one coarser level for rotation search."""
+def coarser(finest: Level, rows: Rows, count: int = LEVELS) -> tuple[Level, ...]:
+    """`count` pyramid levels that begin with `finest`, and one coarser level for rotation search."""
     levels = [finest]
-    for number in range(settings.levels):
+    for number in range(count):
         last = levels[-1]
         # The same slope is twice the step from pixel to pixel.
-        depth_m = halved_depth(last.depth_m, settings.depth_jump * (1 << number), rows)
-        levels.append(Level(_scaled(last.intrinsics, 1), depth_m, _halved_grey(last.grey, rows)))
+        depth_m = halved_depth(last.depth_m, DEPTH_JUMP * (1 << number), rows)
+        grey = np.empty((last.grey.shape[0] // 2, last.grey.shape[1] // 2), np.float32)
+        rows.share(len(grey), halve_grey, last.grey, out=grey)
+        levels.append(Level(_scaled(last.intrinsics, 1), depth_m, grey))
     return tuple(levels)
 
 
@@ -227,23 +236,13 @@ def halved_depth(depth_m: Float32Array, jump: float, rows: Rows) -> Float32Array
         rows: the threads that share the work.
     """
     half = np.empty((depth_m.shape[0] // 2, depth_m.shape[1] // 2), np.float32)
-    rows.share(len(half), lambda begin, end: halve_depth(depth_m, jump, begin, end, half))
+    rows.share(len(half), halve_depth, depth_m, jump, out=half)
     return half
 
 
 def vignetting_of(squared_tangent: FloatArray) -> FloatArray:
     """Log cos⁴ of the angle to the optical axis, from its squared tangent."""
     return np.asarray(-2 * np.log1p(squared_tangent))
-
-
-def _grey(color: ByteArray) -> ByteArray:
-    return np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
-
-
-def _halved_grey(grey: Float32Array, rows: Rows) -> Float32Array:
-    half = np.empty((grey.shape[0] // 2, grey.shape[1] // 2), np.float32)
-    rows.share(len(half), lambda begin, end: halve_grey(grey, begin, end, half))
-    return half
 
 
 def _scaled(intrinsics: FloatArray, halvings: int) -> FloatArray:
@@ -279,7 +278,7 @@ class ReferenceLevel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shown:
+class FrameStructure:
     """The planes and grey gradients that decide which directions of motion a view constrains.
 
     Both come from coarse levels, where noise is averaged out.
@@ -314,105 +313,172 @@ class Reference:
 
     Attributes:
         T_map_reference: (4, 4).
+        known_scales: the scales in memory; set None to free it. Computed again, they are identical to the bit.
         own_noise: the share of a residual's variance that is the noise of the frame aligned with it.
         vignetting: the exponent of the vignetting correction of its grey.
     """
 
-    __slots__ = ("T_map_reference", "_made", "_make", "own_noise", "vignetting")
+    __slots__ = ("T_map_reference", "_make", "known_scales", "own_noise", "vignetting")
 
     def __init__(
         self, T_map_reference: FloatArray, make: Callable[[], Scales], own_noise: float, vignetting: float = 0.0
     ) -> None:
         self.T_map_reference, self.own_noise, self.vignetting = T_map_reference, own_noise, vignetting
         self._make = make
-        self._made: Scales | None = None
-
-    @property
-    def is_at_hand(self) -> bool:
-        """Whether its scales are in memory."""
-        return self._made is not None
+        self.known_scales: Scales | None = None
 
     @property
     def scales(self) -> Scales:
         """The reference at all scales, computed if it is not in memory."""
-        if self._made is None:
-            self._made = self._make()
-        return self._made
-
-    @property
-    def levels(self) -> tuple[ReferenceLevel, ...]:
-        """From the finest to the coarsest."""
-        return self.scales.levels
-
-    @property
-    def steep(self) -> ReferenceLevel:
-        """See `Scales`."""
-        return self.scales.steep
-
-    def forget(self) -> None:
-        """Free the memory of its scales; the next use computes them again, identical to the bit."""
-        self._made = None
+        if self.known_scales is None:
+            self.known_scales = self._make()
+        return self.known_scales
 
 
 class ReferenceMaker:
     """Makes references of frames and of predicted views."""
 
-    def __init__(self, noise: DepthNoise, settings: DenseSettings, rows: Rows) -> None:
+    def __init__(self, noise: DepthNoise, rows: Rows) -> None:
         self._noise = np.array([noise.constant_m, noise.quadratic_per_m], np.float32)
-        self._settings, self._rows = settings, rows
-        self._boundary = self._step(settings.occlusion_share, settings.occlusion_sigmas)
+        self._rows, self._boundary = rows, self._step(_OCCLUSION_SHARE, _OCCLUSION_SIGMAS)
 
     def of_frame(self, frame: GridFrame, T_map_camera: FloatArray) -> Reference:
         """A frame with its pose as reference."""
 
         def make() -> Scales:
-            levels = tuple(self._level(level, self.normals(level)) for level in frame.levels)
-            return Scales(levels, self._steep(frame.levels))
+            levels = []
+            for level in frame.levels:
+                levels.append(self._level(level, self.normals(level)))
+            return Scales(tuple(levels), self._steep(frame.levels))
 
         return Reference(T_map_camera, make, _AS_NOISY, frame.vignetting)
 
     def of_view(self, view: PredictedView, T_map_camera: FloatArray, intrinsics: FloatArray) -> Reference:
         """A predicted view as reference, with the pose (4, 4) of its prediction."""
         finest = Level(intrinsics, view.depth_m, view.grey)
-        levels = coarser(finest, self._settings, self._rows)
+        levels = coarser(finest, self._rows)
         fitted = (self._level(level, self.normals(level)) for level in levels[1:])
         pyramid = (self._level(finest, view.normal), *fitted)
         scales = Scales(pyramid, self._steep(levels))
         return Reference(T_map_camera, lambda: scales, _MAPPED)
 
-    def shown_by(self, frame: GridFrame) -> Shown:
+    def shown_by(self, frame: GridFrame) -> FrameStructure:
         """The planes and grey gradients of a frame itself."""
-        number = min(1, self._settings.levels - 1)
-        no_planes = np.zeros((*frame.levels[number].depth_m.shape, 3), np.float32)
-        return Shown(self._steep(frame.levels), self._level(frame.levels[number], no_planes))
+        no_planes = np.zeros((*frame.levels[SECOND].depth_m.shape, 3), np.float32)
+        return FrameStructure(self._steep(frame.levels), self._level(frame.levels[SECOND], no_planes))
 
     def normals(self, level: Level, steepness: int = 1, bend: float = _ANY_BEND) -> Float32Array:
         """Unit normals (h, w, 3) float32 of a level's surfaces, towards the camera; 0 where unknown.
 
-        Neighbours on one surface differ by at most `depth_jump` times `steepness`, and by noise. `bend` is the largest
+        Neighbours on one surface differ by at most `DEPTH_JUMP` times `steepness`, and by noise. `bend` is the largest
         deviation of a surface from its plane, in standard deviations of depth.
         """
         normal = np.empty((*level.depth_m.shape, 3), np.float32)
         limits = (
-            self._step(steepness * self._settings.depth_jump, self._settings.depth_jump_sigmas),
+            self._step(steepness * DEPTH_JUMP, _DEPTH_JUMP_SIGMAS),
             np.float32(bend) * self._noise,
         )
-        given = (level.depth_m, level.intrinsics.astype(np.float32), self._settings.normal_radius_px, *limits)
-        self._rows.share(len(normal), lambda begin, end: normals(*given, begin, end, normal))
+        given = (level.depth_m, level.intrinsics.astype(np.float32), _NORMAL_RADIUS_PX, *limits)
+        self._rows.share(len(normal), normals, *given, out=normal)
         return normal
 
     def _steep(self, levels: tuple[Level, ...]) -> ReferenceLevel:
-        number = self._settings.levels - 1
         # The same slope is a larger step from pixel to pixel where pixels are larger.
-        return self._level(levels[number], self.normals(levels[number], 1 << number, self._settings.crease_sigmas))
+        coarsest = levels[LEVELS - 1]
+        return self._level(coarsest, self.normals(coarsest, 1 << (LEVELS - 1), _CREASE_SIGMAS))
 
     def _level(self, level: Level, normal: Float32Array) -> ReferenceLevel:
         pixels = np.empty((*level.depth_m.shape, CHANNELS), np.float32)
         given = (level.depth_m, normal, level.grey, level.intrinsics.astype(np.float32), self._boundary)
-        self._rows.share(len(pixels), lambda begin, end: pack(*given, begin, end, pixels))
+        self._rows.share(len(pixels), pack, *given, out=pixels)
         return ReferenceLevel(normal, pixels)
 
     def _step(self, share: float, sigmas: float) -> Float32Array:
         """Coefficients (3,) of a depth step for kernels: a share of depth, and `sigmas` standard deviations of it."""
         constant, quadratic = np.float32(sigmas) * self._noise
         return np.array([constant, share, quadratic], np.float32)
+
+
+# Stride, in pixels, of the points compared for vignetting.
+_STRIDE_PX = 2
+# Iteratively reweighted least squares: Huber's limit in standard deviations, and the number of iterations.
+_HUBER, _ROUNDS = 1.5, 3
+# Least variance of vignetting over the compared points, so that the slope stays finite.
+_FLAT = 1e-9
+# Standard deviation of the exponent before the first pair of views: it is 0.22 for the simulated camera, 0.10 and 0.06
+# for two real ones (docs/decisions/dense-alignment.md). No lens exceeds cos⁴.
+_EXPONENT_SIGMA, _MOST_EXPONENT = 0.3, 1.0
+# Standard deviation of a point's log grey between views, number of neighbouring pixels with the same error, and fewest
+# pixels for an update; chosen.
+_UNEVEN, _ALIKE_PIXELS, _MIN_PIXELS = 0.01, 20.0, 300
+_DARKEST_GREY, _BRIGHTEST_GREY = 20.0, 235.0  # beyond, grey is noise or saturated
+# Points of one surface are nearer than this, in metres and per metre of depth, and plain below this grey gradient;
+# chosen.
+_SAME_SURFACE, _PLAIN_GRADIENT = 0.06, 3.0
+
+
+class Vignetting:
+    """Estimates the vignetting of one camera from plain surfaces at two image positions, and corrects later frames.
+
+    A wall seen ahead, and later at the image border, looks darker there, and the keyframe then seems tilted. Lenses
+    darken about as cos⁴ of the angle to the axis; gamma reduces its exponent in grey values. The estimate is this
+    exponent, updated by pairs of views.
+
+    Args:
+        gridder: makes the frames.
+
+    Attributes:
+        exponent: of cos⁴, in grey values; 0 for an even image.
+    """
+
+    def __init__(self, gridder: Gridder) -> None:
+        self._gridder, self.exponent, self._variance = gridder, 0.0, _EXPONENT_SIGMA**2
+
+    def learn(self, frame: GridFrame, T_map_camera: FloatArray, reference: Reference) -> None:
+        """Update the estimate by plain surfaces that a frame at a pose (4, 4) and an earlier reference both show."""
+        here, there, known = self._pairs(frame, reference, se3.invert(reference.T_map_reference) @ T_map_camera)
+        if np.count_nonzero(known) < _MIN_PIXELS:
+            return
+        (grey, dark), (grey_then, dark_then) = here[:, known], there[:, known]
+        # Undo the correction of each view, which used the estimate at its time.
+        brighter = np.log(grey / grey_then) + frame.vignetting * dark - reference.vignetting * dark_then
+        information, pull = self._slope(dark - dark_then, brighter)
+        total = 1 / self._variance + information
+        self.exponent = float(np.clip((self.exponent / self._variance + pull) / total, 0.0, _MOST_EXPONENT))
+        self._variance = 1 / total
+        self._gridder.even(self.exponent)
+
+    def _pairs(self, frame: GridFrame, reference: Reference, T: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Grey and vignetting (2, N) of points in frame and in reference, and a mask (N,) of plain surfaces."""
+        level, pixels = frame.levels[SECOND], reference.scales.levels[SECOND].pixels
+        (h, w), some = level.depth_m.shape, (slice(None, None, _STRIDE_PX),) * 2
+        camera = PinholeCamera(w, h, *level.intrinsics.tolist())
+        px = np.stack([index[some].ravel() for index in np.mgrid[:h, :w][::-1]], axis=-1)
+        z, grey = level.depth_m[some].ravel(), level.grey[some].ravel()
+        p_then = se3.apply(T, camera.back_project(px, z))
+        px_then, is_inside = camera.project(p_then)
+        column, row = np.where(is_inside[:, None], np.rint(px_then), 0).astype(int).T
+        met = pixels[row, column]
+        is_one = np.abs(met[:, DEPTH] - p_then[:, 2]) < _SAME_SURFACE * (1 + p_then[:, 2])
+        is_plain = met[:, ALONG_U] ** 2 + met[:, ALONG_V] ** 2 < _PLAIN_GRADIENT**2
+        known = (z > 0) & is_inside & is_one & is_plain
+        for seen in (grey, met[:, GREY]):
+            known &= (seen > _DARKEST_GREY) & (seen < _BRIGHTEST_GREY)
+        dark, dark_then = (vignetting_of((camera.normalise(seen) ** 2).sum(axis=-1)) for seen in (px, px_then))
+        return np.stack([grey, dark]), np.stack([met[:, GREY], dark_then]), known
+
+    def _slope(self, x: FloatArray, y: FloatArray) -> tuple[float, float]:
+        """The information on the slope of y (N,) over x (N,) by Huber's weights, and that information times the slope.
+
+        The offset is free. Both are 0 if x is constant.
+        """
+        weight = np.ones(len(x))
+        for _ in range(_ROUNDS):
+            total = weight.sum()
+            dx, dy = x - weight @ x / total, y - weight @ y / total
+            spread, common = weight @ dx**2 / total, weight @ (dx * dy) / total
+            off = np.abs(dy - common / max(spread, _FLAT) * dx)
+            sigma = max(1.4826 * float(np.median(off)), 1e-6)
+            weight = _HUBER / np.maximum(off / sigma, _HUBER)
+        variance = sigma**2 * _ALIKE_PIXELS / len(x) + _UNEVEN**2
+        return float(spread / variance), float(common / variance)

@@ -14,20 +14,35 @@ import numpy as np
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.camera_errors import with_frame_error
+from wheelsight.core.errors import MapError
 from wheelsight.core.estimates import CameraEstimate, MotionEstimate
 from wheelsight.core.geometry import FloatArray, se3, so3
 from wheelsight.core.geometry.motion_kernels import is_definite
-from wheelsight.core.keyframes import KeyframeFeatures, KeyframeId, ReferenceModel
+from wheelsight.core.keyframes import KeyframeFeatures, KeyframeId, KeyframeStore, ReferenceModel
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.vision.dense.alignment import Joint
 from wheelsight.vision.dense.pyramid import Gridder, GridFrame, Reference, ReferenceMaker
-from wheelsight.vision.dense.settings import DenseSettings, VerificationSettings
-from wheelsight.vision.features.extraction import FeatureExtractor, Features, FeatureSettings, keypoint_sigma_px
-from wheelsight.vision.features.tracking import Fix, LandmarkMap, MapTracker, View, ViewTracker
-from wheelsight.vision.tracking_state import LONGEST_STEP_S, Stopwatch, TrackingState, maps_without_lens, twist_between
+from wheelsight.vision.dense.settings import DenseSettings
+from wheelsight.vision.features.tracking import (
+    PYRAMID_LEVELS,
+    FeatureExtractor,
+    Features,
+    FeatureSettings,
+    Fix,
+    KeypointView,
+    LandmarkMap,
+    MapTracker,
+    ViewTracker,
+    keypoint_sigma_px,
+    maps_without_lens,
+)
+from wheelsight.vision.tracking_state import LONGEST_STEP_S, Stopwatch, TrackingState, twist_between
 
 # Number of keyframes, the most recently used, with pyramids in memory. A pyramid is recomputed in 5 ms.
 _IN_MEMORY = 6
+# A map's prediction serves for so many frames while the camera stays within this distance in metres; a rotation by a
+# radian counts as 1.5 m (docs/decisions/dense-alignment.md).
+_PREDICTED_FRAMES, _PREDICTED_WAY_M = 3, 0.04
 
 
 @dataclass(eq=False)
@@ -63,11 +78,11 @@ class KnownView:
         reference.T_map_reference, self.covariance = moved(T_new_old, reference.T_map_reference, self.covariance)
 
 
-class Views:
+class ViewCache:
     """The known views that frames can be aligned with: a cache of keyframes, and the prediction of a map.
 
     Args:
-        settings: the size of the cache, and how long a prediction is used.
+        settings: the size of the cache, and when a frame becomes a keyframe.
         gridder, maker: give the ideal grid, and references on it.
         watch: counts the time of "predict".
         model: predicts views; default none.
@@ -137,15 +152,20 @@ class Views:
         nearest = self.nearest(found.T_map_camera)
         return nearest.distance_m(found.T_map_camera) > self._settings.keyframe_way_m
 
-    def around(self, T_map_camera: FloatArray, state: TrackingState) -> Iterator[KnownView]:
-        """The model's prediction, then the last keyframe; after failures the nearest; once lost, older ones in turn."""
+    def around(self, T_map_camera: FloatArray, last: Tracked, state: TrackingState) -> Iterator[KnownView]:
+        """The model's prediction near a pose (4, 4), the last keyframe, and the last tracked frame.
+
+        After failures the nearest keyframe replaces the last frame; once lost, older keyframes follow in turn.
+        """
         for keyframe in self.keyframes[:-_IN_MEMORY]:
-            keyframe.reference.forget()
+            keyframe.reference.known_scales = None
         if self._model is not None:
             yield self._predicted(self._model, T_map_camera, afresh=state.failures > 0)
         yield self.keyframes[-1]
-        if state.failures:
-            yield self.nearest(T_map_camera)
+        if not state.failures:
+            yield self.of_frame(last)
+            return
+        yield self.nearest(T_map_camera)
         yield from self._older(state)
 
     def candidates(self, T_map_camera: FloatArray, state: TrackingState) -> list[KnownView]:
@@ -160,8 +180,8 @@ class Views:
     def _predicted(self, model: ReferenceModel, T_map_camera: FloatArray, *, afresh: bool) -> KnownView:
         """The model's prediction near a pose (4, 4); it is reused for some frames while the camera is near."""
         known, served = self._prediction
-        is_near = known is not None and known.distance_m(T_map_camera) < self._settings.predicted_way_m
-        if known is None or afresh or not is_near or served >= self._settings.predicted_frames:
+        is_near = known is not None and known.distance_m(T_map_camera) < _PREDICTED_WAY_M
+        if known is None or afresh or not is_near or served >= _PREDICTED_FRAMES:
             with self._watch.stage("predict"):
                 view = model.predict(T_map_camera, self._gridder.intrinsics, self._gridder.shape)
                 reference = self._maker.of_view(view, T_map_camera, self._gridder.intrinsics)
@@ -173,6 +193,18 @@ class Views:
 
 # A variance below this share of the trace is a rounding error.
 _LEAST_SHARE, _ALL = 1e-12, np.eye(6)
+# Number of neighbouring keypoints with the same error, which gives surfaces their weight (two real recordings:
+# docs/decisions/features.md).
+KEYPOINT_CORRELATION = 20.0
+# Poses by keypoints and by surfaces agree within these distances, because keypoints err by 1 to 2 cm, or within their
+# covariance: χ² of 6, 99 %.
+_AGREE_M, _AGREE_RAD, _AGREE_CHI2 = 0.04, 0.035, 16.8
+# Number of agreeing keypoints, and share of the matched ones, that count against surfaces: crowds and repeated textures
+# have less. Chosen.
+_CLEAR_INLIERS, _CLEAR_SHARE = 60, 0.6
+# Share of matched keypoints that agree at a known place: 63 to 96 % at the right one, 19 to 26 % in another stretch of
+# the corridor (simulator: docs/decisions/features.md).
+_LIKELY_SHARE = 0.5
 
 
 class KeypointTracker:
@@ -184,7 +216,6 @@ class KeypointTracker:
 
     Args:
         calibration: of the cameras.
-        settings: thresholds of acceptance.
         has_landmarks: whether landmarks are used; else only the previous frame.
         threads: with more than one, keypoints are extracted in the background.
         fastest: limits on speed and angular speed, m/s and rad/s.
@@ -193,27 +224,27 @@ class KeypointTracker:
     def __init__(
         self,
         calibration: Calibration,
-        settings: VerificationSettings,
         *,
         has_landmarks: bool = True,
         threads: int = 1,
         fastest: tuple[float, float] = (np.inf, np.inf),
     ) -> None:
-        features = FeatureSettings(keypoints=settings.keypoints, candidates=2 * settings.keypoints)
+        # 500 keypoints save 3 ms a frame, but lose rotations of 18 degrees between frames (docs/decisions/features.md).
+        features = FeatureSettings()
         calibration, self._straight = _without_lens(calibration)
         self._T_color_camera = calibration.T_color_camera
         self._noise, self._color_sigma_px = calibration.depth_noise, calibration.color_sigma_px
-        self._settings, self._has_landmarks, self._fastest = settings, has_landmarks, fastest
+        self._has_landmarks, self._fastest = has_landmarks, fastest
         self._extractor = FeatureExtractor(calibration, features)
-        self._by_view = ViewTracker(calibration, features, Stopwatch())
-        self._by_landmarks = MapTracker(calibration, features)
+        self._by_view = ViewTracker(calibration, Stopwatch(), features.seed)
+        self._by_landmarks = MapTracker(calibration, features.local_keyframes)
         self._features = features
-        self._landmarks = LandmarkMap(features)
-        self._last: View | None = None
+        self._landmarks = LandmarkMap(features.kept_keyframes)
+        self._last: KeypointView | None = None
         self._trials = 0
         self._pool = ThreadPoolExecutor(1, "wheelsight-keypoints") if threads > 1 else None
 
-    def look(self, frame: RgbdFrame) -> Future[Features]:
+    def start(self, frame: RgbdFrame) -> Future[Features]:
         """Start the extraction of a frame's keypoints, and return their future."""
         if self._pool is not None:
             return self._pool.submit(self._extract, frame)
@@ -243,8 +274,8 @@ class KeypointTracker:
         has_depth = kept.points[:, 2] > 0
         points = se3.apply(self._T_color_camera, kept.points[has_depth])
         z_m = points[:, 2].copy()
-        level = np.full(len(z_m), self._features.pyramid_levels // 2)
-        sigmas = np.hypot(keypoint_sigma_px(level, self._features), self._color_sigma_px), self._noise.sigma_m(z_m)
+        level = np.full(len(z_m), PYRAMID_LEVELS // 2)
+        sigmas = np.hypot(keypoint_sigma_px(level), self._color_sigma_px), self._noise.sigma_m(z_m)
         pixels = kept.px[has_depth], level, kept.descriptors[has_depth]
         return Features(stamp_s, *pixels, points[:, :2] / z_m[:, None], z_m, *sigmas)
 
@@ -261,7 +292,13 @@ class KeypointTracker:
         found = self._by_view.track(features, self._last, self._in_color(twist), None, self._trials)
         if not isinstance(found, Fix):
             return None
-        if self._is_too_fast(found, self._last, features.stamp_s - self._last.features.stamp_s):
+        # A repeated texture also agrees one period farther.
+        T, seconds = (
+            se3.invert(self._last.T_map_color) @ found.view.T_map_color,
+            features.stamp_s - self._last.features.stamp_s,
+        )
+        way_m, turn_rad = float(np.linalg.norm(T[:3, 3])), float(so3.angle(T[:3, :3]))
+        if seconds > 0 and (way_m > self._fastest[0] * seconds or turn_rad > self._fastest[1] * seconds):
             return None
         if self._has_landmarks:
             refined = self._by_landmarks.track(features, found, self._last, self._landmarks)
@@ -272,12 +309,16 @@ class KeypointTracker:
         """The pose of a frame by the first of some keyframes that it shows; None if it shows none."""
         self._trials += 1
         for keyframe in keyframes:
-            view = self._view(keyframe)
-            if view is not None:
-                found = self._by_view.track(features, view, self._in_color(twist), None, self._trials)
-                pose = self._pose(found) if isinstance(found, Fix) else None
-                if pose is not None:
-                    return pose
+            known = keyframe.features
+            if known is None:
+                continue
+            T_map_color = keyframe.reference.T_map_reference @ se3.invert(self._T_color_camera)
+            unknown = np.full(len(known), -1)
+            view = KeypointView(known, T_map_color, keyframe.covariance, unknown, keyframe.keyframe)
+            found = self._by_view.track(features, view, self._in_color(twist), None, self._trials)
+            pose = self._pose(found) if isinstance(found, Fix) else None
+            if pose is not None:
+                return pose
         return None
 
     def remember(self, tracked: Tracked, features: Features) -> None:
@@ -291,7 +332,7 @@ class KeypointTracker:
             view = replace(pose.view, T_map_color=T_map_color, covariance=tracked.covariance, keyframe=tracked.keyframe)
         else:
             straight, unknown = self.straightened(features, tracked.twist), np.full(len(features), -1)
-            view = View(straight, T_map_color, tracked.covariance, unknown, tracked.keyframe)
+            view = KeypointView(straight, T_map_color, tracked.covariance, unknown, tracked.keyframe)
         if self._has_landmarks:
             seen = np.flatnonzero(view.landmark >= 0)
             self._landmarks.see_again(view.landmark[seen], view.features, seen, T_map_color)
@@ -303,18 +344,12 @@ class KeypointTracker:
 
     def forget(self) -> None:
         """Drop all landmarks and the previous frame."""
-        self._landmarks, self._last = LandmarkMap(self._features), None
+        self._landmarks, self._last = LandmarkMap(self._features.kept_keyframes), None
 
     def move(self, T_new_old: FloatArray) -> None:
         """Move landmarks and the previous frame with their keyframes, which moved in the map by (K, 4, 4)."""
         self._landmarks.move(T_new_old)
         self._last = None if self._last is None else self._last.moved(T_new_old)
-
-    def _is_too_fast(self, found: Fix, last: View, seconds: float) -> bool:
-        """Whether a pose exceeds the limits on speed: a repeated texture also agrees one period farther."""
-        T = se3.invert(last.T_map_color) @ found.view.T_map_color
-        way_m, turn_rad = float(np.linalg.norm(T[:3, 3])), float(so3.angle(T[:3, :3]))
-        return seconds > 0 and (way_m > self._fastest[0] * seconds or turn_rad > self._fastest[1] * seconds)
 
     def _in_color(self, twist: FloatArray) -> FloatArray:
         return np.asarray(se3.adjoint(self._T_color_camera) @ twist)
@@ -328,20 +363,91 @@ class KeypointTracker:
         T_map_camera = np.asarray(view.T_map_color @ self._T_color_camera)
         counts = (motion.matches, motion.inliers)
         own = np.asarray(Ad @ motion.covariance @ Ad.T)
-        alike = self._settings.correlation
-        covariance = view.covariance + (alike - 1) * own
+        covariance = view.covariance + (KEYPOINT_CORRELATION - 1) * own
         covariance = (covariance + covariance.T) / 2
         if not (np.isfinite(covariance).all() and is_definite(covariance - _LEAST_SHARE * np.trace(covariance) * _ALL)):
             return None
-        return KeypointPose(T_map_camera, covariance, *counts, self._settings, alike * own, view)
+        return KeypointPose(T_map_camera, covariance, *counts, KEYPOINT_CORRELATION * own, view)
 
-    def _view(self, keyframe: KnownView) -> View | None:
-        """A keyframe's features, with the colour camera's pose."""
-        features = keyframe.features
-        if features is None:
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _EvictedView:
+    """The attributes of a view that the store does not hold, about 0.5 kB.
+
+    Attributes:
+        covariance: (6, 6) of the right perturbation of its pose, which is invariant to motions of the map.
+        turning_rad_s, vignetting: see `KnownView` and `Reference`.
+    """
+
+    covariance: FloatArray
+    turning_rad_s: FloatArray
+    vignetting: float
+
+
+class EvictedViews:
+    """Keyframes that left the cache, and return from the store when the camera comes back.
+
+    Only those return that loop closures tie to keyframes of another visit. The poses of the others drift by odometry
+    alone, and loop closures need new keyframes to correct that.
+
+    Args:
+        store: holds the keyframes and their poses.
+        gridder, maker, keypoints: compute views of them.
+        room: size of the cache; keyframes at least this many apart belong to different visits.
+    """
+
+    def __init__(
+        self, store: KeyframeStore, gridder: Gridder, maker: ReferenceMaker, keypoints: KeypointTracker, room: int
+    ) -> None:
+        self._store, self._gridder, self._maker, self._keypoints = store, gridder, maker, keypoints
+        self._room = room
+        self._views: dict[KeyframeId, _EvictedView] = {}
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+    def put(self, view: KnownView) -> None:
+        """Add a view that left the cache; it is a keyframe of the store."""
+        Ad = se3.adjoint(se3.invert(view.reference.T_map_reference))
+        covariance = Ad @ view.covariance @ Ad.T
+        self._views[view.keyframe] = _EvictedView(covariance, view.turning_rad_s, view.reference.vignetting)
+
+    def nearer(self, T_map_camera: FloatArray, limit_m: float) -> KnownView | None:
+        """The nearest tied keyframe within `limit_m` of a pose (4, 4), where a rotation by a radian counts as 1.5 m.
+
+        None if there is none, if the store cannot read it, or if its size differs from that of frames. It stays here
+        until `take`.
+        """
+        numbers = [number for number in self._views if self.is_tied(number)]
+        if not numbers:
             return None
-        T_map_color = keyframe.reference.T_map_reference @ se3.invert(self._T_color_camera)
-        return View(features, T_map_color, keyframe.covariance, np.full(len(features), -1), keyframe.keyframe)
+        apart_m = se3.view_shift_m(se3.invert(self._store.T_map_keyframe[numbers]) @ T_map_camera)
+        nearest = int(np.argmin(apart_m))
+        return self._recalled(numbers[nearest]) if apart_m[nearest] < limit_m else None
+
+    def is_tied(self, number: KeyframeId) -> bool:
+        """Whether a loop closure ties a keyframe to one of another visit."""
+        return self._store.tied_over(number) >= self._room
+
+    def take(self, view: KnownView) -> None:
+        """Remove a view that is in the cache again."""
+        self._views.pop(view.keyframe, None)
+
+    def _recalled(self, number: KeyframeId) -> KnownView | None:
+        try:
+            keyframe = self._store.recalled(number, KeyframeId(len(self._store) - 1))
+        except MapError:  # the file is missing or damaged; odometry continues without it
+            return None
+        evicted, T_map_keyframe = self._views[number], self._store.pose(number)
+        depth_m, grey = keyframe.depth_m, keyframe.grey
+        if depth_m.shape != self._gridder.shape:
+            return None
+        grey[grey == 0] = -1  # keyframes store unknown grey as 0
+        levels = self._gridder.pyramid(depth_m, grey)
+        grid = GridFrame(keyframe.stamp_s, levels, np.zeros(6), evicted.vignetting)
+        reference, Ad = self._maker.of_frame(grid, T_map_keyframe), se3.adjoint(T_map_keyframe)
+        features = None if keyframe.features is None else self._keypoints.recalled(keyframe.stamp_s, keyframe.features)
+        return KnownView(number, reference, Ad @ evicted.covariance @ Ad.T, features, evicted.turning_rad_s)
 
 
 def _without_lens(calibration: Calibration) -> tuple[Calibration, Any]:
@@ -361,7 +467,6 @@ class KeypointPose:
         covariance: (6, 6) of its left perturbation (v, ω), including that of the keyframe.
         matches: number of matched keypoints.
         inliers: number of matched keypoints that agree on the pose.
-        settings: thresholds of acceptance. Errors of neighbouring keypoints correlate: `correlation` count as one.
         motion_covariance: (6, 6) of the same perturbation, without that of the keyframe.
         view: the frame's keypoints, corrected for rolling shutter, and the landmarks that they show.
     """
@@ -370,33 +475,31 @@ class KeypointPose:
     covariance: FloatArray
     matches: int
     inliers: int
-    settings: VerificationSettings = field(default_factory=VerificationSettings)
     motion_covariance: FloatArray | None = None
-    view: View | None = None
+    view: KeypointView | None = None
 
     @property
     def is_likely(self) -> bool:
         """Whether enough matches agree for a known place, rather than one that looks alike in parts."""
-        return self.inliers >= self.settings.likely_share * self.matches
+        return self.inliers >= _LIKELY_SHARE * self.matches
 
     @property
     def is_usable(self) -> bool:
         """Whether the pose is estimated jointly with surfaces: most matches agree, or too many for chance."""
-        return self.is_likely or self.inliers >= self.settings.clear_inliers
+        return self.is_likely or self.inliers >= _CLEAR_INLIERS
 
     @property
     def is_clear(self) -> bool:
         """Whether keypoints count even if surfaces contradict them."""
-        return self.inliers >= max(self.settings.clear_inliers, self.settings.clear_share * self.matches)
+        return self.inliers >= max(_CLEAR_INLIERS, _CLEAR_SHARE * self.matches)
 
     def agrees_with(self, T_map_camera: FloatArray) -> bool:
         """Whether a pose (4, 4) agrees, within fixed limits or within the covariance."""
-        limits = self.settings
         T = se3.invert(self.T_map_camera) @ T_map_camera
         off_m, off_rad = float(np.linalg.norm(T[:3, 3])), float(so3.angle(T[:3, :3]))
         off = se3.log(self.T_map_camera @ se3.invert(T_map_camera))
-        is_within = off @ np.linalg.solve(self.covariance, off) < limits.agree_chi2
-        return bool(max(off_m / limits.agree_m, off_rad / limits.agree_rad) < 1 or is_within)
+        is_within = off @ np.linalg.solve(self.covariance, off) < _AGREE_CHI2
+        return bool(max(off_m / _AGREE_M, off_rad / _AGREE_RAD) < 1 or is_within)
 
     def motion_from(self, T_map_reference: FloatArray) -> MotionEstimate:
         """The motion against a reference at (4, 4)."""
@@ -501,6 +604,7 @@ class Prediction:
 
     Attributes:
         last: the last tracked frame.
+        seconds: time from that frame to the predicted one.
         T_map_camera: predicted poses, each (4, 4); the first counts unless another fits clearly better.
         T_map_other: (4, 4) an alternative, which counts if grey values fit clearly better; or None.
         is_helped: whether the first one comes from another sensor rather than from constant velocity.
@@ -508,6 +612,7 @@ class Prediction:
     """
 
     last: Tracked
+    seconds: float
     T_map_camera: tuple[FloatArray, ...]
     T_map_other: FloatArray | None = None
     is_helped: bool = False
@@ -517,31 +622,18 @@ class Prediction:
         """The same with a better pose (4, 4)."""
         return replace(self, T_map_camera=(T_map_camera,))
 
-    def seconds_to(self, stamp_s: float) -> float:
-        """Seconds from the last tracked frame to a time."""
-        return stamp_s - self.last.frame.stamp_s
-
 
 def predict(last: Tracked, stamp_s: float, prior: PriorMotion) -> tuple[Prediction, FloatArray]:
-    """The predicted pose of a frame after the last one, and its twist (6,)."""
-    T_last_frame, T_prior = at_speed(last, stamp_s), prior.T_last_frame
+    """The predicted pose of a frame after the last one, and the camera's velocity (6,) in the frame's own axes."""
+    seconds, T_prior = stamp_s - last.frame.stamp_s, prior.T_last_frame
+    is_near = 0 < seconds <= LONGEST_STEP_S
+    speed = last.twist if is_near else np.zeros(6)  # after a gap the camera is expected at the same pose
+    T_last_frame = se3.from_parts(so3.exp(speed[3:] * seconds), speed[:3] * seconds)
     poses = [last.T_map_camera @ T_last_frame] if T_prior is None or last.twist.any() else []
     if T_prior is not None:
         poses, T_last_frame = [last.T_map_camera @ T_prior, *poses], T_prior
     T_map_other = None if prior.T_last_other is None else last.T_map_camera @ prior.T_last_other
-    ahead = Prediction(last, tuple(poses), T_map_other, is_helped=T_prior is not None)
-    return ahead, speed_of(T_last_frame, stamp_s - last.frame.stamp_s, prior.twist)
-
-
-def at_speed(last: Tracked, stamp_s: float) -> FloatArray:
-    """T_last_frame (4, 4) by constant velocity; the identity after a gap."""
-    seconds = stamp_s - last.frame.stamp_s
-    twist = last.twist if 0 < seconds <= LONGEST_STEP_S else np.zeros(6)
-    return se3.from_parts(so3.exp(twist[3:] * seconds), twist[:3] * seconds)
-
-
-def speed_of(T_last_frame: FloatArray, seconds: float, twist: FloatArray | None = None) -> FloatArray:
-    """The velocity (6,) in the frame's own axes of a predicted motion (4, 4); after a gap `twist`, or 0."""
-    if 0 < seconds <= LONGEST_STEP_S:
-        return twist_between(np.eye(4), T_last_frame, seconds)
-    return np.zeros(6) if twist is None else twist
+    ahead = Prediction(last, seconds, tuple(poses), T_map_other, is_helped=T_prior is not None)
+    if is_near:
+        return ahead, twist_between(np.eye(4), T_last_frame, seconds)
+    return ahead, np.zeros(6) if prior.twist is None else prior.twist

@@ -4,33 +4,37 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.camera_errors import frame_covariance, with_frame_error
-from wheelsight.core.checks import check_frame, need_calibration, need_motion, need_twist
+from wheelsight.core.checks import check_frame, need_twist
 from wheelsight.core.estimates import MotionEstimate, Reason
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeId, KeyframeStore
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.core.stamps import StampCheck
-from wheelsight.core.threads import OneCaller, one_at_a_time
-from wheelsight.vision.features.extraction import FeatureExtractor, Features, FeatureSettings, KeyframeMaker
+from wheelsight.core.threads import one_at_a_time
 from wheelsight.vision.features.tracking import (
+    MIN_INLIERS,
     FeatureEstimate,
+    FeatureExtractor,
+    Features,
+    FeatureSettings,
     Fix,
+    KeyframeMaker,
+    KeypointView,
     LandmarkMap,
     MapTracker,
     MatchedPixels,
-    View,
     ViewTracker,
     velocity_of,
 )
-from wheelsight.vision.tracking_state import START_VARIANCE, Stopwatch, TrackingState, twist_between
+from wheelsight.vision.tracking_state import LONGEST_STEP_S, START_VARIANCE, CameraOdometry, twist_between
 
 
-class FeatureOdometry(OneCaller):
+class FeatureOdometry(CameraOdometry[FeatureEstimate]):
     """ORB keypoints with 3D–3D alignment, the state machine of Zhang's Fig. 3, and relocalization.
 
     The first frame with enough keypoints starts the map. Each later frame is aligned with the last tracked frame and,
@@ -59,28 +63,20 @@ class FeatureOdometry(OneCaller):
         T_map_first: FloatArray | None = None,
         store: KeyframeStore | None = None,
     ) -> None:
-        self._calibration, self._settings = need_calibration(calibration), settings or FeatureSettings()
-        self.store = KeyframeStore() if store is None else store
+        self._settings = settings or FeatureSettings()
+        super().__init__(calibration, FeatureEstimate, self._settings.lost_after, T_map_first, store)
         self._moves = self.store.follow()
         self._maker = KeyframeMaker(calibration)
         self._extractor = FeatureExtractor(calibration, self._settings)
-        self.landmarks = LandmarkMap(self._settings)
-        self._watch = Stopwatch()
-        self._view_tracker = ViewTracker(calibration, self._settings, self._watch)
-        self._map_tracker = MapTracker(calibration, self._settings)
+        self.landmarks = LandmarkMap(self._settings.kept_keyframes)
+        self._view_tracker = ViewTracker(calibration, self.watch, self._settings.seed)
+        self._map_tracker = MapTracker(calibration, self._settings.local_keyframes)
         self._T_color_camera = calibration.T_color_camera
         self._of_frame = frame_covariance(calibration)
-        self.begin_at(np.eye(4) if T_map_first is None else T_map_first)
-        self._last: View | None = None
+        self._last: KeypointView | None = None
         self._first_raw: Features | None = None
         self._velocity: FloatArray = np.zeros(6)
-        self._state, self._stamps = TrackingState(self._settings.lost_after), StampCheck()
         self._frames = 0
-
-    @property
-    def stage_seconds(self) -> dict[str, float]:
-        """Seconds the last frame spent in each stage."""
-        return self._watch.seconds
 
     @one_at_a_time
     def process(
@@ -105,46 +101,34 @@ class FeatureOdometry(OneCaller):
         """
         check_frame(frame, self._calibration, prior=T_previous_current_prior)
         self._stamps.check(frame)
-        self._watch.restart()
+        self.watch.restart()
         self._follow()
         self._frames += 1
-        with self._watch.stage("extract"):
+        with self.watch.stage("extract"):
             raw = self._extractor.extract(frame)
-        if np.count_nonzero(raw.has_depth) < self._settings.min_inliers:
+        if np.count_nonzero(raw.has_depth) < MIN_INLIERS:
             return self._fail(raw.stamp_s, MotionEstimate.failed(Reason.TOO_FEW_KEYPOINTS))
-        twist, longest_s = None if twist is None else need_twist(twist), self._settings.longest_step_s
-        if twist is not None and self._last is not None and raw.stamp_s - self._last.features.stamp_s > longest_s:
+        twist = None if twist is None else need_twist(twist)
+        if twist is not None and self._last is not None and raw.stamp_s - self._last.features.stamp_s > LONGEST_STEP_S:
             self._velocity = se3.adjoint(self._T_color_camera) @ twist
         if self._last is None:
             self._first_raw = raw
-            return self._start(frame, raw, self._T_map_first)
+            return self._start(frame, raw, self._T_map_first @ se3.invert(self._T_color_camera))
         fix = self._locate(raw, self._last, T_previous_current_prior)
         if isinstance(fix, Fix) and self._first_raw is not None:
             fix = self._begin_again(self._first_raw, raw, fix)
         return self._succeed(frame, fix) if isinstance(fix, Fix) else self._fail(raw.stamp_s, fix)
 
     @one_at_a_time
-    def begin_at(self, T_map_camera: FloatArray) -> None:
-        """Set the pose (4, 4) of the camera at the first tracked frame. Raises ArgumentError for no rigid motion."""
-        T_map_camera = need_motion("T_map_first", T_map_camera)
-        self._T_map_first: FloatArray = T_map_camera @ se3.invert(self._T_color_camera)
-
-    @one_at_a_time
-    def miss(self, stamp_s: float) -> FeatureEstimate:
-        """Count a frame that is unusable, and so never reached `process`, as a failed one."""
-        self._watch.restart()
-        return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
-
-    @one_at_a_time
     def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> FeatureEstimate:
         """Restart at a frame with a pose (4, 4) from other sensors, its covariance (6, 6); the local map is dropped."""
         check_frame(frame, self._calibration, T_map_camera=T_map_camera, covariance=covariance)
-        self._watch.restart()
+        self.watch.restart()
         self._follow()
         self._first_raw = None
-        with self._watch.stage("extract"):
+        with self.watch.stage("extract"):
             raw = self._extractor.extract(frame)
-        if np.count_nonzero(raw.has_depth) < self._settings.min_inliers:
+        if np.count_nonzero(raw.has_depth) < MIN_INLIERS:
             return self._fail(raw.stamp_s, MotionEstimate.failed(Reason.TOO_FEW_KEYPOINTS))
         return self._start(frame, raw, T_map_camera @ se3.invert(self._T_color_camera), covariance)
 
@@ -164,10 +148,14 @@ class FeatureOdometry(OneCaller):
         self._state = self._state.tracked()
         return self._answer(self._last, MotionEstimate(np.eye(4), certain), None)
 
-    def _begin(self, features: Features, T_map_color: FloatArray, covariance: FloatArray, number: KeyframeId) -> View:
+    def _begin(
+        self, features: Features, T_map_color: FloatArray, covariance: FloatArray, number: KeyframeId
+    ) -> KeypointView:
         """Start a new local map with a keyframe, and return the keyframe's view."""
-        self.landmarks = LandmarkMap(self._settings)
-        return self.landmarks.add_keyframe(View(features, T_map_color, covariance, np.full(len(features), -1)), number)
+        self.landmarks = LandmarkMap(self._settings.kept_keyframes)
+        return self.landmarks.add_keyframe(
+            KeypointView(features, T_map_color, covariance, np.full(len(features), -1)), number
+        )
 
     def _keep(self, frame: RgbdFrame, features: Features, T_map_color: FloatArray) -> KeyframeId:
         """Add a frame to the store as a keyframe, and return its number."""
@@ -176,7 +164,7 @@ class FeatureOdometry(OneCaller):
     def _begin_again(self, first_raw: Features, raw: Features, fix: Fix) -> Fix:
         """Correct the rolling shutter of the first frame by the speed at the second, and locate the second again."""
         assert self._last is not None
-        velocity = velocity_of(self._last, fix.view, self._settings.longest_step_s)
+        velocity = velocity_of(self._last, fix.view)
         straight = self._view_tracker.straighten(first_raw, velocity)
         self._first_raw = None
         if straight is first_raw:
@@ -190,9 +178,9 @@ class FeatureOdometry(OneCaller):
         self.landmarks, self._last = uncorrected  # the fix refers to landmarks of this map
         return fix
 
-    def _locate(self, raw: Features, last: View, prior: FloatArray | None) -> Fix | MotionEstimate:
+    def _locate(self, raw: Features, last: KeypointView, prior: FloatArray | None) -> Fix | MotionEstimate:
         """Align with the first reference that fits, then with the map; reject implausible motions."""
-        attempts: list[tuple[View, FloatArray | None]] = [(view, None) for view in self._references(last)]
+        attempts: list[tuple[KeypointView, FloatArray | None]] = [(view, None) for view in self._references(last)]
         if prior is not None:
             attempts.insert(0, (last, self._T_color_camera @ prior @ se3.invert(self._T_color_camera)))
         failure = MotionEstimate.failed(Reason.TOO_FEW_MATCHES)
@@ -204,7 +192,7 @@ class FeatureOdometry(OneCaller):
         else:
             return failure
         if self._settings.reference == "keyframes":
-            with self._watch.stage("map"):
+            with self.watch.stage("map"):
                 refined = self._map_tracker.track(raw, found, last, self.landmarks)
             # A quick turn may leave the map within one frame. The view alone then suffices, and becomes a keyframe.
             found = refined if isinstance(refined, Fix) else found
@@ -215,7 +203,7 @@ class FeatureOdometry(OneCaller):
             return MotionEstimate.failed(Reason.IMPLAUSIBLE_MOTION, found.motion.matches, found.motion.inliers)
         return found
 
-    def _references(self, last: View) -> list[View]:
+    def _references(self, last: KeypointView) -> list[KeypointView]:
         """The last tracked view; after failures the last keyframe too; once lost, older ones in turn."""
         keyframes = self.landmarks.keyframes
         references = [last]
@@ -227,48 +215,36 @@ class FeatureOdometry(OneCaller):
         return [view for place, view in enumerate(references) if all(view.features is not f for f in frames[:place])]
 
     def _succeed(self, frame: RgbdFrame, fix: Fix) -> FeatureEstimate:
-        fix = self._with_frame_error(fix)
-        with self._watch.stage("map"):
-            view = self._update(frame, fix)
-        longest_s = self._settings.longest_step_s
-        self._velocity = velocity_of(self._last, view, longest_s) if self._last else np.zeros(6)
-        self._last, self._state = view, self._state.tracked()
-        return self._answer(view, self._in_camera(fix.motion), fix.matched)
-
-    def _with_frame_error(self, fix: Fix) -> Fix:
-        """A fix with the error common to all of a frame added to its covariances."""
+        # The error common to all pixels of a frame adds to the covariances.
         motion, view = fix.motion, fix.view
         assert motion.T_reference_current is not None
         assert motion.covariance is not None
         spread = with_frame_error(motion.covariance, motion.T_reference_current, self._of_frame)
-        in_map = with_frame_error(view.covariance, view.T_map_color, self._of_frame)
-        return replace(fix, motion=replace(motion, covariance=spread), view=replace(view, covariance=in_map))
+        motion = replace(motion, covariance=spread)
+        view = replace(view, covariance=with_frame_error(view.covariance, view.T_map_color, self._of_frame))
+        with self.watch.stage("map"):
+            view = self._update(frame, view)
+        self._velocity = velocity_of(self._last, view) if self._last else np.zeros(6)
+        self._last, self._state = view, self._state.tracked()
+        return self._answer(view, self._in_camera(motion), fix.matched)
 
-    def _update(self, frame: RgbdFrame, fix: Fix) -> View:
-        """Update landmarks by a fix; make it a keyframe if it shows too few landmarks of the last one."""
+    def _update(self, frame: RgbdFrame, view: KeypointView) -> KeypointView:
+        """Update landmarks by a view; make it a keyframe if it shows too few landmarks of the last one."""
         if self._settings.reference == "previous":
-            self.landmarks.keyframes[:] = [fix.view]
-            return fix.view
-        seen = np.flatnonzero(fix.view.landmark >= 0)
-        self.landmarks.see_again(fix.view.landmark[seen], fix.view.features, seen, fix.view.T_map_color)
+            self.landmarks.keyframes[:] = [view]
+            return view
+        seen = np.flatnonzero(view.landmark >= 0)
+        self.landmarks.see_again(view.landmark[seen], view.features, seen, view.T_map_color)
         known = np.count_nonzero(self.landmarks.keyframes[-1].landmark >= 0)
         if len(seen) < self._settings.keyframe_share * known:
-            return self.landmarks.add_keyframe(fix.view, self._keep(frame, fix.view.features, fix.view.T_map_color))
-        return fix.view
+            return self.landmarks.add_keyframe(view, self._keep(frame, view.features, view.T_map_color))
+        return view
 
-    def _fail(self, stamp_s: float, failure: MotionEstimate) -> FeatureEstimate:
-        self._state = self._state.failed()
+    def _fail(self, stamp_s: float, failure: MotionEstimate, **more: Any) -> FeatureEstimate:
         self._velocity = np.zeros(6)
-        return FeatureEstimate(
-            stamp_s,
-            self._state.status,
-            reason=failure.reason,
-            matches=failure.matches,
-            inliers=failure.inliers,
-            motion=failure,
-        )
+        return super()._fail(stamp_s, failure, **more)
 
-    def _answer(self, view: View, motion: MotionEstimate, matched: MatchedPixels | None) -> FeatureEstimate:
+    def _answer(self, view: KeypointView, motion: MotionEstimate, matched: MatchedPixels | None) -> FeatureEstimate:
         assert view.keyframe is not None
         T_map_camera = view.T_map_color @ self._T_color_camera
         return FeatureEstimate(
