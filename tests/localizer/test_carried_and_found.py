@@ -12,7 +12,7 @@ from localizer.joined_drives import Drive, Eye, Sight, answers_to, drive, joined
 from wheelsight.core.estimates import Reason, Status
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.keyframes import Keyframe
-from wheelsight.slam.drive_graph import KeyframePlace, LivedKeyframe, PoseUpdate
+from wheelsight.slam.drive_graph import KeyframePlace, OdometryKeyframe, PoseUpdate
 from wheelsight.slam.loop_closing import LiveLoops
 
 STOPS_S, DARK_S, LIGHT_S, LAID_S = 0.5, 1.5, 4.5, 6.0
@@ -43,7 +43,7 @@ class Loops:
 
     def __init__(self, eye: Eye, laid_s: float, sigma: float) -> None:
         self.eye, self.laid_s, self.C = eye, laid_s, sigma**2 * np.eye(6)
-        self.lived: list[LivedKeyframe] = []
+        self.lived: list[OdometryKeyframe] = []
 
     def due(self, live: LiveLoops, stamp_s: float) -> PoseUpdate | None:
         if stamp_s < self.laid_s or len(self.eye.store) < 2:

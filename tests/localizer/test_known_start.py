@@ -14,7 +14,7 @@ from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.estimation import Localizer
 from wheelsight.places.recognition import Recognizer
-from wheelsight.slam.drive_graph import DriveGraph, LivedKeyframe
+from wheelsight.slam.drive_graph import DriveGraph, OdometryKeyframe
 from wheelsight.slam.place_recognition import KnownMap
 
 T_START = se3.from_plane(3.0, -1.5, 2.0)
@@ -75,5 +75,5 @@ def test_a_first_keyframe_is_held_where_the_robot_had_driven_from_its_start() ->
     T_said, T_moved = T_START @ T_BASE_CAMERA, T_START @ se3.from_plane(0.5, 0, 0.1) @ T_BASE_CAMERA
     for laid, expected in ((T_moved, T_moved), (None, T_said)):
         graph = DriveGraph(known(T_START))
-        graph.add(LivedKeyframe(KeyframeId(0), 1.0, np.eye(4), 1e-6 * np.eye(6), T_map_keyframe=laid))
+        graph.add(OdometryKeyframe(KeyframeId(0), 1.0, np.eye(4), 1e-6 * np.eye(6), T_map_keyframe=laid))
         np.testing.assert_allclose(graph.poses[0], expected, atol=1e-9)

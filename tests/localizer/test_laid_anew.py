@@ -15,7 +15,7 @@ from wheelsight.core.estimates import CameraEstimate, MotionEstimate, Status
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.estimation.loop_updates import LoopsBeside, corrected_keyframes
-from wheelsight.slam.drive_graph import LivedKeyframe
+from wheelsight.slam.drive_graph import OdometryKeyframe
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.loop_closing import LiveLoops
 
@@ -31,14 +31,14 @@ def kept_at(*poses: FloatArray) -> KeyframeStore:
     return store
 
 
-def lived(store: KeyframeStore, number: int, motion: FloatArray | None, *, begins: bool = False) -> LivedKeyframe:
+def lived(store: KeyframeStore, number: int, motion: FloatArray | None, *, begins: bool = False) -> OdometryKeyframe:
     T_before_now = None
     if number:
         T_before_now = se3.invert(store.pose(KeyframeId(number - 1))) @ store.pose(KeyframeId(number))
     told = None if motion is None else (motion, C)
     edge = RelativePose(KeyframeId(0), KeyframeId(number), np.eye(4), C, is_loop=True)
     where = (KeyframeId(number), float(number), np.eye(4), C, begins)
-    return LivedKeyframe(*where, T_before_now=T_before_now, motion=told, seen_from=edge)
+    return OdometryKeyframe(*where, T_before_now=T_before_now, motion=told, seen_from=edge)
 
 
 def test_those_that_were_led_astray_lie_one_after_the_other_as_the_motions_say() -> None:
@@ -87,8 +87,8 @@ def test_where_nobody_knows_the_way_they_stay() -> None:
 
 
 @pytest.fixture
-def handed(monkeypatch: pytest.MonkeyPatch) -> list[LivedKeyframe]:
-    found: list[LivedKeyframe] = []
+def handed(monkeypatch: pytest.MonkeyPatch) -> list[OdometryKeyframe]:
+    found: list[OdometryKeyframe] = []
     monkeypatch.setattr(LiveLoops, "add", lambda live, one: found.append(one))
     return found
 
@@ -103,7 +103,7 @@ def add(store: KeyframeStore, stamp_s: float, T: FloatArray) -> None:
     store.add(Keyframe.of_images(stamp_s, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), T)
 
 
-def test_the_camera_goes_with_the_keyframe_on_which_it_hangs(handed: list[LivedKeyframe]) -> None:
+def test_the_camera_goes_with_the_keyframe_on_which_it_hangs(handed: list[OdometryKeyframe]) -> None:
     store = KeyframeStore()
     beside = beside_of(store)
     moved = []
@@ -120,7 +120,7 @@ def test_the_camera_goes_with_the_keyframe_on_which_it_hangs(handed: list[LivedK
 
 @pytest.mark.parametrize("is_forgotten", [False, True])
 def test_what_is_seen_after_a_frame_that_was_not_believed_ties_nothing(
-    is_forgotten: bool, handed: list[LivedKeyframe]
+    is_forgotten: bool, handed: list[OdometryKeyframe]
 ) -> None:
     store = KeyframeStore()
     beside = beside_of(store)

@@ -21,7 +21,7 @@ from wheelsight.estimation import Localizer
 from wheelsight.estimation.loop_updates import InMap, LoopsBeside
 from wheelsight.io.recordings import Recording, open_recording
 from wheelsight.places.recognition import Recognizer
-from wheelsight.slam.drive_graph import KeyframePlace, LivedKeyframe, PoseUpdate, SeenAgain
+from wheelsight.slam.drive_graph import KeyframePlace, OdometryKeyframe, PoseUpdate, Revisit
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.loop_closing import LiveLoops
 from wheelsight.slam.place_recognition import KnownMap
@@ -138,7 +138,7 @@ def test_keyframes_are_handed_over_with_what_is_known_then_of_the_way_to_them(mo
     """Of those kept before another filter took over, what was known when they were kept stands."""
     store, settings = KeyframeStore(), load_config(overrides={"loops.source": "keyframes"})
     beside = LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
-    handed: list[LivedKeyframe] = []
+    handed: list[OdometryKeyframe] = []
     monkeypatch.setattr(LiveLoops, "add", lambda live, lived: handed.append(lived))
     blank, C = np.ones((24, 32), np.float32), 1e-4 * np.eye(6)
     for x_m in (0.0, 1.0, 2.0):
@@ -232,12 +232,12 @@ def test_a_keyframe_that_odometry_comes_back_to_is_told_and_so_is_what_it_sees_f
 ) -> None:
     store, settings = KeyframeStore(), load_config(overrides={"loops.source": "keyframes"})
     blank, C, T_odom_map = np.ones((24, 32), np.float32), 1e-4 * np.eye(6), se3.from_plane(0.0, 2.0, 0.5)
-    added: list[LivedKeyframe] = []
-    again: list[SeenAgain] = []
-    followed: list[SeenAgain] = []
+    added: list[OdometryKeyframe] = []
+    again: list[Revisit] = []
+    followed: list[Revisit] = []
     monkeypatch.setattr(LiveLoops, "add", lambda live, keyframe: added.append(keyframe))
-    monkeypatch.setattr(LiveLoops, "see_again", lambda live, keyframe: again.append(keyframe))
-    monkeypatch.setattr(LiveLoops, "follow", lambda live, keyframe: followed.append(keyframe))
+    monkeypatch.setattr(LiveLoops, "request_place", lambda live, keyframe: again.append(keyframe))
+    monkeypatch.setattr(LiveLoops, "add_revisit", lambda live, keyframe: followed.append(keyframe))
     beside = LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
 
     def see(stamp_s: float, keyframe: int, apart_m: float = 0.0, *, is_new: bool = False) -> None:

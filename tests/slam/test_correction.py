@@ -6,7 +6,7 @@ from wheelsight.core.geometry import se3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import Match, SpeedVariances
 from wheelsight.core.trajectory import Trajectory
-from wheelsight.slam.drive_graph import SeenAgain
+from wheelsight.slam.drive_graph import Revisit
 from wheelsight.slam.loop_closing import ClosedLoops, Unused, correct, corrected_by, in_map
 from wheelsight.slam.loop_gate import LoopReport
 from wheelsight.slam.solvers import OwnPoseGraph
@@ -159,7 +159,7 @@ def test_a_trajectory_that_states_no_errors_cannot_be_weighed():
 def test_a_pose_goes_with_a_keyframe_that_was_seen_again():
     """Nothing new is kept for ten seconds of known rooms, while odom drifts by 0.4 m and is back by wheels alone."""
     T_kept = np.array([se3.from_plane(x_m, 0.0, 0.0) for x_m in (0.0, 10.0)])
-    again = SeenAgain(KeyframeId(0), 5.0, se3.from_plane(0.0, 0.4, 0.0), np.eye(6), np.eye(6))
+    again = Revisit(KeyframeId(0), 5.0, se3.from_plane(0.0, 0.4, 0.0), np.eye(6), np.eye(6))
     told = (np.ones(2, bool), np.zeros(2, bool), np.zeros(2))
     closed = ClosedLoops(np.array([0.0, 10.0]), T_kept, T_kept, (), LoopReport(()), {}, 0, 1, *told, (again,))
     stamps_s = np.arange(0.0, 11.0)

@@ -6,7 +6,7 @@ from narrowing import not_none
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.places.recognition import Recognizer
-from wheelsight.slam.drive_graph import DriveGraph, LivedKeyframe, SeenAgain
+from wheelsight.slam.drive_graph import DriveGraph, OdometryKeyframe, Revisit
 from wheelsight.slam.graph import ANCHOR_SIGMA, RelativePose
 from wheelsight.slam.place_recognition import KnownMap
 
@@ -14,10 +14,10 @@ STEP = np.diag(np.square([0.02] * 3 + [0.01] * 3))
 SEEN = np.diag(np.square([0.03] * 3 + [0.02] * 3))
 
 
-def lived(number: int, passed: int, *, begins: bool = False) -> LivedKeyframe:
+def lived(number: int, passed: int, *, begins: bool = False) -> OdometryKeyframe:
     """One a metre farther on, by a pose that each step makes less certain."""
     C = STEP * passed + 1e-10 * np.eye(6)
-    return LivedKeyframe(KeyframeId(number), float(number), se3.exp([passed, 0, 0, 0, 0, 0]), C, begins)
+    return OdometryKeyframe(KeyframeId(number), float(number), se3.exp([passed, 0, 0, 0, 0, 0]), C, begins)
 
 
 def known_map(count: int) -> KnownMap:
@@ -59,7 +59,7 @@ def test_a_keyframe_seen_again_is_as_sure_as_it_is_and_the_view_of_it() -> None:
         if number == 1:
             then = not_none(graph.place())
     T_odom, C_odom = se3.exp([1.1, 0, 0, 0, 0, 0.02]), 9 * STEP
-    place = not_none(graph.place(SeenAgain(KeyframeId(1), 9.0, T_odom, C_odom, SEEN)))
+    place = not_none(graph.place(Revisit(KeyframeId(1), 9.0, T_odom, C_odom, SEEN)))
     assert (place.number, place.newest) == (1, 3)
     np.testing.assert_array_equal(place.T_odom_keyframe, T_odom)
     np.testing.assert_array_equal(place.covariance_odom, C_odom)

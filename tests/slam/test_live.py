@@ -13,7 +13,7 @@ from wheelsight.core.errors import MapError
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.core.trajectory import Trajectory
-from wheelsight.slam.drive_graph import LivedKeyframe, PoseUpdate, SeenAgain
+from wheelsight.slam.drive_graph import OdometryKeyframe, PoseUpdate, Revisit
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.loop_closing import LiveLoops, corrected_by
 from wheelsight.slam.settings import LoopSettings
@@ -30,14 +30,14 @@ def keyframes() -> list[Keyframe]:
     return [replace(kept(seen(T)), stamp_s=float(second)) for second, T in enumerate(WAY)]
 
 
-def lived() -> list[LivedKeyframe]:
+def lived() -> list[OdometryKeyframe]:
     T, C, found = WAY[0], np.zeros((6, 6)), []
     for second in range(len(WAY)):
         if second:
             step = se3.invert(WAY[second - 1]) @ WAY[second]
             Ad = se3.adjoint(T @ step)
             T, C = T @ step @ se3.exp(DRIFT), C + Ad @ np.diag(DRIFT**2) @ Ad.T
-        found.append(LivedKeyframe(KeyframeId(second), float(second), T, C))
+        found.append(OdometryKeyframe(KeyframeId(second), float(second), T, C))
     return found
 
 
@@ -131,7 +131,7 @@ def test_a_keyframe_goes_to_where_odometry_saw_it_from_one_that_it_had_come_back
         T_odom, seen_from = se3.from_plane(x_m, 0.0, 0.0), back if is_told and number == 3 else None
         store.add(Keyframe.of_images(number, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), T_odom)
         covariance = (1 + 100 * number) * C
-        live.add(LivedKeyframe(KeyframeId(number), float(number), T_odom, covariance, seen_from=seen_from))
+        live.add(OdometryKeyframe(KeyframeId(number), float(number), T_odom, covariance, seen_from=seen_from))
     live.due(10.0)
     assert [store.tied_over(number) for number in store] == ([3, 0, 0, 3] if is_told else [0, 0, 0, 0])
     found = live.finish()
@@ -145,8 +145,8 @@ def test_one_that_is_seen_again_is_placed_anew() -> None:
     for number in range(2):
         T_odom = se3.from_plane(float(number), 0.0, 0.0)
         store.add(Keyframe.of_images(number, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), T_odom)
-        live.add(LivedKeyframe(KeyframeId(number), float(number), T_odom, (1 + number) * C))
-    live.see_again(SeenAgain(KeyframeId(0), 3.0, np.eye(4), 9 * C, C))
+        live.add(OdometryKeyframe(KeyframeId(number), float(number), T_odom, (1 + number) * C))
+    live.request_place(Revisit(KeyframeId(0), 3.0, np.eye(4), 9 * C, C))
     live.due(2.0)
     assert not_none(live.place).number == 1
     live.due(4.0)

@@ -29,6 +29,14 @@ from wheelsight.slam.place_recognition import PlaceWatcher
 
 LAP = 8
 APART_S = 5.0
+
+
+@pytest.fixture(autouse=True)
+def detected_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Candidates are those of the detector, none for being near."""
+    monkeypatch.setattr(place_recognition, "_NEAR_CANDIDATES", 0)
+
+
 DRIVE = {"features.keyframe_share": 0.95, "loops.latency_s": 0.1}
 
 
@@ -56,7 +64,7 @@ def store() -> KeyframeStore:
 def loops_by(store: KeyframeStore, detector: Named) -> dict[int, list[int]]:
     """The older ends of loops, by the newer one."""
     watcher = PlaceWatcher(store, EXACT, APART_S, detector=detector)
-    return {number: [loop.first for loop in watcher.look(number)] for number in store}
+    return {number: [loop.first for loop in watcher.find_loops(number)] for number in store}
 
 
 def test_what_it_names_is_verified_and_nothing_else_is(store: KeyframeStore) -> None:
@@ -89,7 +97,7 @@ def test_a_mistake_of_the_detector_is_one_typed_error(
 ) -> None:
     watcher = PlaceWatcher(store, EXACT, APART_S, detector=Named(answer))
     with pytest.raises(PartError, match=why):
-        watcher.look(KeyframeId(0))
+        watcher.find_loops(KeyframeId(0))
 
 
 def test_keyframes_of_before_are_shown_first_and_their_answers_do_not_count(store: KeyframeStore) -> None:
@@ -98,7 +106,7 @@ def test_keyframes_of_before_are_shown_first_and_their_answers_do_not_count(stor
         known.add(KeyframeId(number), store[KeyframeId(number)])
     detector = Named(lambda number: [number - LAP] if number >= LAP else [77])
     watcher = PlaceWatcher(store, EXACT, APART_S, None, known, detector)
-    found = [loop.first for number in (10, 11) for loop in watcher.look(KeyframeId(number))]
+    found = [loop.first for number in (10, 11) for loop in watcher.find_loops(KeyframeId(number))]
     assert detector.shown == [*range(LAP), 10, 11]
     assert found == [2, 3]
 
@@ -109,8 +117,8 @@ def test_who_does_not_know_where_he_is_asks_it_too(store: KeyframeStore, monkeyp
     detector = Named(lambda number: [1, 2] if number == 10 else [])
     watcher = PlaceWatcher(store, EXACT, 0.5, detector=detector)
     for number in list(store)[:10]:
-        watcher.look(number)
-    assert [loop.first for loop in watcher.look(KeyframeId(10), unjoined=(KeyframeId(1),))] == [2]
+        watcher.find_loops(number)
+    assert [loop.first for loop in watcher.find_loops(KeyframeId(10), unjoined=(KeyframeId(1),))] == [2]
 
 
 def driven(store: KeyframeStore, detector: Named) -> LiveLoops:

@@ -35,7 +35,7 @@ def watcher(store: KeyframeStore) -> PlaceWatcher:
 
 @pytest.fixture(scope="module")
 def loops(store: KeyframeStore, watcher: PlaceWatcher) -> list[RelativePose]:
-    return [loop for number in store for loop in watcher.look(number)]
+    return [loop for number in store for loop in watcher.find_loops(number)]
 
 
 def error(loop: RelativePose) -> FloatArray:
@@ -65,8 +65,8 @@ def test_candidates_are_counted_that_were_refused(loops: list[RelativePose], wat
 def test_who_is_passed_by_is_found_later(store: KeyframeStore) -> None:
     watcher = PlaceWatcher(store, EXACT, 5.0)
     for number in list(store)[:10]:
-        assert watcher.pass_by(number) == ()
-    assert any(watcher.look(number) for number in list(store)[10:])
+        watcher.add(number)
+    assert any(watcher.find_loops(number) for number in list(store)[10:])
 
 
 def test_a_keyframe_that_cannot_be_read_is_told_and_passed_over(store: KeyframeStore) -> None:
@@ -79,7 +79,7 @@ def test_a_keyframe_that_cannot_be_read_is_told_and_passed_over(store: KeyframeS
     lame.hold(5)
     watcher, loops = PlaceWatcher(lame, EXACT, 5.0), list[RelativePose]()
     for number in store:
-        loops += watcher.look(lame.add(store[number], np.eye(4)))
+        loops += watcher.find_loops(lame.add(store[number], np.eye(4)))
         if number == 4:
             lame.rest(number, fail)
     assert watcher.refusals["the keyframe cannot be read"] > 0
@@ -97,8 +97,8 @@ def test_a_piece_that_is_not_joined_asks_more_of_the_rest_and_then_of_itself(
     for unjoined in ((), (KeyframeId(1), KeyframeId(3))):
         watcher = PlaceWatcher(store, EXACT, 0.5)
         for number in list(store)[:9]:
-            watcher.pass_by(number)
-        asked[unjoined] = [loop.first for loop in watcher.look(KeyframeId(9), unjoined=unjoined)]
+            watcher.add(number)
+        asked[unjoined] = [loop.first for loop in watcher.find_loops(KeyframeId(9), unjoined=unjoined)]
     assert asked[()] == [1]
     *others, last = asked[KeyframeId(1), KeyframeId(3)]
     assert last == 1

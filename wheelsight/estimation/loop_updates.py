@@ -21,7 +21,7 @@ from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.geometry.chi_square import quantile
 from wheelsight.core.keyframes import KeyframeId, KeyframeStore
 from wheelsight.places.recognition import Recognizer
-from wheelsight.slam.drive_graph import JOIN_APART_M, CameraMotion, LivedKeyframe, SeenAgain
+from wheelsight.slam.drive_graph import JOIN_APART_M, CameraMotion, OdometryKeyframe, Revisit
 from wheelsight.slam.graph import ANCHOR_SIGMA, RelativePose, aligned_edge, along_floor
 from wheelsight.slam.loop_closing import ClosedLoops, LiveLoops
 from wheelsight.slam.loop_gate import GATE_PROBABILITY
@@ -41,7 +41,7 @@ _UNSURE_M, _UNSURE_RAD = 0.2, 0.08
 _APART_M = 200.0
 
 # New keyframes, grouped by the frames at which they were added.
-Kept = list[list[LivedKeyframe]]
+Kept = list[list[OdometryKeyframe]]
 
 
 class InMap(Enum):
@@ -86,7 +86,7 @@ class LoopsBeside:
         self._tracked_by: KeyframeId | None = None  # keyframe by which the last frame was tracked
         self.tracked_s = -np.inf
         self._seen_from: tuple[KeyframeId, FloatArray] | None = None
-        self._nearest: tuple[float, SeenAgain] | None = None  # of the frames tracked by a revisited keyframe
+        self._nearest: tuple[float, Revisit] | None = None  # of the frames tracked by a revisited keyframe
         self._closed: ClosedLoops | None = None
         self._loops: IntArray = np.zeros((0, 2), np.int64)
         self._pieces: list[int] = [0]  # numbers of their first keyframes
@@ -147,10 +147,10 @@ class LoopsBeside:
         if number == before and (self._nearest is None or self._nearest[0] <= apart_m):
             return
         T_odom_keyframe = se3.nearest(T_odom_map @ self._store.pose(number))
-        again = SeenAgain(number, seen.stamp_s, T_odom_keyframe, covariance, motion)
+        again = Revisit(number, seen.stamp_s, T_odom_keyframe, covariance, motion)
         self._nearest = apart_m, again
         if number != before:
-            self._live.see_again(again)
+            self._live.request_place(again)
 
     def forget_tracked(self) -> None:
         """Forget the last tracked frame, after one that the filter rejects.
@@ -163,7 +163,7 @@ class LoopsBeside:
     def _end_revisit(self) -> None:
         """Pass on the nearest frame of a revisited keyframe: the error of a view grows with the distance."""
         if self._nearest is not None:
-            self._live.follow(self._nearest[1])
+            self._live.add_revisit(self._nearest[1])
             self._nearest = None
 
     @property
@@ -185,9 +185,9 @@ class LoopsBeside:
             stamp_s: of the frame.
             T_odom_map: (4, 4) pose of the map.
             covariance: (6, 6) of the camera's pose in odom.
-            motion: of the camera since the previous frame with new keyframes; see `LivedKeyframe`.
+            motion: of the camera since the previous frame with new keyframes; see `OdometryKeyframe`.
         """
-        kept: list[LivedKeyframe] = []
+        kept: list[OdometryKeyframe] = []
         for number in map(KeyframeId, range(self._added, len(self._store))):
             T_map_keyframe = self._store.pose(number)
             T_odom_keyframe = se3.nearest(T_odom_map @ T_map_keyframe)
@@ -202,7 +202,7 @@ class LoopsBeside:
                 T_older_new = se3.invert(self._store.pose(older)) @ T_map_keyframe
                 seen_from = aligned_edge((older, number), T_older_new, spread)
             lived = (number, stamp_s, T_odom_keyframe, covariance, begins, T_before_now)
-            kept.append(LivedKeyframe(*lived, None if kept else motion, T_map_keyframe, seen_from))
+            kept.append(OdometryKeyframe(*lived, None if kept else motion, T_map_keyframe, seen_from))
         self._added = len(self._store)
         if kept:
             self._waiting.append(kept)

@@ -31,7 +31,7 @@ CameraMotion: TypeAlias = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LivedKeyframe:
+class OdometryKeyframe:
     """A keyframe with its odometry.
 
     Attributes:
@@ -61,7 +61,7 @@ class LivedKeyframe:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenAgain:
+class Revisit:
     """A revisit: odometry tracks an earlier keyframe again, so no new one is made.
 
     Attributes:
@@ -125,7 +125,7 @@ class DriveGraph:
 
     def __init__(self, known: KnownMap | None = None) -> None:
         self._graph = PieceGraph()
-        self._before: LivedKeyframe | None = None
+        self._before: OdometryKeyframe | None = None
         self._start = None if known is None else known.start
         if known is not None:
             for prior in known.priors(ANCHOR_SIGMA, _KNOWN_SIGMA_M, _KNOWN_SIGMA_RAD):
@@ -153,30 +153,30 @@ class DriveGraph:
         """Return the decisions on all loops so far."""
         return self._graph.report()
 
-    def place(self, again: SeenAgain | None = None) -> KeyframePlace | None:
+    def place(self, revisit: Revisit | None = None) -> KeyframePlace | None:
         """Return the map pose of the newest keyframe, or of a revisited one with the revisit's uncertainty added.
 
         None while its piece is not joined to the map, or if the covariance cannot be computed.
         """
         newest = self._before
-        asked = newest if again is None else again
+        asked = newest if revisit is None else revisit
         if newest is None or asked is None or self._graph.pieces[asked.number] > 0:
             return None
         covariance = self._graph.covariance(asked.number)
         if covariance is None:
             return None
         T_map_keyframe = self._graph.poses[asked.number]
-        if again is not None:
+        if revisit is not None:
             Ad = se3.adjoint(T_map_keyframe)
-            covariance = covariance + Ad @ again.of_motion @ Ad.T
-        lived = asked.T_odom_keyframe, asked.covariance
-        return KeyframePlace(asked.number, *lived, T_map_keyframe, covariance, newest.number)
+            covariance = covariance + Ad @ revisit.of_motion @ Ad.T
+        odometry = asked.T_odom_keyframe, asked.covariance
+        return KeyframePlace(asked.number, *odometry, T_map_keyframe, covariance, newest.number)
 
     def review(self) -> None:
         """Review all loops; see `LoopCloser.review`."""
         self._graph.review()
 
-    def add(self, keyframe: LivedKeyframe) -> None:
+    def add(self, keyframe: OdometryKeyframe) -> None:
         """Add the next keyframe, with an odometry edge from the previous one unless it begins a piece."""
         before, self._before = self._before, keyframe
         number, T_odom_keyframe = keyframe.number, keyframe.T_odom_keyframe

@@ -21,7 +21,7 @@ from wheelsight.core.settings import RecognitionSettings
 from wheelsight.core.threads import yield_to_others
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.places.recognition import Recognizer
-from wheelsight.slam.drive_graph import DriveGraph, KeyframePlace, LivedKeyframe, PoseUpdate, SeenAgain
+from wheelsight.slam.drive_graph import DriveGraph, KeyframePlace, OdometryKeyframe, PoseUpdate, Revisit
 from wheelsight.slam.graph import PoseGraph, RelativePose, anchor, step_edge
 from wheelsight.slam.loop_gate import LoopCloser, LoopReport
 from wheelsight.slam.place_recognition import KnownMap, LoopDetector, PlaceWatcher
@@ -60,7 +60,7 @@ class ClosedLoops:
         is_in_map: (N,) whether the pose of each keyframe in the map is known.
         begins: (N,) whether a keyframe begins a piece, so that odometry does not link it to the previous one.
         processing_s: (N,) processing time of each keyframe in the thread, seconds.
-        again: revisits of this drive's keyframes by odometry, in order of time.
+        revisits: revisits of this drive's keyframes by odometry, in order of time.
     """
 
     stamps_s: FloatArray
@@ -74,7 +74,7 @@ class ClosedLoops:
     is_in_map: BoolArray
     begins: BoolArray
     processing_s: FloatArray
-    again: tuple[SeenAgain, ...] = ()
+    revisits: tuple[Revisit, ...] = ()
 
     @property
     def is_joined(self) -> bool:
@@ -142,35 +142,36 @@ class LiveLoops:
         recognizer = None if known is None else known.recognizer
         self._watcher = PlaceWatcher(store, calibration, self._settings.apart_s, recognition, recognizer, detector)
         self._graph = DriveGraph(known)
-        self._lived: list[LivedKeyframe] = []
+        self._keyframes: list[OdometryKeyframe] = []
         self._waiting: deque[tuple[float, Future[KeyframeResult]]] = deque()
         self._thread: ThreadPoolExecutor | None = None
         self._unseen = 0
         self._processing_s: list[float] = []
-        self._again: list[SeenAgain] = []
+        self._revisits: list[Revisit] = []
         self.place: KeyframePlace | None = None
         self._known = 0 if known is None else len(known.store)
         self._recognised = 0
         self._has_raised = False
 
-    def add(self, keyframe: LivedKeyframe) -> None:
+    def add(self, keyframe: OdometryKeyframe) -> None:
         """Submit a keyframe to the thread, which looks for earlier views of the same place."""
         if self._thread is None:
             self._thread = ThreadPoolExecutor(1, "wheelsight-loops", yield_to_others)
         has_time = self._waits or len(self._waiting) < _MOST_WAITING
         self._unseen += not has_time
-        self._lived.append(keyframe)
+        self._keyframes.append(keyframe)
         self._waiting.append((keyframe.stamp_s, self._thread.submit(self._process, keyframe, has_time)))
 
-    def _process(self, keyframe: LivedKeyframe, has_time: bool) -> KeyframeResult:
+    def _process(self, keyframe: OdometryKeyframe, has_time: bool) -> KeyframeResult:
         """Process one keyframe in the thread."""
         started = time.perf_counter()
         self._graph.add(keyframe)
+        loops: tuple[RelativePose, ...] = ()
         if has_time:
             near = self._graph.near(_NEAR_M)
-            loops = self._watcher.look(keyframe.number, near, self._graph.unjoined)
+            loops = self._watcher.find_loops(keyframe.number, near, self._graph.unjoined)
         else:
-            loops = self._watcher.pass_by(keyframe.number)
+            self._watcher.add(keyframe.number)
         alignment = keyframe.seen_from
         if alignment is not None and not loops:  # a verified place is more certain than odometry's alignment
             loops = (alignment,)
@@ -180,16 +181,16 @@ class LiveLoops:
         self._processing_s.append(time.perf_counter() - started)
         return result
 
-    def see_again(self, keyframe: SeenAgain) -> None:
+    def request_place(self, revisit: Revisit) -> None:
         """Request the pose and covariance of a revisited keyframe. A busy thread skips the request."""
-        self._recognised += keyframe.number < self._known
+        self._recognised += revisit.number < self._known
         if self._thread is not None and (self._waits or not self._waiting):
-            found = self._thread.submit(lambda: KeyframeResult(None, self._graph.place(keyframe)))
-            self._waiting.append((keyframe.stamp_s, found))
+            found = self._thread.submit(lambda: KeyframeResult(None, self._graph.place(revisit)))
+            self._waiting.append((revisit.stamp_s, found))
 
-    def follow(self, keyframe: SeenAgain) -> None:
+    def add_revisit(self, revisit: Revisit) -> None:
         """Add a revisit of a keyframe to the points that the corrected trajectory follows."""
-        self._again.append(keyframe)
+        self._revisits.append(revisit)
 
     def due(self, stamp_s: float) -> PoseUpdate | None:
         """Return the poses of the first keyframes if loops moved them since the last call, else None.
@@ -221,14 +222,14 @@ class LiveLoops:
         except PartError as error:  # earlier loops remain valid
             _LOG.warning("loops of the last keyframes are missing: %s", error)
         self._graph.review()
-        stamps_s = np.array([keyframe.stamp_s for keyframe in self._lived])
-        T_odom = np.array([keyframe.T_odom_keyframe for keyframe in self._lived]).reshape(-1, 4, 4)
+        stamps_s = np.array([keyframe.stamp_s for keyframe in self._keyframes])
+        T_odom = np.array([keyframe.T_odom_keyframe for keyframe in self._keyframes]).reshape(-1, 4, 4)
         found = (self._graph.poses, self._graph.edges, self._graph.report(), dict(self._watcher.refusals), self._unseen)
         pieces = self._graph.pieces
         is_in_map = pieces[len(pieces) - len(stamps_s) :] == 0
-        begins = np.array([keyframe.begins for keyframe in self._lived], bool)
+        begins = np.array([keyframe.begins for keyframe in self._keyframes], bool)
         rows = is_in_map, begins, np.array(self._processing_s)
-        return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(pieces)), 1), *rows, tuple(self._again))
+        return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(pieces)), 1), *rows, tuple(self._revisits))
 
     @property
     def recognised(self) -> int | None:
@@ -288,7 +289,7 @@ class Correction:
 
 
 def correct(
-    lived: Trajectory,
+    odometry: Trajectory,
     matches: Sequence[Match],
     *,
     stated: SpeedVariances | None = None,
@@ -300,7 +301,7 @@ def correct(
     interpolated for the poses between them.
 
     Args:
-        lived: odometry trajectory, with covariances that grow along it.
+        odometry: odometry trajectory, with covariances that grow along it.
         matches: matches to check.
         stated: odometry noise stated by the recording, used instead of the trajectory's covariances.
         graph: empty graph to use; None for GTSAM's, or for the built-in solver without GTSAM.
@@ -308,17 +309,17 @@ def correct(
     Raises:
         ArgumentError: the trajectory has no poses, or neither it nor the recording has covariances.
     """
-    C = _covariances(lived, stated)
-    placed, unused = _rows_of_matches(matches, lived)
-    _, first_each = np.unique(np.floor(lived.distances_m / _KEYFRAME_WAY_M), return_index=True)
+    C = _covariances(odometry, stated)
+    placed, unused = _rows_of_matches(matches, odometry)
+    _, first_each = np.unique(np.floor(odometry.distances_m / _KEYFRAME_WAY_M), return_index=True)
     wanted = np.asarray([row for _, ends in placed for row in ends], np.int64)
-    rows = np.unique(np.concatenate([first_each, wanted, [0, len(lived) - 1]])).astype(np.int64)
+    rows = np.unique(np.concatenate([first_each, wanted, [0, len(odometry) - 1]])).astype(np.int64)
     ends_of = [(match, *np.searchsorted(rows, ends).tolist()) for match, ends in placed]
     loops = [_loop(match, KeyframeId(first), KeyframeId(second)) for match, first, second in ends_of if first != second]
     unused[Unused.ONE_PLACE] += len(placed) - len(loops)
     graph = graph if graph is not None else new_pose_graph()
     # The first keyframe is fixed.
-    ways = [*zip(lived.T_frame_body[rows], C[rows], strict=True)]
+    ways = [*zip(odometry.T_frame_body[rows], C[rows], strict=True)]
     for T, _ in ways:
         graph.add(T)
     graph.add_prior(anchor(KeyframeId(0), ways[0][0]))
@@ -326,37 +327,37 @@ def correct(
     graph.add_edges([step_edge(pair, ways[pair[0]], ways[pair[1]]) for pair in ends])
     report = LoopCloser(graph).offer_all(loops) if loops else LoopReport(())
     counts = {str(reason): count for reason, count in unused.items() if count}
-    T_map_odom = graph.poses @ se3.invert(lived.T_frame_body[rows])
-    return Correction(in_map(lived, lived.stamps_s[rows], T_map_odom), rows, graph.poses, report, counts)
+    T_map_odom = graph.poses @ se3.invert(odometry.T_frame_body[rows])
+    return Correction(in_map(odometry, odometry.stamps_s[rows], T_map_odom), rows, graph.poses, report, counts)
 
 
-def _covariances(lived: Trajectory, stated: SpeedVariances | None) -> FloatArray:
+def _covariances(odometry: Trajectory, stated: SpeedVariances | None) -> FloatArray:
     """Return covariances (N, 6, 6) from the recording or the trajectory. Raises ArgumentError if neither has them."""
-    if not len(lived):
+    if not len(odometry):
         raise ArgumentError("the trajectory has no poses", fix="give a trajectory with poses")
     if stated is None:
-        if lived.covariances is None:
+        if odometry.covariances is None:
             fix = "use odometry that reports covariances, as wheels do"
             raise ArgumentError("the trajectory has no covariances", fix=fix)
-        return lived.covariances
+        return odometry.covariances
     # Speed errors are independent between steps.
-    at = (np.searchsorted(stated.stamps_s, lived.stamps_s[:-1] + 1e-9, side="right") - 1).clip(min=0)
-    Q = np.zeros((len(lived) - 1, 6, 6))
+    at = (np.searchsorted(stated.stamps_s, odometry.stamps_s[:-1] + 1e-9, side="right") - 1).clip(min=0)
+    Q = np.zeros((len(odometry) - 1, 6, 6))
     for axis, variance in zip((0, 1, 5), stated.variances[at].T, strict=True):
-        Q[:, axis, axis] = variance * np.diff(lived.stamps_s) ** 2
-    Ad = se3.adjoint(lived.T_frame_body[:-1])
+        Q[:, axis, axis] = variance * np.diff(odometry.stamps_s) ** 2
+    Ad = se3.adjoint(odometry.T_frame_body[:-1])
     return np.concatenate([np.zeros((1, 6, 6)), np.cumsum(Ad @ Q @ np.swapaxes(Ad, 1, 2), axis=0)])
 
 
 def _rows_of_matches(
-    matches: Sequence[Match], lived: Trajectory
+    matches: Sequence[Match], odometry: Trajectory
 ) -> tuple[list[tuple[Match, tuple[int, int]]], Counter[Unused]]:
     """Return the matches with their two trajectory rows, and the number of unused ones by reason."""
     unused: Counter[Unused] = Counter()
     placed = []
     for match in matches:
-        rows = [_nearest(lived.stamps_s, stamp_s) for stamp_s in (match.stamp_a_s, match.stamp_b_s)]
-        gaps_s = np.abs(lived.stamps_s[rows] - [match.stamp_a_s, match.stamp_b_s])
+        rows = [_nearest(odometry.stamps_s, stamp_s) for stamp_s in (match.stamp_a_s, match.stamp_b_s)]
+        gaps_s = np.abs(odometry.stamps_s[rows] - [match.stamp_a_s, match.stamp_b_s])
         if match.score is not None and match.score < _LEAST_SCORE:
             unused[Unused.LOW_SCORE] += 1
         elif (gaps_s > _MOST_GAP_S).any():
@@ -376,17 +377,17 @@ def _loop(match: Match, first: KeyframeId, second: KeyframeId) -> RelativePose:
     return RelativePose(first, second, match.T_a_b, C, is_loop=True)
 
 
-def corrected_by(found: ClosedLoops, lived: Trajectory) -> Correction:
+def corrected_by(found: ClosedLoops, odometry: Trajectory) -> Correction:
     """Return a trajectory corrected by loops that were closed while driving.
 
     The correction is known at keyframes and at revisits of them, and interpolated between these. With a known map,
     poses of pieces that are not joined to it are left out.
     """
-    rows = np.array([_nearest(lived.stamps_s, stamp_s) for stamp_s in found.stamps_s], np.int64)
-    numbers = np.array([one.number for one in found.again], np.int64)
-    T_odom = np.array([one.T_odom_keyframe for one in found.again]).reshape(-1, 4, 4)
+    rows = np.array([_nearest(odometry.stamps_s, stamp_s) for stamp_s in found.stamps_s], np.int64)
+    numbers = np.array([one.number for one in found.revisits], np.int64)
+    T_odom = np.array([one.T_odom_keyframe for one in found.revisits]).reshape(-1, 4, 4)
     of_revisits = (
-        np.array([one.stamp_s for one in found.again]),
+        np.array([one.stamp_s for one in found.revisits]),
         found.T_map_keyframe[numbers] @ se3.invert(T_odom),
         np.zeros(len(numbers), bool),
         found.is_in_map[numbers - found.known],
@@ -395,32 +396,32 @@ def corrected_by(found: ClosedLoops, lived: Trajectory) -> Correction:
     both = [np.concatenate(columns) for columns in zip(of_keyframes, of_revisits, strict=True)]
     order = np.argsort(both[0], kind="stable")
     stamps_s, T_map_odom, begins, is_in_map = (column[order] for column in both)
-    corrected = in_map(lived, stamps_s, T_map_odom, begins)
+    corrected = in_map(odometry, stamps_s, T_map_odom, begins)
     if found.known:
-        corrected = corrected.select(is_in_map[_before(lived.stamps_s, stamps_s)])
-    T_map_new = found.T_map_odom @ lived.T_frame_body[rows]
-    T_camera_body = se3.invert(found.T_odom_keyframe[0]) @ lived.T_frame_body[rows[0]]
+        corrected = corrected.select(is_in_map[_before(odometry.stamps_s, stamps_s)])
+    T_map_new = found.T_map_odom @ odometry.T_frame_body[rows]
+    T_camera_body = se3.invert(found.T_odom_keyframe[0]) @ odometry.T_frame_body[rows[0]]
     T_map_known = found.T_map_keyframe[: found.known] @ T_camera_body
     return Correction(corrected, rows, np.concatenate([T_map_known, T_map_new]), found.loops, {})
 
 
 def in_map(
-    lived: Trajectory, stamps_s: FloatArray, T_map_odom: FloatArray, begins: BoolArray | None = None
+    odometry: Trajectory, stamps_s: FloatArray, T_map_odom: FloatArray, begins: BoolArray | None = None
 ) -> Trajectory:
     """Return all trajectory poses in the map frame, given T_map_odom (K, 4, 4) at keyframe stamps (K,).
 
     Interpolates between the neighbouring keyframes by time. If the next keyframe `begins` (K,) another piece, uses the
     previous keyframe alone.
     """
-    before = _before(lived.stamps_s, stamps_s)
+    before = _before(odometry.stamps_s, stamps_s)
     after = np.minimum(before + 1, len(stamps_s) - 1)
     if begins is not None:
         after = np.where(begins[after], before, after)
-    T_before, T_after = (T_map_odom[of] @ lived.T_frame_body for of in (before, after))
+    T_before, T_after = (T_map_odom[of] @ odometry.T_frame_body for of in (before, after))
     begin_s, end_s = stamps_s[before], stamps_s[after]
-    share = (lived.stamps_s - begin_s) / np.where(end_s > begin_s, end_s - begin_s, 1.0)
+    share = (odometry.stamps_s - begin_s) / np.where(end_s > begin_s, end_s - begin_s, 1.0)
     T_map_body = se3.interpolate(T_before, T_after, share.clip(0, 1))
-    return Trajectory(lived.stamps_s, T_map_body, None, lived.body, "map")
+    return Trajectory(odometry.stamps_s, T_map_body, None, odometry.body, "map")
 
 
 def _before(at_s: FloatArray, stamps_s: FloatArray) -> IntArray:

@@ -95,7 +95,7 @@ class PlaceWatcher:
         counts = {str(reason): count for reason, count in self._verifier.refusals.items()}
         return counts | ({_UNREAD: self._unread} if self._unread else {})
 
-    def look(
+    def find_loops(
         self, number: KeyframeId, near: Sequence[KeyframeId] = (), unjoined: Sequence[KeyframeId] = ()
     ) -> tuple[RelativePose, ...]:
         """Return loops from a keyframe to earlier ones that show the same place, and add it to the known keyframes.
@@ -103,16 +103,18 @@ class PlaceWatcher:
         Keyframes come in order of time. Keyframes `near` it, the nearest first, are verified as well. `unjoined` are
         the keyframes of its piece while that is not joined to the map; then more candidates of the map are verified.
         """
-        keyframe = self._store[number]
-        recent = self._known[bisect.bisect_right(self._stamps_s, keyframe.stamp_s - self._apart_s) :]
+        stamp_s = self._store[number].stamp_s
+        recent = self._known[bisect.bisect_right(self._stamps_s, stamp_s - self._apart_s) :]
         found = self.recognised(number, recent, near, unjoined)
-        self._learn(number, keyframe)
+        self.add(number)
         return found
 
-    def pass_by(self, number: KeyframeId) -> tuple[RelativePose, ...]:
+    def add(self, number: KeyframeId) -> None:
         """Add a keyframe to the known ones without looking for loops."""
-        self._learn(number, self._store[number])
-        return ()
+        keyframe = self._store[number]
+        self.recognizer.add(number, keyframe)
+        self._known.append(number)
+        self._stamps_s.append(keyframe.stamp_s)
 
     def recognised(
         self,
@@ -123,7 +125,7 @@ class PlaceWatcher:
     ) -> tuple[RelativePose, ...]:
         """Return loops from a keyframe to known ones except `but`, without adding it to the known ones.
 
-        `near` and `unjoined` are as in `look`.
+        `near` and `unjoined` are as in `find_loops`.
         """
         keyframe = self._store[number]
         view = self._views.of_keyframe(keyframe)
@@ -192,11 +194,6 @@ class PlaceWatcher:
         others = [one for one in near if one in known and one not in but and one not in alike]
         left = max(_CANDIDATES - min(_NEAR_CANDIDATES, len(others)), 0)
         return (*alike[:left], *others[: _CANDIDATES - min(left, len(alike))][:_NEAR_CANDIDATES])
-
-    def _learn(self, number: KeyframeId, keyframe: Keyframe) -> None:
-        self.recognizer.add(number, keyframe)
-        self._known.append(number)
-        self._stamps_s.append(keyframe.stamp_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -130,7 +130,7 @@ def merge(
     else:  # the first map's recognizer, since the numbers are unchanged
         recognizer = watcher.recognizer
         for done, number in enumerate(range(count, len(parts)), start=1):
-            watcher.pass_by(KeyframeId(number))
+            watcher.add(KeyframeId(number))
             on_keyframe("recognition", done, len(of_second))
     source = " and ".join(filter(None, (first.header.source, second.header.source)))
     with map_being_made(out, MERGE, first, source) as new:
