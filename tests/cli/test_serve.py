@@ -17,7 +17,8 @@ from urllib.request import urlopen
 import pytest
 from sessions.kept_views import write_map
 
-from wheelsight.app.cli.serve import PageOptions, Refusals, access_of, addresses
+from wheelsight.app.cli.console import print_warning
+from wheelsight.app.cli.serve import CountedLines, PageOptions, access_of, addresses
 from wheelsight.app.viewer import why_no_rerun
 from wheelsight.core.errors import ConfigError
 
@@ -82,7 +83,7 @@ def test_the_address_that_is_printed_holds_the_token() -> None:
 
 
 def test_a_flood_of_refusals_is_counted_and_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    with Refusals() as refusals:
+    with CountedLines(print_warning) as refusals:
         for number in range(500):
             refusals.tell(f"refused {number}")
             refusals.tell("refused 10.0.0.7: no token")
@@ -95,15 +96,14 @@ def test_a_flood_of_refusals_is_counted_and_not_printed(capsys: pytest.CaptureFi
     assert sum(1 if count is None else int(count[1]) for count in counts) == 1071, "each is counted"
 
 
-def test_a_terminal_that_takes_nothing_holds_up_no_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_terminal_that_takes_nothing_holds_up_no_thread() -> None:
     goes_on, printed = threading.Event(), list[str]()
 
     def hangs(line: str) -> None:
         goes_on.wait(20)
         printed.append(line)
 
-    monkeypatch.setattr("wheelsight.app.cli.serve.print_warning", hangs)
-    with Refusals() as refusals:
+    with CountedLines(hangs) as refusals:
         for _ in range(1000):
             refusals.tell("refused 10.0.0.7: no token")
         assert not printed

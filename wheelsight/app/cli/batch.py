@@ -50,9 +50,10 @@ def batch(
 
     wheelsight batch data --scheduler tcp://192.168.1.5:8786 --out table
     """
-    from wheelsight.app.batch import BatchSettings, named_recordings, plan_of, read_rows
-    from wheelsight.app.cli.batch_run import run_plan, told_of
-    from wheelsight.app.cli.console import print_note
+    from wheelsight.app.batch import PAGE_FILE, TABLE_FILE, BatchSettings, named_recordings, plan_of, read_rows
+    from wheelsight.app.batch.table import DONE
+    from wheelsight.app.cli.batch_run import batch_table, notes_on, run_plan
+    from wheelsight.app.cli.console import console, print_note
 
     settings = BatchSettings()
     allowed = share(tolerance, "--tolerance")
@@ -60,15 +61,10 @@ def batch(
     before = None if baseline is None else read_rows(baseline)
     plan = plan_of(named_recordings(recordings), tuple(config or ()), seeds, settings)
     try:
-        rows = run_plan(plan, out, jobs or cores(), scheduler, settings, told_of(plan, seeds))
+        rows = run_plan(plan, out, jobs or cores(), scheduler, settings, notes_on(plan, seeds))
     except KeyboardInterrupt as interruption:
         print_note(f"interrupted; what is done is kept in {out}, and the same command goes on")
         raise typer.Exit(exit_code()) from interruption
-    from wheelsight.app.batch import PAGE_FILE, TABLE_FILE
-    from wheelsight.app.batch.table import DONE
-    from wheelsight.app.cli.batch_run import batch_table
-    from wheelsight.app.cli.console import console
-
     stdout = console()
     stdout.print(batch_table(rows), soft_wrap=False)
     broken = [row for row in rows if row.status != DONE]
@@ -77,10 +73,9 @@ def batch(
     stdout.print(
         f"{len(rows) - len(broken)} of {len(rows)} rows are whole; table: {out / TABLE_FILE}, {out / PAGE_FILE}"
     )
-    is_broken = bool(broken)
     is_worse = before is not None and _is_worse(rows, before, allowed, allowed_cost, settings)
-    if is_broken or is_worse:
-        raise typer.Exit(INPUT_IS_WRONG if is_broken else _WORSE)
+    if broken or is_worse:
+        raise typer.Exit(INPUT_IS_WRONG if broken else _WORSE)
 
 
 def _is_worse(

@@ -28,7 +28,7 @@ from wheelsight.app.batch import (
     run_on_processes,
 )
 from wheelsight.app.batch.batches import KeptOutcomes
-from wheelsight.app.batch.table import DONE, FIGURES, Figure, shown
+from wheelsight.app.batch.table import DONE, FIGURES, shown
 from wheelsight.app.cli.compiling import compile_missing
 from wheelsight.app.cli.console import print_note
 from wheelsight.app.cli.progress import left_text, progress_line, whole
@@ -49,7 +49,9 @@ def run_plan(
     for note in notes:
         print_note(note)
     if scheduler is None:
-        _compile([job for job in plan.jobs.values() if job.id not in done])
+        # Once for all jobs: else each process would compile by itself
+        left = (Config.model_validate(job.settings) for job in plan.jobs.values() if job.id not in done)
+        compile_missing(tuple({part: None for config in left for part in parts_of(config)}))
     with tempfile.TemporaryDirectory(prefix=".scratch-", dir=out) as scratch, BatchProgress() as progress:
 
         def runner(jobs: Sequence[Job]) -> Generator[Outcome]:
@@ -72,7 +74,7 @@ def run_plan(
         return run_batch(plan, out, runner, show)
 
 
-def told_of(plan: BatchPlan, seeds: int) -> list[str]:
+def notes_on(plan: BatchPlan, seeds: int) -> list[str]:
     """What is run otherwise than a user may expect, and which odometry it is where no configuration names one."""
     notes = []
     if once := sum(0 < len(case.jobs) < seeds for case in plan.cases):
@@ -83,13 +85,6 @@ def told_of(plan: BatchPlan, seeds: int) -> list[str]:
     return notes
 
 
-def _compile(jobs: Sequence[Job]) -> None:
-    """What all of them need, once: else each process would compile it by itself."""
-    parts = {part: None for job in jobs for part in parts_of(Config.model_validate(job.settings))}
-    if parts:
-        compile_missing(tuple(parts))
-
-
 def _name(job: Job) -> str:
     return f"{Path(job.recording).name}, seed +{job.seed}"
 
@@ -97,7 +92,7 @@ def _name(job: Job) -> str:
 # Progress
 
 
-class _TimeLeft(ProgressColumn):
+class _TimeLeftByBytes(ProgressColumn):
     """Estimate of the time left by bytes, since recordings differ in length; it counts down between jobs."""
 
     def render(self, task: Task) -> Text:
@@ -113,7 +108,7 @@ class BatchProgress:
         self._progress = progress_line(
             TextColumn("{task.fields[count]}", table_column=whole()),
             TextColumn("{task.fields[rate]}", table_column=whole()),
-            _TimeLeft(table_column=whole()),
+            _TimeLeftByBytes(table_column=whole()),
         )
         self._task = self._progress.add_task("batch", total=1, count="", rate="", ends_s=None, status="")
         self._began_s = time.monotonic()
@@ -167,16 +162,14 @@ def batch_table(rows: Sequence[BatchRow]) -> Table:
         table.add_column(figure.title.replace(", ", "\n"), justify="right", no_wrap=True)
     table.add_column("status", overflow="fold", min_width=6)
     for row in rows:
-        figures = [_two_lines(figure, row) for figure in FIGURES]
+        spreads = [(figure, row.figures.get(figure.name)) for figure in FIGURES]
+        figures = [
+            "–"
+            if spread is None
+            else shown(figure, spread.median) + (f"\n{shown(figure, spread.worst)}" if row.seeds > 1 else "")
+            for figure, spread in spreads
+        ]
         style = None if row.status == DONE else "red"
         name = Text(f"{row.recording}\n{row.config}", no_wrap=True, overflow="ellipsis")
         table.add_row(name, *figures, Text(row.status), style=style)
     return table
-
-
-def _two_lines(figure: Figure, row: BatchRow) -> str:
-    spread = row.figures.get(figure.name)
-    if spread is None:
-        return "–"
-    worst = f"\n{shown(figure, spread.worst)}" if row.seeds > 1 else ""
-    return f"{shown(figure, spread.median)}{worst}"

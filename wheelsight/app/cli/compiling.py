@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import typer
 
 from wheelsight.app.cli.console import console, print_note, print_warning
 from wheelsight.core.runtime import exit_code
-
-if TYPE_CHECKING:
-    pass
-
 
 _SURE_S = 15.0  # some kernels have been compiled by then
 _MUCH_LONGER = 1.4
@@ -26,7 +21,8 @@ def compile_ahead(parts: Sequence[str]) -> int:
         Exit: Ctrl-C.
         OutputError: it cannot be done.
     """
-    from wheelsight.app.run.kernels import CompileEstimate, missing_parts
+    from wheelsight.app.cli.progress import left_text
+    from wheelsight.app.run.kernels import CompileEstimate, compile_kernels, missing_parts
 
     missing = missing_parts(parts)
     if not missing:
@@ -35,9 +31,6 @@ def compile_ahead(parts: Sequence[str]) -> int:
     whose = "as measured here before" if estimate.is_measured else "more on a slow or busy computer"
     print_note(f"compiling kernels, once after installation: about {_about(estimate.total_s)}, {whose}")
     try:
-        from wheelsight.app.cli.progress import left_text
-        from wheelsight.app.run.kernels import compile_kernels
-
         stderr, began_s = console(stderr=True), time.monotonic()
         found, said_s = [0], [estimate.total_s]
 
@@ -97,7 +90,6 @@ def warm_up_warm_up() -> None:
 
     wheelsight warm-up
     """
-    from wheelsight.app.cli.console import console
     from wheelsight.app.run.kernels import usable_parts
 
     if not compile_ahead(usable_parts()):

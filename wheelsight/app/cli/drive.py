@@ -4,10 +4,11 @@ the results.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from wheelsight.config import Config
     from wheelsight.core.geometry import FloatArray
     from wheelsight.core.robots import Robot
-    from wheelsight.mapping import MapEdit, MapEdits, NamedPoses, OccupancyGrid
+    from wheelsight.mapping import MapEdit, OccupancyGrid
     from wheelsight.navigation import Feedback
     from wheelsight.slam.maps import MapFolder
 
@@ -61,46 +62,41 @@ def drive(options: DriveOptions) -> None:
 
     wheelsight drive --sim flat --map home --known-start 0,0,0 --to kitchen --set navigation.limits.forward_m_s=0.5
     """
-    drive_there(options)
+    from wheelsight.app.cli.compiling import compile_missing
+    from wheelsight.app.cli.options import check_rerun
+    from wheelsight.core.files import make_output_folder, refuse_full
+
+    check(options)
+    config, goals, way = drive_settings(options), goals_of(options), way_of(options)
+    if options.out is not None and not options.force:
+        refuse_full(options.out)  # before the long work; made once there is a robot
+    check_rerun(options.rerun, options.force)
+    compile_missing(kernels_of(options))
+    with robot_of(options, config) as robot:
+        if options.out is not None:
+            make_output_folder(options.out, options.force)
+        record, left_out = _driven(robot, config, goals, way, options)
+    if options.out is not None:
+        write(record, options.out)
+    tell(record, left_out)
 
 
 # The drive
-
-
-# Kernels that localization in a known map, and a drive in it, call.
-_PARTS = ("wheels", "dense", "joined", "loops", "navigation")
 
 
 class _StopSignal(Exception):  # noqa: N818 - it is no error
     """A signal that ends the program."""
 
 
-def drive_there(options: DriveOptions) -> None:
-    """Drive to all goals. Exits with 1 if one is not reached, with 130, 143 or 129 after a signal.
-
-    Raises errors of the inputs before anything moves.
-    """
-    from wheelsight.app.cli.compiling import compile_missing
-    from wheelsight.app.cli.options import check_rerun
-    from wheelsight.core.files import make_output_folder, refuse_full
-
-    check(options)
-    config = drive_settings(options)
-    tasks = tasks_of(options)
-    if options.out is not None and not options.force:
-        refuse_full(options.out)  # before the long work; made once there is a robot
-    check_rerun(options.rerun, options.force)
-    compile_missing((*_PARTS, *(("simulation",) if options.is_simulated else ())))
-    with robot_of(options, config) as robot:
-        if options.out is not None:
-            make_output_folder(options.out, options.force)
-        record, left_out = _driven(robot, config, tasks, options)
-    if options.out is not None:
-        write(record, options.out)
-    tell(record, left_out)
+def kernels_of(options: RobotOptions) -> tuple[str, ...]:
+    """The parts whose kernels localization in a map, and a drive in it, call."""
+    parts = ("wheels", "dense", "joined", "loops", "navigation")
+    return (*parts, "simulation") if options.is_simulated else parts
 
 
-def _driven(robot: Robot, config: Config, tasks: Sequence[Task], options: DriveOptions) -> tuple[DriveRecord, str]:
+def _driven(
+    robot: Robot, config: Config, goals: Sequence[NamedGoal], way: FloatArray | None, options: DriveOptions
+) -> tuple[DriveRecord, str]:
     """The record of the drive, and a sentence on tasks that were not begun; "" if there are none."""
     from wheelsight.app.cli.drive_view import watching
     from wheelsight.app.run.exploring import loops_of
@@ -112,20 +108,39 @@ def _driven(robot: Robot, config: Config, tasks: Sequence[Task], options: DriveO
         _begun(robot, config, watch, options) as drive,
         watch.view,
     ):
-        truth = Truth(robot) if options.is_simulated else None
+        truth, is_interrupted = Truth(robot) if options.is_simulated else None, False
+        with until_stopped() as is_over:
 
-        def step(feedback: Feedback) -> None:
-            if truth is not None:
-                truth.look()
-            watch.step(feedback, drive.navigator)
+            def step(feedback: Feedback) -> None:
+                if truth is not None:
+                    truth.update()
+                watch.step(feedback, drive.navigator)
+                if is_over():
+                    raise _StopSignal
 
-        is_interrupted = _through(drive, tasks, options, step)
-        facts, asked = truth.told if truth else {}, len(tasks) + options.back
+            try:
+                _do_all(drive, goals, way, options, step)
+            except _StopSignal:
+                is_interrupted = True
+            except DeviceError:
+                # The signal may have ended the process that localizes, too.
+                if not is_over():
+                    raise
+                is_interrupted = True
+        facts = truth.to_dict() if truth else {}
+        asked = len(goals) + (way is not None) + options.explore + options.back
         record = drive.record(asked, robot_words(options), config, facts, is_interrupted=is_interrupted)
     if options.explore and options.out:
         # The last of them are closed once the drive is over.
         record = replace(record, loops=loops_of(options.out / MAP_FOLDER))
-    return record, why_no_return(record, drive) if options.back else ""
+    if not options.back or len(record.goals) == record.asked:
+        return record, ""
+    # The return is the last task.
+    if drive.start is None:
+        why = "it was never known where in the map the robot is, nor where the drive began"
+    else:
+        why = "a goal before it was not reached"
+    return record, f"--back was left out: {why}"
 
 
 @contextmanager
@@ -151,89 +166,25 @@ def _begun(robot: Robot, config: Config, watch: DriveWatch, options: DriveOption
             yield drive
 
 
-def _through(drive: GoalDrive, tasks: Sequence[Task], options: DriveOptions, on_step: OnStep) -> bool:
-    """Run all tasks up to the first that fails, then drive back. Returns whether the user stopped it."""
-    with until_stopped() as is_over:
-
-        def step(feedback: Feedback) -> None:
-            on_step(feedback)
-            if is_over():
-                raise _StopSignal
-
-        try:
-            do_all(drive, tasks, options, step)
-        except _StopSignal:
-            return True
-        except DeviceError:
-            # The signal may have ended the process that localizes, too.
-            if not is_over():
-                raise
-            return True
-    return False
-
-
-# Tasks
-
-
-if TYPE_CHECKING:
-    from wheelsight.app.cli.drive_options import DriveOptions
-    from wheelsight.app.run.drive_record import DriveRecord
-    from wheelsight.app.run.drives import GoalDrive, NamedGoal, OnStep
-    from wheelsight.core.geometry import FloatArray
-    from wheelsight.navigation import NavigationResult
-
-    Task = Callable[[GoalDrive, OnStep], NavigationResult]
-
-
-def tasks_of(options: DriveOptions) -> list[Task]:
-    """All tasks but the return. Raises as `goals_of` and `way_of`, before anything moves."""
-    way = way_of(options)
-    tasks: list[Task] = [_explore] if options.explore else []
-    if way is not None:
-        tasks.append(partial(_follow, way, f"the end of {options.follow}"))
-    return [*tasks, *map(_GoTo, goals_of(options))]
-
-
-def do_all(drive: GoalDrive, tasks: Sequence[Task], options: DriveOptions, on_step: OnStep) -> None:
+def _do_all(
+    drive: GoalDrive, goals: Sequence[NamedGoal], way: FloatArray | None, options: DriveOptions, on_step: OnStep
+) -> None:
     """Run all tasks up to the first that fails; then drive back, if requested.
 
     Raises errors of `on_step`; and MapError, before anything moves, for a goal without free floor in the map.
     """
     from wheelsight.app.run.drives import NamedGoal
 
-    drive.refuse([task.goal for task in tasks if isinstance(task, _GoTo)])
-    for task in tasks:
-        if not task(drive, on_step):
+    drive.refuse(goals)
+    if options.explore and not drive.explore(on_step):
+        return
+    if way is not None and not drive.follow(way, on_step, f"the end of {options.follow}"):
+        return
+    for goal in goals:
+        if not drive.go_to(goal, on_step):
             return
     if options.back and drive.start is not None:
         drive.go_to(NamedGoal(drive.start, "the start"), on_step)
-
-
-def why_no_return(record: DriveRecord, drive: GoalDrive) -> str:
-    """Why --back was left out; empty where it was begun. It is the last task, so then all were."""
-    if len(record.goals) == record.asked:
-        return ""
-    if drive.start is None:
-        return "--back was left out: it was never known where in the map the robot is, nor where the drive began"
-    return "--back was left out: a goal before it was not reached"
-
-
-def _explore(drive: GoalDrive, on_step: OnStep) -> NavigationResult:
-    return drive.explore(on_step)
-
-
-def _follow(way: FloatArray, name: str, drive: GoalDrive, on_step: OnStep) -> NavigationResult:
-    return drive.follow(way, on_step, name)
-
-
-@dataclass(frozen=True, slots=True)
-class _GoTo:
-    """The task to drive to a goal."""
-
-    goal: NamedGoal
-
-    def __call__(self, drive: GoalDrive, on_step: OnStep) -> NavigationResult:
-        return drive.go_to(self.goal, on_step)
 
 
 # Results
@@ -255,12 +206,11 @@ class Truth:
         assert isinstance(robot, Simulator)
         self._simulator, self._clearance_m = robot, float("inf")
 
-    def look(self) -> None:
-        """A period is over."""
+    def update(self) -> None:
+        """Measure the clearance after a period."""
         self._clearance_m = min(self._clearance_m, self._simulator.clearance_m())
 
-    @property
-    def told(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """For the record."""
         contacts = [
             {"stamp_s": one.time_s, "with": one.name, "by_the_robot": bool(one.is_by_robot)}
@@ -287,6 +237,8 @@ def tell(record: DriveRecord, left_out: str = "") -> None:
 
     Raises Exit where a goal was not reached, or anything was touched.
     """
+    from wheelsight.app.run import words
+
     for goal in record.goals:
         result = goal.result
         if result.has_arrived:
@@ -307,22 +259,15 @@ def tell(record: DriveRecord, left_out: str = "") -> None:
         )
     if record.is_interrupted:
         print_note("interrupted; the robot was stopped first, and stands")
-        _print_contacts(record)
-        raise typer.Exit(exit_code())
-    if left_out:
+    elif left_out:
         print_error(left_out)
-    _print_contacts(record)
-    if record.contacts or not record.has_arrived:
-        raise typer.Exit(_FAILED)
-
-
-def _print_contacts(record: DriveRecord) -> None:
-    """Say what the robot drove against, as the simulator knows."""
-    touched = record.contacts
-    if touched:
+    if touched := record.contacts:
         more = f", and {len(touched) - _NAMED} more" if len(touched) > _NAMED else ""
-        times = "once" if len(touched) == 1 else f"{len(touched)} times"
-        print_error(f"the robot drove against something {times}: {', '.join(touched[:_NAMED])}{more}")
+        print_error(
+            f"the robot drove against something {words.times(len(touched))}: {', '.join(touched[:_NAMED])}{more}"
+        )
+    if record.is_interrupted or touched or not record.has_arrived:
+        raise typer.Exit(exit_code() if record.is_interrupted else _FAILED)
 
 
 # Options
@@ -333,7 +278,10 @@ _CALLED = {"profile": "--profile", "known_map.path": "--map", "known_map.start":
 
 def check(options: DriveOptions) -> None:
     """Raises ConfigError for options that mean nothing together."""
-    _check_one(options)
+    check_robot(options, partial(_check_task, options))
+
+
+def _check_task(options: DriveOptions) -> None:
     if options.explore:
         if options.map_ is not None or options.to:
             raise ConfigError("--explore begins without a map and goals", fix="no --map and no --to; those come next")
@@ -347,22 +295,14 @@ def check(options: DriveOptions) -> None:
         raise ConfigError("--follow ends where its way does", fix="leave out --follow or --to")
     elif options.follow is None and not options.to:
         raise ConfigError("there is no goal", fix="--to NAME, or --to X,Y,YAW_DEG; or --follow FILE")
-    _check_options(options)
 
 
-def check_robot(options: RobotOptions) -> None:
-    """The same of those that name a robot."""
-    _check_one(options)
-    _check_options(options)
-
-
-def _check_one(options: RobotOptions) -> None:
+def check_robot(options: RobotOptions, check_task: Callable[[], None] = lambda: None) -> None:
+    """Check options that name a robot; `check_task` is called once there is one robot. Raises ConfigError."""
     if (options.sim is None) == options.is_simulated:
         problem = "no robot is named" if options.is_simulated else "a robot is either simulated or real"
         raise ConfigError(problem, fix="one of --sim WORLD and --robot PORT")
-
-
-def _check_options(options: RobotOptions) -> None:
+    check_task()
     if options.is_simulated and (options.calibration is not None or options.yes):
         option = "--yes" if options.calibration is None else "--calibration"
         raise ConfigError(f"{option} is of a real robot", fix="--robot PORT, or leave it out")
@@ -387,10 +327,20 @@ def settings_of(options: SettingsOptions, given: Mapping[str, str | None]) -> Co
     wheels or without a mounted camera is refused. Dense odometry keeps up beside control: on two cores 14.3 to 14.5 of
     15 frames a second were localized beside a control loop at 20 Hz (`python -m benchmarks.navigation_speed`).
     """
+    import yaml
+
     from wheelsight.config import load_config
     from wheelsight.estimation.odometry_choice import odometry_of_robot
 
-    changes = dict(_setting(text) for text in options.set_ or ())
+    changes = {}
+    for text in options.set_ or ():
+        name, equals, value = text.partition("=")
+        if not equals or not name.strip():
+            raise ConfigError(f"--set is {text!r}", fix="NAME=VALUE, such as navigation.limits.forward_m_s=0.5")
+        try:
+            changes[name.strip()] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            changes[name.strip()] = value
     given = {**given, "profile": options.profile}
     overrides = {name: value for name, value in given.items() if value is not None} | changes
     config = load_config(options.config, overrides, called=_CALLED | {name: f"--set {name}" for name in changes})
@@ -427,20 +377,6 @@ def _opened(path: Path) -> closing[MapFolder]:
     return closing(MapFolder.open(find_map(path)))
 
 
-def _setting(text: str) -> tuple[str, Any]:
-    """A name and its value, which is written as in YAML. Raises ConfigError."""
-    import yaml
-
-    name, equals, value = text.partition("=")
-    try:
-        found = yaml.safe_load(value)
-    except yaml.YAMLError:
-        found = value
-    if not equals or not name.strip():
-        raise ConfigError(f"--set is {text!r}", fix="NAME=VALUE, such as navigation.limits.forward_m_s=0.5")
-    return name.strip(), found
-
-
 # Robots
 
 
@@ -471,7 +407,7 @@ def robot_words(options: RobotOptions) -> str:
 def _simulator(options: RobotOptions, config: Config) -> Robot:
     from wheelsight.app.cli.simulate import size_of
     from wheelsight.core.runtime import needed
-    from wheelsight_sim import SimulationSettings
+    from wheelsight_sim import FloorPlan, SimulationSettings, world_names
     from wheelsight_sim.simulator import Simulator
 
     needed("mujoco")
@@ -481,36 +417,33 @@ def _simulator(options: RobotOptions, config: Config) -> Robot:
         raise ConfigError(f"--people is {options.people}", fix="0 to 100")
     # A world by its name, else the file of a floor plan
     sim = options.sim
-    from wheelsight_sim import FloorPlan, world_names
-
-    if sim in world_names():
-        if options.resolution is not None:
-            raise ConfigError("--resolution means nothing without a plan", fix="--sim flat.png --resolution 0.05")
-        plan = None
-    else:
+    if sim not in world_names():
         if not Path(sim).is_file():
             worlds = ", ".join(world_names())
             raise ConfigError(f"--sim is {sim!r}, no world and no file", fix=f"{worlds}, or the file of a floor plan")
-        plan = FloorPlan(sim, options.resolution)
-    where: dict[str, Any] = {"world": options.sim} if plan is None else {"plan": plan}
+        where: dict[str, Any] = {"plan": FloorPlan(sim, options.resolution)}
+    elif options.resolution is not None:
+        raise ConfigError("--resolution means nothing without a plan", fix="--sim flat.png --resolution 0.05")
+    else:
+        where = {"world": sim}
     how: dict[str, Any] = {"seed": options.seed, "day": options.day, "passersby": options.people}
     how |= {"realism": options.realism, "rate_hz": options.rate, "camera": camera}
     settings = SimulationSettings(**where, **how, size=size_of(options.size, camera))
-    from wheelsight.app.cli.map_contents import pose_of
-
-    if options.start is None:
-        start = None
-    else:
-        x_m, y_m, yaw = pose_of("--start", options.start).tolist()
-        if yaw != yaw:
-            raise ConfigError(
-                f"--start is {options.start!r}", fix="X,Y,YAW_DEG in metres and degrees, such as 3.2,1.5,90"
-            )
-        start = x_m, y_m, yaw
+    start = None if options.start is None else start_of("--start", options.start)
     robot = Simulator(settings, start=start, limits=config.navigation.limits)
     for warning in robot.world.warnings:
         print_warning(warning)
     return robot
+
+
+def start_of(option: str, text: str) -> tuple[float, float, float]:
+    """x, y and yaw of a start, metres and radians. Raises ConfigError naming the option."""
+    from wheelsight.app.cli.map_contents import pose_of
+
+    x_m, y_m, yaw = pose_of(option, text).tolist()
+    if math.isnan(yaw):
+        raise ConfigError(f"{option} is {text!r}", fix="X,Y,YAW_DEG in metres and degrees, such as 3.2,1.5,90")
+    return x_m, y_m, yaw
 
 
 @contextmanager
@@ -565,29 +498,25 @@ def poses_of(words: Sequence[str], folder: MapFolder) -> list[FloatArray]:
         ConfigError: coordinates that are none.
         MapError: an unknown name (with the nearest name and all names), or an area without free floor.
     """
-    from wheelsight.app.cli.map_contents import grid_of, names_of
+    from wheelsight.app.cli.map_contents import grid_of, names_of, pose_of
+    from wheelsight.mapping.named_poses import unknown_name
     from wheelsight.slam.maps.contents import current_edits
 
     names, edits = names_of(folder), current_edits(folder)
+    areas = {area.name: area for area in edits.areas}
     # Made once, and only where an area is asked for: it takes seconds.
     grid = cache(partial(grid_of, folder))
-    return [_goal_of(word, names, edits, folder, grid) for word in words]
-
-
-def _goal_of(
-    word: str, names: NamedPoses, edits: MapEdits, folder: MapFolder, grid: Callable[[], OccupancyGrid]
-) -> FloatArray:
-    from wheelsight.app.cli.map_contents import pose_of
-    from wheelsight.mapping.named_poses import unknown_name
-
-    if word in names.names:
-        return names.named(word).pose_now(folder.store.T_map_keyframe)
-    for area in edits.areas:
-        if area.name == word:
-            return _goal_in(area, folder, grid)
-    if "," in word:
-        return pose_of("--to", word)
-    raise unknown_name(word, {*names.names, *edits.area_names})
+    poses = []
+    for word in words:
+        if word in names.names:
+            poses.append(names.named(word).pose_now(folder.store.T_map_keyframe))
+        elif word in areas:
+            poses.append(_goal_in(areas[word], folder, grid))
+        elif "," in word:
+            poses.append(pose_of("--to", word))
+        else:
+            raise unknown_name(word, {*names.names, *edits.area_names})
+    return poses
 
 
 def _goal_in(area: MapEdit, folder: MapFolder, grid: Callable[[], OccupancyGrid]) -> FloatArray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -12,8 +11,7 @@ import typer
 if TYPE_CHECKING:
     from rich.console import Group
 
-    from wheelsight.core.trajectory import Trajectory
-    from wheelsight.evaluation import Evaluation, Statistics
+    from wheelsight.evaluation import Evaluation
 
 # What a folder of results holds that was given in place of a file.
 _OF_RESULTS = ("trajectory.txt", "joined/trajectory.txt")
@@ -47,21 +45,25 @@ def evaluate(
 
     wheelsight evaluate monocular.txt truth.txt --scale --json
     """
-    from wheelsight.app.cli.console import console, print_json, print_warning
+    from wheelsight.app.cli.console import console, print_json, print_note, print_warning
+    from wheelsight.core.errors import TrajectoryError
     from wheelsight.core.trajectory import read_tum
     from wheelsight.evaluation import evaluate as compare
     from wheelsight.io.recordings import TRUTH_FILES
 
     for given, names in ((estimate, _OF_RESULTS), (ground_truth, tuple(TRUTH_FILES.values()))):
-        # For a folder, suggest the trajectory in it
-        from wheelsight.core.errors import TrajectoryError
-
         if os.path.isdir(given):  # noqa: PTH112 (a name that is too long is none)
             meant = next((given / name for name in names if (given / name).is_file()), None)
             fix = "give the file" if meant is None else f"did you mean {meant}?"
             raise TrajectoryError("is a folder, not a file", path=given, fix=fix)
     estimated = read_tum(estimate, body)
-    truth = _truth_for(estimated, ground_truth, body)
+    truth = read_tum(ground_truth, body)
+    beside = ground_truth.with_name(TRUTH_FILES.get(estimated.body, ground_truth.name))
+    if truth.body != estimated.body and beside != ground_truth and beside.is_file():
+        other = read_tum(beside, estimated.body)
+        if other.body == estimated.body:
+            print_note(f"{ground_truth} is of the {truth.body}; {beside.name} beside it, of the {other.body}, is taken")
+            truth = other
     evaluation = compare(estimated, truth, max_gap_s=max_gap, with_scale=scale)
     if as_json:
         aligned = evaluation.ate.aligned
@@ -71,23 +73,6 @@ def evaluate(
     console().print(evaluation_table(evaluation))
     for warning in evaluation.warnings:
         print_warning(warning)
-
-
-def _truth_for(estimated: Trajectory, ground_truth: Path, body: str) -> Trajectory:
-    """The truth of the estimated body: if the file is of another body, the one beside it, with a note."""
-    from wheelsight.app.cli.console import print_note
-    from wheelsight.core.trajectory import read_tum
-    from wheelsight.io.recordings import TRUTH_FILES
-
-    truth = read_tum(ground_truth, body)
-    beside = ground_truth.with_name(TRUTH_FILES.get(estimated.body, ground_truth.name))
-    if truth.body == estimated.body or beside == ground_truth or not beside.is_file():
-        return truth
-    other = read_tum(beside, estimated.body)
-    if other.body != estimated.body:
-        return truth
-    print_note(f"{ground_truth} is of the {truth.body}; {beside.name} beside it, of the {other.body}, is taken")
-    return other
 
 
 def evaluation_table(evaluation: Evaluation) -> Group:
@@ -107,20 +92,16 @@ def evaluation_table(evaluation: Evaluation) -> Group:
         table.add_column("", min_width=len("RPE a second, position"))
         for name in ("RMSE", "mean", "median", "max"):
             table.add_column(f"{name} [{unit}]", justify="right", min_width=len("median [m]"))
-    for name, unit, errors in _rows(evaluation):
-        values = () if errors is None else (errors.rmse, errors.mean, errors.median, errors.max)
-        tables[unit].add_row(name, *[f"{value:.4f}" for value in values] or ["too short"])
-    tables["°"].caption = covered + scaled
-    return Group(*tables.values())
-
-
-def _rows(evaluation: Evaluation) -> Iterator[tuple[str, str, Statistics | None]]:
-    named = {
+    kinds = {
         "ATE": evaluation.ate,
         "RPE a frame": evaluation.rpe_per_frame,
         "RPE a second": evaluation.rpe_per_second,
         "RPE a metre": evaluation.rpe_per_metre,
     }
-    for name, error in named.items():
-        yield f"{name}, position", "m", None if error is None else error.translation
-        yield f"{name}, rotation", "°", None if error is None else error.rotation.in_degrees()
+    for name, error in kinds.items():
+        both = (None, None) if error is None else (error.translation, error.rotation.in_degrees())
+        for kind, table, errors in zip(("position", "rotation"), tables.values(), both, strict=True):
+            values = () if errors is None else (errors.rmse, errors.mean, errors.median, errors.max)
+            table.add_row(f"{name}, {kind}", *[f"{value:.4f}" for value in values] or ["too short"])
+    tables["°"].caption = covered + scaled
+    return Group(*tables.values())

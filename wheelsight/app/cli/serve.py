@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import typer
 
 from wheelsight.app.cli.console import print_note, print_warning, takes
-from wheelsight.app.cli.drive import check_robot, robot_of, settings_of
+from wheelsight.app.cli.drive import check_robot, kernels_of, robot_of, settings_of, start_of
 from wheelsight.app.cli.drive_options import KnownStart, MapPath, Rate, Rerun, RobotOptions, SettingsOptions
 from wheelsight.app.cli.options import OUTPUT
 from wheelsight.core.errors import ConfigError
@@ -28,7 +28,7 @@ from wheelsight.core.runtime import until_stopped
 if TYPE_CHECKING:
     from wheelsight.app.page import Access
     from wheelsight.app.viewer import DriveLog
-    from wheelsight.config import Config, StartSettings
+    from wheelsight.config import Config
     from wheelsight.core.calibration import Calibration
 
 
@@ -107,13 +107,54 @@ def serve(options: ServeOptions) -> None:
 
     wheelsight serve --robot /dev/ttyUSB0 --camera any --calibration robot.yaml --map home --host 192.168.1.20
     """
-    serve_there(options)
+    from wheelsight.app.cli.compiling import compile_missing
+    from wheelsight.app.cli.options import check_rerun
+    from wheelsight.core.runtime import needed
+
+    for library in ("starlette", "uvicorn", "websockets"):
+        needed(library)
+    check_robot(options)
+    # Where no map of before is driven in first, and on the page, a new one is made.
+    config, access = settings_of(options, {"loops.source": "keyframes"}), access_of(options)
+    from wheelsight.app.page import DriveMaps, Session
+    from wheelsight.app.page.server import PageServer, page_app
+    from wheelsight.config import StartSettings
+
+    start = None
+    if options.known_start is not None:
+        if options.map_ is None:
+            raise ConfigError("--known-start is of a map", fix="--map DIR")
+        x_m, y_m, yaw = start_of("--known-start", options.known_start)
+        start = StartSettings(x_m=x_m, y_m=y_m, yaw_deg=math.degrees(yaw))
+    maps = DriveMaps(config, options.map_, start, options.out, in_step=options.is_simulated)
+    check_rerun(options.rerun)
+    compile_missing(kernels_of(options))
+    with (
+        CountedLines(print_warning) as lines,
+        robot_of(options, config) as robot,
+        _log_of(options.rerun, robot.calibration, config) as log,
+    ):
+        on_problem = partial(lines.tell, is_problem=True)
+        how: dict[str, Any] = {"paces": options.is_simulated, "on_problem": on_problem, "watch": log}
+        with Session(robot, maps, config.page, **how) as session:
+            app = page_app(session, config.page, access, lines.tell)
+            with until_stopped() as is_over, PageServer(app, options.host, options.port, config.page) as server:
+                for address in addresses(options.host, server.port, access.token):
+                    typer.echo(address)
+                if access.token and not access.is_loopback:
+                    print_warning("what pages say is not encrypted: on a network that you trust alone")
+                waiting = threading.Event()
+                while not is_over():
+                    waiting.wait(_LOOK_S)
+                # Before slow work, such as closing pages and writing a map.
+                session.stop("the program ends")
+            print_note("stopped; ending")
 
 
 # Terminal
 
 
-_COUNTED_LINES_LOOK_S, _ENDS_S = 0.1, 2.0
+_LOOK_S, _ENDS_S = 0.1, 2.0
 # Different lines of refusals at once, and one more each 10 s: less than 1 MB a day. Up to 10 minutes apart.
 _NEW_LINES, _NEW_LINE_S, _LONGEST_S = 8.0, 10.0, 600.0
 _TIMES = re.compile(r" \((\d+) times\)$")
@@ -143,19 +184,16 @@ class CountedLines:
         text, times = (line[: found.start()], int(found[1])) if found else (line, 1)
         now_s = time.monotonic()
         with self._changed:
-            if text not in self._lines and not is_problem and not self._may_be_new(now_s):
-                text = "refused others"
+            if text not in self._lines and not is_problem:
+                self._left = min(self._left + (now_s - self._filled_s) / _NEW_LINE_S, _NEW_LINES)
+                self._filled_s = now_s
+                if self._left < 1:
+                    text = "refused others"
+                else:
+                    self._left -= 1
             kept = self._lines.setdefault(text, _Line(due_s=now_s))
             kept.times += times
             self._changed.notify()
-
-    def _may_be_new(self, now_s: float) -> bool:
-        self._left = min(self._left + (now_s - self._filled_s) / _NEW_LINE_S, _NEW_LINES)
-        self._filled_s = now_s
-        if self._left < 1:
-            return False
-        self._left -= 1
-        return True
 
     def __enter__(self) -> Self:
         return self
@@ -183,7 +221,7 @@ class CountedLines:
                         del self._lines[known_text]
                 if not printed and not is_over:
                     waits = any(line.times for line in self._lines.values())
-                    self._changed.wait(_COUNTED_LINES_LOOK_S if waits else None)
+                    self._changed.wait(_LOOK_S if waits else None)
                     continue
             for text, times in printed:
                 with suppress(OSError):
@@ -204,62 +242,7 @@ class _Line:
 # The session
 
 
-_PARTS = ("wheels", "dense", "joined", "loops", "navigation")
-_LIBRARIES = ("starlette", "uvicorn", "websockets")
 _TOKEN_BYTES, _SHORTEST_TOKEN = 24, 16
-_LOOK_S = 0.1
-
-
-class Refusals(CountedLines):
-    """Warnings of the page, printed by a thread of its own, and counted where they repeat."""
-
-    def __init__(self) -> None:
-        super().__init__(lambda line: print_warning(line))
-
-
-def serve_there(options: ServeOptions) -> None:
-    """Until Ctrl-C, SIGTERM or SIGHUP. Raises what was handed in wrong, before anything moves."""
-    from wheelsight.app.cli.compiling import compile_missing
-    from wheelsight.app.cli.options import check_rerun
-    from wheelsight.core.runtime import needed
-
-    for library in _LIBRARIES:
-        needed(library)
-    check_robot(options)
-    # Where no map of before is driven in first, and on the page, a new one is made.
-    config, access = settings_of(options, {"loops.source": "keyframes"}), access_of(options)
-    from wheelsight.app.page import DriveMaps
-
-    if options.known_start is not None and options.map_ is None:
-        raise ConfigError("--known-start is of a map", fix="--map DIR")
-    start = None if options.known_start is None else _start_of(options.known_start)
-    maps = DriveMaps(config, options.map_, start, options.out, in_step=options.is_simulated)
-    check_rerun(options.rerun)
-    compile_missing((*_PARTS, *(("simulation",) if options.is_simulated else ())))
-    with (
-        Refusals() as lines,
-        robot_of(options, config) as robot,
-        _log_of(options.rerun, robot.calibration, config) as log,
-    ):
-        from wheelsight.app.page import Session
-
-        on_problem = partial(lines.tell, is_problem=True)
-        how: dict[str, Any] = {"paces": options.is_simulated, "on_problem": on_problem, "watch": log}
-        with Session(robot, maps, config.page, **how) as session:
-            from wheelsight.app.page.server import PageServer, page_app
-
-            app = page_app(session, config.page, access, lines.tell)
-            with until_stopped() as is_over, PageServer(app, options.host, options.port, config.page) as server:
-                for address in addresses(options.host, server.port, access.token):
-                    typer.echo(address)
-                if access.token and not access.is_loopback:
-                    print_warning("what pages say is not encrypted: on a network that you trust alone")
-                waiting = threading.Event()
-                while not is_over():
-                    waiting.wait(_LOOK_S)
-                # Before slow work, such as closing pages and writing a map.
-                session.stop("the program ends")
-            print_note("stopped; ending")
 
 
 def _log_of(rerun: str | None, calibration: Calibration, config: Config) -> AbstractContextManager[DriveLog | None]:
@@ -281,18 +264,6 @@ def access_of(options: PageOptions) -> Access:
     if token is None:
         token = "" if at_home else secrets.token_hex(_TOKEN_BYTES)
     return Access(at_home, token)
-
-
-def _start_of(text: str) -> StartSettings:
-    import math
-
-    from wheelsight.app.cli.map_contents import pose_of
-    from wheelsight.config import StartSettings
-
-    x_m, y_m, yaw = pose_of("--known-start", text).tolist()
-    if math.isnan(yaw):
-        raise ConfigError(f"--known-start is {text!r}", fix="X,Y,YAW_DEG in metres and degrees, such as 3.2,1.5,90")
-    return StartSettings(x_m=x_m, y_m=y_m, yaw_deg=math.degrees(yaw))
 
 
 def addresses(host: str, port: int, token: str) -> list[str]:
