@@ -84,7 +84,7 @@ def test_whatever_way_is_thought_better_of_steps_in_odom_are_the_motions() -> No
         step = se3.from_plane(*rng.normal(size=3) * [0.05, 0.01, 0.1])
         if before is not None:  # the filter has the pose before, and so the one now, elsewhere than it thought
             leap = se3.from_plane(*rng.normal(size=3))
-            frame.keep(before, leap @ before)
+            frame.lay(leap @ before, frame.T_odom_filter @ before)
             T_filter = leap @ before
         T_filter = T_filter @ step
         T_odom = frame.T_odom_filter @ T_filter

@@ -58,13 +58,15 @@ def check_event(event: Any, *, finite: bool = False) -> None:
         raise ArgumentError(f"{_kind_of(event)} is no event", fix=f"give one of {known}")
     for name in names:
         value = getattr(event, name)
-        if type(value) is not float:
+        if type(value) not in (float, int):
             need_number(f"{name} of {type(event).__name__}", value)
         if finite and not math.isfinite(value):
             raise ArgumentError(f"{name} of {type(event).__name__} is {value}", fix="leave out what is not known")
     if type(event) is WheelTicks:
-        for name in ("left", "right"):
-            _check_whole(name, getattr(event, name))
+        if type(event.left) is not int:
+            _check_whole("left", event.left)
+        if type(event.right) is not int:
+            _check_whole("right", event.right)
     elif type(event) is WheelCounts:
         _check_counts(event, finite)
 

@@ -126,6 +126,8 @@ class SessionClock:
     @property
     def warnings(self) -> tuple[str, ...]:
         """A sentence for each of the first accepted leaps, and for each sensor with another epoch."""
+        if not self._apart:
+            return tuple(self._leaps)
         left_out = (
             f"The {name} {'are' if name == 'wheels' else 'is'} left out: {note}; stamp all sensors by one clock."
             for name, note in self._apart.items()
@@ -150,7 +152,7 @@ class SessionClock:
                 return Untimed(Reason.CLOCKS_APART, f"the clock of the {name} leaps by {by}")
             self._accept_leap(name, sensor)
             time_s = event.stamp_s - sensor.offset_s
-        elif self._lags(name, sensor, time_s):
+        elif self._jump is not None and self._lags(name, sensor, time_s):
             sensor.held_s.append(time_s)
             if len(sensor.held_s) < self.settings.followers:
                 return Untimed(Reason.CLOCKS_APART, "the clock of another sensor leaps")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
+from itertools import repeat
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from wheelsight.core.keyframes import KeyframeId, KeyframeStore
 DEGENERATE_SCALE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
 _IDENTITY = np.eye(4)
 _IDENTITY.setflags(write=False)
+_the_identity = repeat(_IDENTITY).__next__  # without a Python call for each estimate
 
 
 class Reason(StrEnum):
@@ -125,9 +127,9 @@ class Estimate:
     body: str = "camera"
     matches: int = 0
     inliers: int = 0
-    T_map_odom: FloatArray = field(default_factory=lambda: _IDENTITY, kw_only=True)
+    T_map_odom: FloatArray = field(default_factory=_the_identity, kw_only=True)
     covariance_map: FloatArray | None = field(default=None, kw_only=True)
-    T_filter_odom: FloatArray = field(default_factory=lambda: _IDENTITY, kw_only=True)
+    T_filter_odom: FloatArray = field(default_factory=_the_identity, kw_only=True)
     keyframe: KeyframeId | None = field(default=None, kw_only=True)
     T_keyframe_body: FloatArray | None = field(default=None, kw_only=True)
 
@@ -207,8 +209,9 @@ class WheelEstimate(Estimate):
         if self.before is None or self.T_odom_body is None or self.covariance is None:
             return None
         begin_s, T_before, C_before = self.before
-        if not all(np.isfinite(numbers).all() for numbers in (T_before, C_before, self.T_odom_body, self.covariance)):
-            return None
+        for numbers in (T_before, C_before, self.T_odom_body, self.covariance):
+            if not np.isfinite(numbers).all():
+                return None
         T_before_now, _ = motions.between(T_before, C_before, self.T_odom_body, self.covariance)
         _, covariance = motions.step_between(T_before, C_before, self.T_odom_body, self.covariance)
         return MotionStep(begin_s, self.stamp_s, T_before_now, covariance)

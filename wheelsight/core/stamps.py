@@ -69,12 +69,15 @@ class StampCheck:
     """
 
     def __init__(self) -> None:
+        self.settled: set[type[Event]] = set()
         self._first: dict[str, list[float]] = {}
 
     def check(self, event: Event) -> None:
         """Check the next event. Raises ArgumentError."""
         name = type(event).__name__
         first = self._first.setdefault(name, [])
+        if len(first) >= _FEWEST:
+            self.settled.add(type(event))
         if len(first) >= _FEWEST or not np.isfinite(event.stamp_s):
             return
         what = f"stamp_s of {name} is {event.stamp_s:.10g}"

@@ -562,8 +562,7 @@ def moved_to(
     detection, measured_s, begin_s, is_lost = state.detection, state.measured_s, state.stamp_s, state.is_lost
     if begin_s is None:
         begin_s = measured_s = min([stamp_s, *[event.wheels.begin_s for event in events if event.wheels is not None]])
-    covering = [step for step in _steps_after(begin_s, events) if step.begin_s < stamp_s]
-    covering.sort(key=attrgetter("begin_s"))
+    covering = sorted(_steps_between(begin_s, stamp_s, events), key=attrgetter("begin_s"))
     borders = {begin_s, stamp_s}
     for step in covering:
         for border in (step.begin_s, step.end_s):
@@ -584,13 +583,13 @@ def moved_to(
     return changed(state, detection=detection, stamp_s=stamp_s, measured_s=measured_s, is_lost=is_lost)
 
 
-def _steps_after(stamp_s: float, events: Sequence[FilterEvent]) -> list[WheelStep]:
-    """Return the wheel steps that end after a stamp. Events are in the order of their stamps."""
+def _steps_between(after_s: float, before_s: float, events: Sequence[FilterEvent]) -> list[WheelStep]:
+    """Return the wheel steps that end after a stamp and begin before another. Events are in the order of stamps."""
     found: list[WheelStep] = []
     for event in reversed(events):
-        if event.stamp_s <= stamp_s:
+        if event.stamp_s <= after_s:
             break
-        if event.wheels is not None:
+        if event.wheels is not None and event.wheels.begin_s < before_s:
             found.append(event.wheels)
     found.reverse()
     return found
@@ -690,7 +689,7 @@ def _add_yaw_rate(
     added = changed(state, detection=detection)
     if detection.gyro_sum_s < settings.gyro_mean_s - _SAME_S:
         return added
-    if any(step.begin_s < stamp_s for step in _steps_after(stamp_s, events)):  # a wheel step covers the stamp
+    if _steps_between(stamp_s, stamp_s, events):  # a wheel step covers the stamp
         return added
     now = moved_to(added, stamp_s, events, settings)
     detection = faults.end_undecided(now.detection, stamp_s, settings)

@@ -575,7 +575,8 @@ class FusedOdom:
             return self.answered
         known = fusion.remembered(STEP_BEGIN)
         if self._begin is not None and known is not None and self._begin[2] is fusion:
-            frame.keep(self._begin[1], known)
+            if (self._begin[1] != known).any():
+                frame.lay(known, motions.times(frame.T_odom_filter, self._begin[1]))
             self._begin = self._begin[0], known, fusion
         elif self._last is not None and own.twist is not None:  # another filter continues at the last twist
             vx, vy, turn = own.twist * max(stamp_s - self._last[0], 0.0)

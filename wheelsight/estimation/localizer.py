@@ -131,6 +131,7 @@ class Localizer(OneCaller):
         self._estimator = _estimator(self._images.calibration, settings, places, known, parts, waits=waits)
         self.body, self.frame = self._estimator.body, self._estimator.frame
         self.answers, self.hears = self._estimator.answers, self._estimator.hears
+        self._loops = self._estimator.loops if isinstance(self._estimator, ByFrames | ByFusion) else None
         self.note, self._resting = "", resting_keyframes(self.keyframes, settings.localizer)
         self._clock = SessionClock(settings.clocks)
         self._stamps = StampCheck()
@@ -167,7 +168,8 @@ class Localizer(OneCaller):
                 self._unused[what] = why_unused(what, self._config, self._choice)
                 self._log.warn(self.warnings)
             return None
-        self._stamps.check(event)
+        if type(event) not in self._stamps.settled:
+            self._stamps.check(event)
         time_s = self._clock.time_of(event)
         if isinstance(time_s, Untimed):
             shifted = replace(event, stamp_s=event.stamp_s - self._clock.shift_s)
@@ -178,9 +180,10 @@ class Localizer(OneCaller):
             estimate, self.note = self._estimator.process(timed)
         if isinstance(self._estimator, ByWheels) and isinstance(estimate, WheelEstimate):
             estimate = self._estimator.in_odom(estimate)
-        if self._resting is not None:
+        if self._resting is not None and isinstance(event, RgbdFrame):
             self._resting.look()
-        self._log.add(estimate, self.note, self.recognised, self.warnings)
+        recognised = None if self._loops is None else self._loops.recognised
+        self._log.add(estimate, self.note, recognised, self.warnings)
         shift_s = self._clock.shift_s
         return estimate if estimate is None or not shift_s else replace(estimate, stamp_s=estimate.stamp_s + shift_s)
 
@@ -214,12 +217,12 @@ class Localizer(OneCaller):
     @property
     def loops(self) -> LoopsBeside | None:
         """Loop closing while driving, with `loops: {source: keyframes}` and a camera; else None."""
-        return self._estimator.loops if isinstance(self._estimator, ByFrames | ByFusion) else None
+        return self._loops
 
     @property
     def recognised(self) -> int | None:
         """Number of recognitions of the known map so far; None without one. See `LiveLoops`."""
-        return None if self.loops is None else self.loops.recognised
+        return None if self._loops is None else self._loops.recognised
 
     @property
     def T_odom_map(self) -> FloatArray:
@@ -249,8 +252,8 @@ class Localizer(OneCaller):
         """
         if self.keyframes is not None:
             self.keyframes.close()
-        if self.loops is not None:
-            self.loops.close()
+        if self._loops is not None:
+            self._loops.close()
 
     def __enter__(self) -> Localizer:
         return self

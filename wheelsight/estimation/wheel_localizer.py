@@ -160,11 +160,6 @@ class OdomFrame:
         """Convert a pose (4, 4) of the filter to `odom`."""
         return np.asarray(motions.times(self.T_odom_filter, T_filter_body))
 
-    def keep(self, T_before: FloatArray, T_now: FloatArray) -> None:
-        """Keep a pose in `odom` when the filter has changed its estimate (4, 4) of it."""
-        if (T_before != T_now).any():
-            self.lay(T_now, motions.times(self.T_odom_filter, T_before))
-
     def lay(self, T_filter_body: FloatArray, T_odom_body: FloatArray) -> None:
         """Set the transform by one pose in both frames, (4, 4) each; only x, y and yaw count."""
         self.T_filter_odom = motions.times(_planar(T_filter_body), motions.inverse(_planar(T_odom_body)))

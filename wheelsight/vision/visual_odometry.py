@@ -116,7 +116,8 @@ class OwnOdometry(CameraOdometry[CameraEstimate]):
             PartError: see `VisualOdometry.align`.
         """
         check_frame(frame, self._calibration, prior=T_previous_current_prior)
-        self._stamps.check(frame)
+        if type(frame) not in self._stamps.settled:
+            self._stamps.check(frame)
         self.watch.restart()
         last = self._last
         if last is None:

@@ -179,7 +179,8 @@ class HolonomicOdometry(OneCaller):
             problem = f"{len(reading.counts)} counts are given, and the calibration has {len(names)} wheels"
             fix = f"one each of {', '.join(names)}" if names else "OdometryReading, as layout increments says"
             raise ArgumentError(problem, fix=fix)
-        self._stamps.check(reading)
+        if type(reading) not in self._stamps.settled:
+            self._stamps.check(reading)
         if yaw_rate_rad_s is not None:
             need_number("yaw_rate_rad_s", yaw_rate_rad_s)
         why, before = self._advance(reading, yaw_rate_rad_s), self._answered

@@ -96,7 +96,8 @@ class WheelOdometry(OneCaller):
     def __init__(self, wheels: Wheels, integration: Integration = "arc", gyro: Gyro | None = None) -> None:
         self._wheels = need_kind("wheels", wheels, Wheels, "calibration.wheels")
         self._parameters, self._states = _prepare(wheels, integration, gyro or Gyro())
-        self._span = self._parameters[SPAN]
+        self._span, self._count_variance = self._parameters[SPAN], self._parameters[COUNT_VARIANCE]
+        self._counter_span = wheels.counter_span
         self._ticks_per_rad = wheels.ticks_per_turn / (2 * math.pi)
         self._T_odom_base, self._covariance = np.eye(4), np.zeros((6, 6))
         self._last: WheelTicks | WheelSpeeds | None = None
@@ -197,7 +198,8 @@ class WheelOdometry(OneCaller):
         if not isinstance(reading, WheelTicks | WheelSpeeds):
             fix = "WheelTicks or WheelSpeeds; HolonomicOdometry takes those of a holonomic base"
             raise ArgumentError(f"a {type(reading).__name__} is no reading of two wheels", fix=fix)
-        self._stamps.check(reading)
+        if type(reading) not in self._stamps.settled:
+            self._stamps.check(reading)
         rate_rad_s = math.nan if yaw_rate_rad_s is None else need_number("yaw_rate_rad_s", yaw_rate_rad_s)
         why = self._integrate(reading, rate_rad_s)
         stamp_s, before = reading.stamp_s - self._wheels.delay_s, self._answered
@@ -216,10 +218,10 @@ class WheelOdometry(OneCaller):
             self._last = reading
             return OK
         dt_s = reading.stamp_s - last.stamp_s
-        ticks = _ticks_between(last, reading, self._ticks_per_rad * dt_s, self._wheels.counter_span)
+        ticks = _ticks_between(last, reading, self._ticks_per_rad * dt_s, self._counter_span)
         counts = isinstance(reading, WheelTicks)
         self._parameters[SPAN] = self._span if counts else 0.0
-        self._parameters[COUNT_VARIANCE] = _count_variance(self._wheels) if counts else 0.0
+        self._parameters[COUNT_VARIANCE] = self._count_variance if counts else 0.0
         why = self._update(ticks, dt_s, rate_rad_s, self._paused_s if counts else 0.0)
         if why != BACKWARDS:
             self._last, self._paused_s, self._step_s = reading, 0.0, dt_s
@@ -344,8 +346,9 @@ def _ticks_between(
 ) -> tuple[float, float]:
     if isinstance(now, WheelTicks) and isinstance(last, WheelTicks):
         steps = (now.left - last.left, now.right - last.right)
-        left, right = (least_step(step, span) if span > _WIDE else step for step in steps)
-        return float(left), float(right)
+        if span > _WIDE:
+            steps = (least_step(steps[0], span), least_step(steps[1], span))
+        return float(steps[0]), float(steps[1])
     if isinstance(last, WheelSpeeds) and isinstance(now, WheelSpeeds):
         return last.left_rad_s * ticks_per_speed, last.right_rad_s * ticks_per_speed
     raise TypeError("a robot's wheels give either ticks or speeds, not both")
@@ -411,6 +414,9 @@ class ReadingTimes:
 
     def __init__(self, wheels: Wheels | HolonomicWheels) -> None:
         self._wheels, self._slip_m_per_sqrt_m = wheels, wheels.slip_m_per_sqrt_m
+        self._span, self._m_per_tick = 0, (0.0, 0.0)
+        if isinstance(wheels, Wheels):
+            self._span, self._m_per_tick = wheels.counter_span, (wheels.left_m_per_tick, wheels.right_m_per_tick)
         self._last: Timed | None = None
         self._time_s = -math.inf
         self._steps: deque[tuple[float, float]] = deque(maxlen=_SPEED_STEPS)  # durations and distances
@@ -438,9 +444,11 @@ class ReadingTimes:
     def _estimated_s(self, stamp_s: float, step_s: float, way_m: float) -> float:
         """Return the time of a reading by its stamp and its distance, or by its distance alone if it waited."""
         steps = self._steps
-        total_s, speed_m_s = sum(seconds for seconds, _ in steps), 0.0  # for too few steps
-        if len(steps) >= _SPEED_STEPS:
-            speed_m_s = sum(way_m for _, way_m in steps) / total_s
+        total_s = total_m = 0.0
+        for seconds, step_m in steps:
+            total_s += seconds
+            total_m += step_m
+        speed_m_s = total_m / total_s if len(steps) >= _SPEED_STEPS else 0.0
         period_s = total_s / _SPEED_STEPS
         if speed_m_s < _SLOWEST_M_S or way_m < _STOPPING_SHARE * period_s * speed_m_s:
             self._patience = 0
@@ -479,9 +487,11 @@ class ReadingTimes:
         """Return the mean distance of all wheels in metres; for a base's own odometry, about that of a wheel."""
         of = self._wheels
         if isinstance(of, Wheels) and isinstance(before, WheelTicks) and isinstance(now, WheelTicks):
-            steps = (now.left - before.left, now.right - before.right)
-            sizes_m = (of.left_m_per_tick, of.right_m_per_tick)
-            return sum(abs(least_step(n, of.counter_span) * m) for n, m in zip(steps, sizes_m, strict=True)) / 2
+            left, right, span = now.left - before.left, now.right - before.right, self._span
+            if span:
+                left, right = least_step(left, span), least_step(right, span)
+            left_m, right_m = self._m_per_tick
+            return (abs(left * left_m) + abs(right * right_m)) / 2
         if not isinstance(of, HolonomicWheels):
             return 0.0  # not a reading of these wheels; odometry refuses it
         if isinstance(before, OdometryReading) and isinstance(now, OdometryReading):

@@ -129,7 +129,8 @@ class DenseOdometry(CameraOdometry[DenseEstimate]):
             ArgumentError: for an invalid frame, motion or velocity.
         """
         check_frame(frame, self._calibration, prior=T_previous_current_prior, other=T_previous_current_other)
-        self._stamps.check(frame)
+        if type(frame) not in self._stamps.settled:
+            self._stamps.check(frame)
         if twist is not None:
             twist = need_twist(twist)
         self._start_frame()

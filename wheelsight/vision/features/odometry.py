@@ -100,7 +100,8 @@ class FeatureOdometry(CameraOdometry[FeatureEstimate]):
                 is not in seconds.
         """
         check_frame(frame, self._calibration, prior=T_previous_current_prior)
-        self._stamps.check(frame)
+        if type(frame) not in self._stamps.settled:
+            self._stamps.check(frame)
         self.watch.restart()
         self._follow()
         self._frames += 1
