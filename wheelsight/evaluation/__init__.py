@@ -1,6 +1,5 @@
 """How good an estimated trajectory is: ATE and RPE as the TUM benchmark defines them, coverage, sequence statistics."""
 
-from wheelsight.evaluation.ate import AbsoluteError, ate
 from wheelsight.evaluation.consistency import (
     THREE_SIGMA_RADIUS,
     Consistency,
@@ -9,8 +8,17 @@ from wheelsight.evaluation.consistency import (
     position_covariances_m2,
     start_alignment,
 )
-from wheelsight.evaluation.evaluate import Evaluation, evaluate, frame_coverage, pairing_warning, time_coverage
-from wheelsight.evaluation.rpe import RelativeError, rpe
+from wheelsight.evaluation.evaluate import (
+    AbsoluteError,
+    Evaluation,
+    RelativeError,
+    ate,
+    evaluate,
+    frame_coverage,
+    pairing_warning,
+    rpe,
+    time_coverage,
+)
 from wheelsight.evaluation.statistics import SequenceStatistics, Statistics, sequence_statistics
 
 __all__ = [

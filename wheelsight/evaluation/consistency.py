@@ -11,23 +11,23 @@ from wheelsight.core.errors import EvaluationError
 from wheelsight.core.geometry import BoolArray, FloatArray, se3
 from wheelsight.core.trajectory import Trajectory
 
-# What two dimensions stay within as probably as one within 3σ: χ² of two degrees of freedom, to 0.9973.
+# As probable in two dimensions as 3σ in one: χ² of two degrees of freedom at 0.9973.
 THREE_SIGMA_RADIUS = math.sqrt(11.83)
 _FEWEST_POSES = 3
-_MOST_WEIGHT_S = 0.5  # a pose speaks for the time until the next one, but no longer
+_MOST_WEIGHT_S = 0.5  # of a pose: the time until the next one, at most this
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Consistency:
-    """An estimate's errors in its own x–y plane beside the covariances it stated, from where truth and estimate meet.
+    """An estimate's errors in its own x–y plane with its stated covariances, from a common start with the truth.
 
     Attributes:
-        T_truth_estimate: (4, 4) that lays the estimate's first pose upon the true one.
+        T_truth_estimate: (4, 4) that aligns the estimate's first pose with the true one.
         stamps_s: (M,) of the poses that have a truth, seconds.
         errors_m: (M, 2) estimated minus true position, along the body's x axis and to its left.
         covariances_m2: (M, 2, 2) of these, as stated.
         is_within: (M,) whether the true position is within the stated 3σ, of two dimensions: as probable as 3σ of one.
-        weights_s: (M,) for how long each pose speaks: until the next one, half a second at most.
+        weights_s: (M,) time until the next pose, half a second at most.
         way_m: length of the true way, metres.
     """
 
@@ -46,27 +46,28 @@ class Consistency:
 
     @property
     def drift_m(self) -> float:
-        """How far the last pose is off."""
+        """Error of the last pose."""
         return float(np.linalg.norm(self.errors_m[-1]))
 
     @property
     def drift_share(self) -> float:
-        """The same as a share of the true way; NaN where nothing moved."""
+        """Error of the last pose relative to the true way; NaN without motion."""
         return self.drift_m / self.way_m if self.way_m > 0 else math.nan
 
 
 def consistency(
     estimate: Trajectory, truth: Trajectory, *, max_gap_s: float = 0.5, truth_sigma_m: float = 1e-3
 ) -> Consistency:
-    """What `estimate` states of its own errors, compared with `truth`.
+    """Compare the covariances of `estimate` with its errors by `truth`.
 
-    The estimate is laid upon the truth by its first pose that has a true one: a covariance grows from there, and
-    against the best fit of whole paths (ATE) it would say nothing. An error of that true pose counts as the estimate's.
+    The first pose with a true one aligns both, because covariances grow from there; the best fit of whole paths (ATE)
+    would hide errors. An error of that true pose counts as the estimate's.
 
     Args:
-        estimate: of a body with covariances, in a frame whose z axis is up.
-        max_gap_s: true poses are interpolated between neighbours at most so far apart.
-        truth_sigma_m: what the truth itself may be off, which joins the stated covariances.
+        estimate: with covariances, in a frame whose z axis is up.
+        truth: of the same body.
+        max_gap_s: largest distance of neighbouring true poses for interpolation.
+        truth_sigma_m: σ of the truth itself, added to the stated covariances.
 
     Raises:
         EvaluationError: different bodies, no covariances, or fewer than three poses with a truth.
@@ -94,9 +95,9 @@ def consistency(
 
 
 def start_alignment(estimate: Trajectory, truth: Trajectory, max_gap_s: float = 0.5) -> FloatArray:
-    """T_truth_estimate (4, 4) that lays the first pose which has a true one upon that; arguments as above.
+    """Return T_truth_estimate (4, 4) that aligns the first pose with a true one; arguments as of `consistency`.
 
-    Raises EvaluationError where none has.
+    Raises EvaluationError if no pose has a true one.
     """
     T_truth_body = truth.at(estimate.stamps_s, max_gap_s)
     known = np.flatnonzero(np.isfinite(T_truth_body[:, 0, 0]))

@@ -4,37 +4,35 @@ order of quaternions.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wheelsight.core.errors import EvaluationError
-from wheelsight.core.geometry import BoolArray, FloatArray, so3
+from wheelsight.core.errors import DegenerateGeometryError, EvaluationError
+from wheelsight.core.geometry import BoolArray, FloatArray, align_points, align_points_with_scale, se3, so3
 from wheelsight.core.stamps import NUMBERS, UNITS, StampUnit, associate, unit_of
 from wheelsight.core.trajectory import Trajectory
-from wheelsight.evaluation.ate import AbsoluteError, ate
-from wheelsight.evaluation.rpe import RelativeError, Unit, rpe
+from wheelsight.evaluation.statistics import Statistics, matched, steps_along
 
-# evaluate: all that is asked of an estimate, at once.
+Unit = Literal["frames", "seconds", "metres"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """An estimate against the truth.
+    """An estimate compared with the truth.
 
     Attributes:
-        ate: the absolute error after rigid alignment.
-        rpe_per_frame: the relative error over a frame, None where no step is so long.
-        rpe_per_second: the same over a second.
-        rpe_per_metre: the same over a metre of the truth.
-        pairs: how many poses had a true one within `max_gap_s` seconds.
-        max_gap_s: see `pairs`.
-        frames_with_pose: share of the listed frames, 0 to 1, or None where none were listed.
+        ate: absolute error after rigid alignment.
+        rpe_per_frame, rpe_per_second, rpe_per_metre: relative error over a frame, a second, and a metre of the truth;
+            None without such steps.
+        pairs: number of poses with a true one within `max_gap_s` seconds.
+        frames_with_pose: share of the listed frames, 0 to 1, or None.
         truth_time_covered: share of the truth's time, 0 to 1.
-        scale: by which the estimate was multiplied, or None unless asked for.
-        warnings: one sentence each, of what one of the two files seems to hold wrongly.
+        scale: factor of the estimate, or None unless fitted.
+        warnings: one sentence for each probable mistake in a file.
     """
 
     ate: AbsoluteError
@@ -76,22 +74,26 @@ def evaluate(
     max_gap_s: float = 0.02,
     with_scale: bool = False,
 ) -> Evaluation:
-    """ATE, RPE over a frame, a second and a metre, and coverage of an estimate.
+    """Return ATE, RPE over a frame, a second and a metre, and coverage of an estimate.
 
     Args:
-        frame_stamps_s: (N,) of all frames that could have had a pose, seconds.
-        max_gap_s: a pose is compared with the true one nearest in time, at most so far away.
-        with_scale: also fit the estimate's scale, as for a camera without depth; the RPE is then of the scaled one.
+        estimate, truth: of one body.
+        frame_stamps_s: (N,) of all frames that could have a pose, seconds.
+        max_gap_s: largest time between an estimated and a true pose.
+        with_scale: also fit the estimate's scale, as for a camera without depth; RPE is then of the scaled one.
 
     Raises:
-        EvaluationError: different bodies, or too little in common: the message says what each spans.
+        EvaluationError: different bodies, or too little in common.
     """
     doubts = doubts_of(estimate, truth, max_gap_s)
     try:
         absolute = ate(estimate, truth, max_gap_s=max_gap_s, with_scale=with_scale)
     except EvaluationError as error:
         raise EvaluationError(" ".join((f"{error}.", *doubts)) if doubts else str(error)) from error
-    relative = {name: _rpe_or_none(absolute.aligned, truth, unit, max_gap_s) for name, unit in _STEPS.items()}
+    relative: dict[str, RelativeError | None] = dict.fromkeys(_STEPS)
+    for name, unit in _STEPS.items():
+        with suppress(EvaluationError):
+            relative[name] = rpe(absolute.aligned, truth, 1, unit, max_gap_s=max_gap_s)
     return Evaluation(
         ate=absolute,
         **relative,
@@ -104,24 +106,178 @@ def evaluate(
     )
 
 
-def _rpe_or_none(estimate: Trajectory, truth: Trajectory, unit: Unit, max_gap_s: float) -> RelativeError | None:
+# Distance from a pose of points that determine the roll about a straight path, relative to the path's extent: visible
+# to the alignment, and too short to move positions, since their part of the cost is its square.
+_ARM_SHARE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class AbsoluteError:
+    """The absolute trajectory error of M pairs of poses.
+
+    Attributes:
+        stamps_s: (M,) of the estimate, seconds.
+        errors_m: (M,) distances between estimated and true position, after alignment.
+        errors_rad: (M,) angles between estimated and true orientation, after alignment.
+        T_truth_estimate: (4, 4) that aligns the estimate's frame with the truth's, after scaling.
+        scale: factor of the estimate's positions; 1 unless fitted.
+        aligned: the whole estimate, scaled, in the truth's frame.
+        truth: the true poses of the pairs.
+        translation: statistics of `errors_m`.
+        rotation: statistics of `errors_rad`.
+    """
+
+    stamps_s: FloatArray
+    errors_m: FloatArray
+    errors_rad: FloatArray
+    T_truth_estimate: FloatArray
+    scale: float
+    aligned: Trajectory
+    truth: Trajectory
+    translation: Statistics = field(init=False)
+    rotation: Statistics = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "translation", Statistics.of(self.errors_m))
+        object.__setattr__(self, "rotation", Statistics.of(self.errors_rad))
+
+
+def ate(estimate: Trajectory, truth: Trajectory, *, max_gap_s: float = 0.02, with_scale: bool = False) -> AbsoluteError:
+    """Return the absolute trajectory error (Sturm et al., IROS 2012, section V-B; alignment by Umeyama 1991).
+
+    Poses are paired one to one within `max_gap_s` seconds. A rigid motion (with `with_scale`, also a scale) aligns the
+    estimate's positions with the true ones, and the remaining distances are the error. If positions lie on one line or
+    in one place, orientations determine the free rotation. They also decide which side of a flat path is up, so that it
+    is never mirrored.
+
+    Raises:
+        EvaluationError: different bodies, fewer than three pairs, positions that determine no scale, or that are of
+            another size than the truth's.
+    """
+    near, true = matched(estimate, truth, max_gap_s)
+    T_truth_estimate, scale = _alignment(near, true, with_scale)
+    moved = _scaled(near, scale).moved(T_truth_estimate)
+    R_error = np.swapaxes(true.T_frame_body[:, :3, :3], 1, 2) @ moved.T_frame_body[:, :3, :3]
+    return AbsoluteError(
+        stamps_s=near.stamps_s,
+        errors_m=np.linalg.norm(moved.positions_m - true.positions_m, axis=1),
+        errors_rad=so3.angle(R_error),
+        T_truth_estimate=T_truth_estimate,
+        scale=scale,
+        aligned=_scaled(estimate, scale).moved(T_truth_estimate),
+        truth=true,
+    )
+
+
+def _alignment(estimate: Trajectory, truth: Trajectory, with_scale: bool) -> tuple[FloatArray, float]:
+    """Return T_truth_estimate (4, 4) and scale that align M estimated positions with M true ones."""
+    R_truth, R_estimate = (t.T_frame_body[:, :3, :3] for t in (truth, estimate))
+    like = np.mean(R_truth @ np.swapaxes(R_estimate, 1, 2), axis=0)
     try:
-        return rpe(estimate, truth, 1, unit, max_gap_s=max_gap_s)
-    except EvaluationError:
-        return None
+        given = (truth.positions_m, estimate.positions_m)
+        return align_points_with_scale(*given, with_scale=with_scale, like=like)
+    except DegenerateGeometryError as error:
+        if with_scale:
+            raise EvaluationError(f"no scale can be found: {error}") from error
+    extent_m = np.linalg.norm(np.ptp(truth.positions_m, axis=0))
+    arms = (_ARM_SHARE * extent_m if extent_m > 0 else 1.0) * np.vstack([np.eye(3), -np.eye(3)])
+    p_truth, p_estimate = (se3.apply(t.T_frame_body, arms).reshape(-1, 3) for t in (truth, estimate))
+    try:
+        return align_points(p_truth, p_estimate), 1.0
+    except DegenerateGeometryError as error:
+        reach_m = np.linalg.norm(np.ptp(estimate.positions_m, axis=0))
+        raise EvaluationError(
+            f"the estimate cannot be laid upon the truth: its {len(estimate)} poses reach over {reach_m:.3g} m, the "
+            f"true ones of the same time over {extent_m:.3g} m"
+        ) from error
 
 
-# How much of a recording the estimate speaks about: an error says nothing of frames without a pose.
+def _scaled(trajectory: Trajectory, scale: float) -> Trajectory:
+    if scale == 1.0:
+        return trajectory
+    T = trajectory.T_frame_body.copy()
+    T[:, :3, 3] *= scale
+    S = np.diag([scale] * 3 + [1.0] * 3)
+    covariances = None if trajectory.covariances is None else S @ trajectory.covariances @ S
+    return Trajectory(trajectory.stamps_s, T, covariances, trajectory.body, trajectory.frame)
 
 
-# Stamps of one frame in two files differ by no more than their last decimal.
-_SAME_STAMP_S = 1e-3
+_STEP_TOLERANCE = 0.1  # relative, of the length of a step over seconds or metres
+
+
+@dataclass(frozen=True, eq=False)
+class RelativeError:
+    """The relative pose error over M steps.
+
+    Attributes:
+        delta: length of a step, in `unit`.
+        unit: frames, seconds or metres.
+        start_s: (M,) stamps at which each step begins, seconds.
+        end_s: (M,) stamps at which it ends.
+        errors_m: (M,) translation of the error of each step.
+        errors_rad: (M,) rotation angle of the error of each step.
+        translation: statistics of `errors_m`.
+        rotation: statistics of `errors_rad`.
+    """
+
+    delta: float
+    unit: Unit
+    start_s: FloatArray
+    end_s: FloatArray
+    errors_m: FloatArray
+    errors_rad: FloatArray
+    translation: Statistics = field(init=False)
+    rotation: Statistics = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "translation", Statistics.of(self.errors_m))
+        object.__setattr__(self, "rotation", Statistics.of(self.errors_rad))
+
+
+def rpe(estimate: Trajectory, truth: Trajectory, delta: float, unit: Unit, *, max_gap_s: float = 0.02) -> RelativeError:
+    """Return the relative pose error (Sturm et al., IROS 2012, section V-A) over all steps of length `delta`.
+
+    Poses are paired one to one within `max_gap_s` seconds. From each pair a step goes to the pair whose distance in
+    frames (pairs), seconds or metres (of the truth) is nearest to `delta`; in seconds and metres within 10 %. Steps
+    overlap. This is evo's `all_pairs` with `pairs_from_reference`. A step of frames crosses gaps of the estimate. The
+    error of a step is E = (Qᵢ⁻¹ Qⱼ)⁻¹ (Pᵢ⁻¹ Pⱼ) with true poses Q and estimated poses P.
+
+    Raises:
+        EvaluationError: different bodies, fewer than three pairs, or no step of that length.
+        ValueError: a delta that is not positive, or a fraction of a frame.
+    """
+    if not delta > 0 or (unit == "frames" and delta != int(delta)):
+        raise ValueError(f"no step can be {delta} {unit} long")
+    near, true = matched(estimate, truth, max_gap_s)
+    if unit == "frames":
+        start = np.arange(len(true) - int(delta))
+        end = start + int(delta)
+    else:
+        along = true.stamps_s if unit == "seconds" else true.distances_m
+        start, end = steps_along(along, delta)
+        fits = np.abs(along[end] - along[start] - delta) <= _STEP_TOLERANCE * delta
+        start, end = start[fits], end[fits]
+    if not len(start):
+        raise EvaluationError(f"the trajectories are too short for a step of {delta:g} {unit}")
+    P, Q = near.T_frame_body, true.T_frame_body
+    T_error = se3.invert(se3.invert(Q[start]) @ Q[end]) @ (se3.invert(P[start]) @ P[end])
+    return RelativeError(
+        delta=delta,
+        unit=unit,
+        start_s=near.stamps_s[start],
+        end_s=near.stamps_s[end],
+        errors_m=np.linalg.norm(T_error[:, :3, 3], axis=1),
+        errors_rad=so3.angle(T_error[:, :3, :3]),
+    )
+
+
+_SAME_STAMP_S = 1e-3  # stamps of one frame in two files differ only by rounding
 
 
 def frame_coverage(estimate: Trajectory, frame_stamps_s: ArrayLike) -> float:
-    """The share, 0 to 1, of listed frames at stamps (N,) seconds that have a pose.
+    """Return the share, 0 to 1, of listed frames at stamps (N,) seconds that have a pose.
 
-    Raises EvaluationError when no frame is listed.
+    Raises EvaluationError if no frame is listed.
     """
     frames = np.asarray(frame_stamps_s, float)
     if not len(frames):
@@ -130,10 +286,10 @@ def frame_coverage(estimate: Trajectory, frame_stamps_s: ArrayLike) -> float:
 
 
 def time_coverage(estimate: Trajectory, truth: Trajectory, max_step_s: float = 0.5) -> float:
-    """The share, 0 to 1, of the truth's time that the estimate covers too.
+    """Return the share, 0 to 1, of the truth's time that the estimate covers too.
 
-    A trajectory covers the time between neighbouring stamps that are at most `max_step_s` seconds apart, or twice
-    the truth's usual step where that is longer. Raises EvaluationError when the truth has fewer than two poses.
+    A trajectory covers the time between neighbouring stamps that are at most `max_step_s` seconds apart, or twice the
+    truth's usual step if that is longer. Raises EvaluationError if the truth has fewer than two poses.
     """
     if len(truth) < 2:
         raise EvaluationError(f"a ground truth of {len(truth)} poses covers no time")
@@ -146,9 +302,9 @@ def time_coverage(estimate: Trajectory, truth: Trajectory, max_step_s: float = 0
 
 
 def pairing_warning(estimate: Trajectory, truth: Trajectory, pairs: int, max_gap_s: float) -> str | None:
-    """A sentence where `pairs` are less than half of what both have in the time they share, else None.
+    """Return a sentence if `pairs` are less than half of the poses in the common time, else None.
 
-    So it goes where two streams run at rates of their own: most poses of either then lie between two of the other.
+    The cause is mostly two streams of different rates.
     """
     if min(len(estimate), len(truth)) < 2:
         return None
@@ -164,7 +320,7 @@ def pairing_warning(estimate: Trajectory, truth: Trajectory, pairs: int, max_gap
 
 
 def _covers(trajectory: Trajectory, stamps_s: FloatArray, max_step_s: float) -> BoolArray:
-    """Whether each of stamps (N,), none of them a pose's, lies in a step that is not too long."""
+    """Return whether each of stamps (N,), none of them a pose's, lies in a step that is not too long."""
     if len(trajectory) < 2:
         return np.zeros(len(stamps_s), bool)
     after = np.searchsorted(trajectory.stamps_s, stamps_s)
@@ -173,76 +329,59 @@ def _covers(trajectory: Trajectory, stamps_s: FloatArray, max_step_s: float) -> 
     return np.asarray(inside & (steps_s <= max_step_s))
 
 
-# What two trajectories say of a mistake in one of their files: units of stamps, the order of quaternions.
-
-
 ESTIMATE, TRUTH = "estimate", "ground truth"
-# Two files of one drive reach over the same time, within such a factor.
-_SAME_SPAN = 1.5
-# Turns between compared poses, where they are large enough to tell axes: radians, and how many.
-_LEAST_TURN_RAD, _FEWEST_TURNS = 0.15, 5
-# Turns are told wrongly by so much of themselves, and by so little once the order of four numbers is changed.
-_WRONG_SHARE, _RIGHT_SHARE = 0.6, 0.2
+_SAME_SPAN = 1.5  # largest ratio of the durations of two files of one drive
+_LEAST_TURN_RAD, _FEWEST_TURNS = 0.15, 5  # turns between compared poses that show their axes
+_WRONG_SHARE, _RIGHT_SHARE = 0.6, 0.2  # relative error of turns in the wrong and in the right order of quaternions
 _FIRST_W_OF_XYZW = [1, 2, 3, 0]
 
 
 def doubts_of(estimate: Trajectory, truth: Trajectory, max_gap_s: float) -> tuple[str, ...]:
-    """A sentence for each mistake that the two seem to hold; few if any."""
+    """Return a sentence for each probable mistake in a file: units of stamps, pairing, order of quaternions."""
     if estimate.body != truth.body or not len(estimate) or not len(truth):
         return ()
     pairs = associate(estimate.stamps_s, truth.stamps_s, max_gap_s)
-    of_units = _unit_doubts(estimate, truth, are_paired=2 * len(pairs) >= min(len(estimate), len(truth)))
-    few = _pairing_doubt(estimate, truth, len(pairs), max_gap_s, is_explained=bool(of_units))
-    order = None if of_units else _order_doubt(estimate.select(pairs[:, 0]), truth.select(pairs[:, 1]))
-    return tuple(filter(None, (*of_units, few, order)))
+    are_paired = 2 * len(pairs) >= min(len(estimate), len(truth))
+    of_units = _unit_doubts(estimate, truth, are_paired=are_paired)
+    if not of_units:
+        few = pairing_warning(estimate, truth, len(pairs), max_gap_s)
+        order = _order_doubt(estimate.select(pairs[:, 0]), truth.select(pairs[:, 1]))
+        return tuple(filter(None, (few, order)))
+    if are_paired:
+        return tuple(of_units)
+    few = f"Only {len(pairs)} of {len(estimate)} poses have a true one within {max_gap_s:g} s, and errors are of these."
+    return (*of_units, few)
 
 
 def _unit_doubts(estimate: Trajectory, truth: Trajectory, *, are_paired: bool) -> list[str]:
-    """By how much longer one is than the other, unless most poses are paired; else by the stamps of each alone."""
+    """Sentences on units, by the ratio of both durations, or by the stamps of each alone if most poses are paired."""
     given = {ESTIMATE: estimate.stamps_s, TRUTH: truth.stamps_s}
     units = {name: unit for name, stamps in given.items() if (unit := unit_of(stamps)) is not None}
     if len(units) == 2 and len(set(units.values())) == 1:
         return [f"The stamps of both look like {_kind(units[TRUTH])}, not seconds: a second in these figures is none."]
-    if not are_paired:
-        units = _unit_by_span(given) or units
-    return [_unit_sentence(name, units[name], given[name]) for name in units]
-
-
-def _unit_by_span(given: dict[str, FloatArray]) -> dict[str, StampUnit]:
     spans = {name: float(np.ptp(stamps)) for name, stamps in given.items()}
-    (short, long) = sorted(spans, key=lambda name: spans[name])
-    for unit in UNITS:
+    short, long = sorted(spans, key=lambda name: spans[name])
+    for unit in UNITS if not are_paired and spans[short] > 0 else ():
         assert unit.per_second is not None
-        if spans[short] > 0 and 1 / _SAME_SPAN < spans[long] / spans[short] / unit.per_second < _SAME_SPAN:
-            return {long: unit}
-    return {}
-
-
-def _unit_sentence(name: str, unit: StampUnit, stamps: FloatArray) -> str:
-    by = "the poses a second" if unit.per_second is None else f"{unit.per_second:.0f}"
-    span = f"{stamps[0]:.15g} to {stamps[-1]:.15g}"
-    return f"The {name}'s stamps ({span}) look like {_kind(unit)}, not seconds: divide them by {by}."
+        if 1 / _SAME_SPAN < spans[long] / spans[short] / unit.per_second < _SAME_SPAN:
+            units = {long: unit}
+            break
+    sentences = []
+    for name, unit in units.items():
+        by = "the poses a second" if unit.per_second is None else f"{unit.per_second:.0f}"
+        span = f"{given[name][0]:.15g} to {given[name][-1]:.15g}"
+        sentences.append(f"The {name}'s stamps ({span}) look like {_kind(unit)}, not seconds: divide them by {by}.")
+    return sentences
 
 
 def _kind(unit: StampUnit) -> str:
     return "numbers of poses" if unit is NUMBERS else unit.name
 
 
-def _pairing_doubt(
-    estimate: Trajectory, truth: Trajectory, pairs: int, max_gap_s: float, *, is_explained: bool
-) -> str | None:
-    """That few poses are compared, though both tell of them; another unit explains it, and no gap mends it then."""
-    if is_explained:
-        count = min(len(estimate), len(truth))
-        few = f"Only {pairs} of {len(estimate)} poses have a true one within {max_gap_s:g} s, and errors are of these."
-        return few if 2 * pairs < count else None
-    return pairing_warning(estimate, truth, pairs, max_gap_s)
-
-
 def _order_doubt(estimate: Trajectory, truth: Trajectory) -> str | None:
-    """That turns, told about wrong axes, would be right if the four numbers of one file began with w, not x.
+    """A sentence if turns about wrong axes become right with w, not x, as the first number of one file's quaternions.
 
-    Angles between poses do not change with the order, axes do. `estimate` and `truth` are M pairs.
+    The order changes axes, not angles between poses. `estimate` and `truth` are M pairs.
     """
     R_estimate, R_truth = (t.T_frame_body[:, :3, :3] for t in (estimate, truth))
     first, second = _turns(R_truth)
@@ -256,15 +395,15 @@ def _order_doubt(estimate: Trajectory, truth: Trajectory) -> str | None:
 
     if off(R_estimate, R_truth) < _WRONG_SHARE:
         return None
-    mended = {ESTIMATE: off(_reordered(R_estimate), R_truth), TRUTH: off(R_estimate, _reordered(R_truth))}
-    likely = [name for name, share in mended.items() if share < _RIGHT_SHARE]
+    reordered = {ESTIMATE: off(_reordered(R_estimate), R_truth), TRUTH: off(R_estimate, _reordered(R_truth))}
+    likely = [name for name, share in reordered.items() if share < _RIGHT_SHARE]
     if not likely:
         return None
     return f"Quaternions of the {' or of the '.join(likely)} seem to be written qw qx qy qz: write qx qy qz qw."
 
 
 def _turns(R: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs (K,), (K,) of places in R (M, 3, 3), as near as each other as shows a turn at some of them."""
+    """Return index pairs (K,), (K,) into R (M, 3, 3) with turns, at the smallest distance that has enough."""
     count = len(R)
     step = 1
     while step < count:
@@ -281,5 +420,5 @@ def _between(R: FloatArray, first: np.ndarray, second: np.ndarray) -> FloatArray
 
 
 def _reordered(R: FloatArray) -> FloatArray:
-    """Rotations (M, 3, 3) by quaternions whose first number, read as x, is w."""
+    """Return rotations (M, 3, 3) of quaternions whose first number, read as x, is w."""
     return so3.from_quaternion(so3.to_quaternion(R)[:, _FIRST_W_OF_XYZW])

@@ -14,12 +14,10 @@ from wheelsight.core.geometry import FloatArray, IntArray, so3
 from wheelsight.core.stamps import associate
 from wheelsight.core.trajectory import Trajectory
 
-# Statistics: what a list of errors comes to.
-
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """Of `count` errors, in their unit; `std` is of the population (divided by `count`)."""
+    """Statistics of `count` errors, in their unit; `std` is of the population (divided by `count`)."""
 
     rmse: float
     mean: float
@@ -31,7 +29,7 @@ class Statistics:
 
     @classmethod
     def of(cls, errors: ArrayLike) -> Statistics:
-        """The statistics of errors (N,). Raises EvaluationError when there are none, or one is not finite."""
+        """Return the statistics of errors (N,). Raises EvaluationError if there are none, or one is not finite."""
         e = np.asarray(errors, float).ravel()
         if not len(e) or not np.isfinite(e).all():
             raise EvaluationError("statistics need at least one error, all of them finite")
@@ -46,38 +44,33 @@ class Statistics:
         )
 
     def in_degrees(self) -> Statistics:
-        """These statistics, of angles in radians, in degrees."""
+        """Return the statistics of angles in radians in degrees."""
         rmse, mean, median, largest, smallest, std = np.degrees(
             (self.rmse, self.mean, self.median, self.max, self.min, self.std)
         ).tolist()
         return Statistics(rmse, mean, median, largest, smallest, std, self.count)
 
     def to_dict(self) -> dict[str, float]:
-        """The fields by name, for metrics.json."""
+        """Return the fields by name, for metrics.json."""
         return asdict(self)
 
 
-# What a sequence is like: Zhang's Table 2.
-
-
-# Seconds since 1970 as float64 are exact to a quarter of this.
-_STAMP_ROUNDING_S = 1e-6
+_STAMP_ROUNDING_S = 1e-6  # seconds since 1970 as float64 are exact to a quarter of it
 
 
 @dataclass(frozen=True, slots=True)
 class SequenceStatistics:
-    """A trajectory in a few figures.
+    """Figures of a trajectory.
 
     Attributes:
         duration_s: from the first stamp to the last.
-        posed_duration_s: how long poses were known: their number times their usual period.
-        length_m: of the path through all poses, shaking and measurement noise included.
-        windowed_length_m: of the path in whole steps of `window_s`, averaged over where the first step starts;
-            shorter, since it cuts corners and leaves out the last, broken step.
-        mean_speed_m_per_s: over windows of `window_s`, averaged over all of them.
-        mean_angular_speed_rad_per_s: likewise.
+        posed_duration_s: number of poses times their usual period.
+        length_m: of the path through all poses, including noise.
+        windowed_length_m: of the path in whole steps of `window_s`, averaged over the start of the first step; shorter,
+            since it cuts corners and leaves out the last, incomplete step.
+        mean_speed_m_per_s, mean_angular_speed_rad_per_s: means over all windows of `window_s`.
         extent_m: along the map's x, y and z.
-        window_s: of the windows; the duration, where that is shorter than what was asked for.
+        window_s: at most the duration.
     """
 
     duration_s: float
@@ -91,13 +84,13 @@ class SequenceStatistics:
 
 
 def sequence_statistics(trajectory: Trajectory, window_s: float = 1.0) -> SequenceStatistics:
-    """Duration, length, speeds and extent of a trajectory (Zhang, Table 2).
+    """Return duration, length, speeds and extent of a trajectory (Zhang, Table 2).
 
-    Zhang's figures are those of the TUM benchmark's page, which does not define them. The speeds defined here, over
-    a window from each pose to the one nearest to `window_s` later, give every digit of them for fr1/desk
-    (0.413 m/s, 23.327 °/s). Its length of 9.263 m is no path through all poses, which is 10.599 m long, but
-    within 4 mm the windowed length, 9.260 m. Every digit has the sum of what was moved in each of these windows,
-    divided by the mean number of poses that one goes on for (9.2635 m), which is no length of shorter trajectories.
+    Zhang's figures are those of the TUM benchmark's page, which does not define them. Speeds over a window from each
+    pose to the one nearest to `window_s` later reproduce all digits for fr1/desk (0.413 m/s, 23.327 °/s). Its length of
+    9.263 m is not that of the path through all poses (10.599 m), but within 4 mm the windowed length (9.260 m). The
+    motion in all windows, divided by the mean number of poses in one, has all digits (9.2635 m), but is no length for
+    short trajectories.
 
     Raises:
         EvaluationError: fewer than two poses.
@@ -106,7 +99,15 @@ def sequence_statistics(trajectory: Trajectory, window_s: float = 1.0) -> Sequen
         raise EvaluationError(f"a motion needs two poses; the trajectory has {len(trajectory)}")
     duration_s = trajectory.duration_s
     window_s = min(window_s, duration_s)
-    speed, angular_speed = _mean_speeds(trajectory, window_s)
+    # Over all windows that end within the trajectory.
+    stamps_s, R = trajectory.stamps_s, trajectory.T_frame_body[:, :3, :3]
+    start, end = steps_along(stamps_s, window_s)
+    whole = stamps_s[start] + window_s <= stamps_s[-1] + _STAMP_ROUNDING_S
+    start, end = start[whole], end[whole]
+    elapsed_s = stamps_s[end] - stamps_s[start]
+    moved_m = np.linalg.norm(trajectory.positions_m[end] - trajectory.positions_m[start], axis=1)
+    turned_rad = so3.angle(np.swapaxes(R[start], 1, 2) @ R[end])
+    speed, angular_speed = float(np.mean(moved_m / elapsed_s)), float(np.mean(turned_rad / elapsed_s))
     whole_steps_s = duration_s - window_s if duration_s > window_s else window_s
     x, y, z = np.ptp(trajectory.positions_m, axis=0).tolist()
     return SequenceStatistics(
@@ -121,29 +122,14 @@ def sequence_statistics(trajectory: Trajectory, window_s: float = 1.0) -> Sequen
     )
 
 
-def _mean_speeds(trajectory: Trajectory, window_s: float) -> tuple[float, float]:
-    """Mean speed (m/s) and angular speed (rad/s) over all windows that end within the trajectory."""
-    stamps_s, R = trajectory.stamps_s, trajectory.T_frame_body[:, :3, :3]
-    start, end = steps_along(stamps_s, window_s)
-    whole = stamps_s[start] + window_s <= stamps_s[-1] + _STAMP_ROUNDING_S
-    start, end = start[whole], end[whole]
-    elapsed_s = stamps_s[end] - stamps_s[start]
-    moved_m = np.linalg.norm(trajectory.positions_m[end] - trajectory.positions_m[start], axis=1)
-    turned_rad = so3.angle(np.swapaxes(R[start], 1, 2) @ R[end])
-    return float(np.mean(moved_m / elapsed_s)), float(np.mean(turned_rad / elapsed_s))
-
-
-# Which pose of the estimate stands beside which true pose.
-
-
 _FEWEST_PAIRS = 3
 
 
 def matched(estimate: Trajectory, truth: Trajectory, max_gap_s: float) -> tuple[Trajectory, Trajectory]:
-    """The poses of both that belong together (M each), at most `max_gap_s` seconds apart, each used once.
+    """Return the matching poses of both (M each), at most `max_gap_s` seconds apart, each used once.
 
     Raises:
-        EvaluationError: the two describe different bodies, or share fewer than three pairs: says what they span.
+        EvaluationError: different bodies, or fewer than three pairs.
     """
     if estimate.body != truth.body:
         raise EvaluationError(
@@ -153,19 +139,18 @@ def matched(estimate: Trajectory, truth: Trajectory, max_gap_s: float) -> tuple[
         )
     pairs = associate(estimate.stamps_s, truth.stamps_s, max_gap_s)
     if len(pairs) < _FEWEST_PAIRS:
-        raise EvaluationError(_too_few(estimate, truth, len(pairs), max_gap_s))
+        spans = f"the estimate spans {_span(estimate)}, the ground truth {_span(truth)}"
+        shared_s = 0.0
+        if len(estimate) and len(truth):
+            start_s, end_s = (
+                max(estimate.stamps_s[0], truth.stamps_s[0]),
+                min(estimate.stamps_s[-1], truth.stamps_s[-1]),
+            )
+            shared_s = end_s - start_s
+        overlap = f"they share {shared_s:.3f} s" if shared_s > 0 else "they do not overlap in time"
+        found = f"{len(pairs)} of the estimate's poses within {max_gap_s:g} s of a true one, {_FEWEST_PAIRS} needed"
+        raise EvaluationError(f"{found}: {spans}; {overlap}")
     return estimate.select(pairs[:, 0]), truth.select(pairs[:, 1])
-
-
-def _too_few(estimate: Trajectory, truth: Trajectory, pairs: int, max_gap_s: float) -> str:
-    spans = f"the estimate spans {_span(estimate)}, the ground truth {_span(truth)}"
-    shared_s = 0.0
-    if len(estimate) and len(truth):
-        start_s, end_s = max(estimate.stamps_s[0], truth.stamps_s[0]), min(estimate.stamps_s[-1], truth.stamps_s[-1])
-        shared_s = end_s - start_s
-    overlap = f"they share {shared_s:.3f} s" if shared_s > 0 else "they do not overlap in time"
-    found = f"{pairs} of the estimate's poses within {max_gap_s:g} s of a true one, {_FEWEST_PAIRS} needed"
-    return f"{found}: {spans}; {overlap}"
 
 
 def _span(trajectory: Trajectory) -> str:
@@ -174,13 +159,10 @@ def _span(trajectory: Trajectory) -> str:
     return f"{trajectory.stamps_s[0]:.3f} to {trajectory.stamps_s[-1]:.3f} s"
 
 
-# Steps of one length along a growing quantity: time, or distance travelled.
-
-
 def steps_along(along: FloatArray, delta: float) -> tuple[IntArray, IntArray]:
-    """From each of values (N,) that never fall to the later one nearest to `delta` further on: indices (N-1,) twice.
+    """Return indices (N-1,) of each of non-decreasing values (N,), and of the later one nearest to `delta` further on.
 
-    Of equally near ones it is the first. How near it is, the caller must judge.
+    The first of equally near ones; the caller checks the distance.
     """
     start = np.arange(len(along) - 1)
     wanted = along[:-1] + delta
