@@ -97,16 +97,16 @@ def robot(file: Robot, check: Check = None, topic: Topics = None) -> None:
 
     wheelsight calibrate robot robot.yaml --check loop
     """
-    from wheelsight.app.cli.calibration_results import HEAD, history_rows, loop_check, steps_of, table
-    from wheelsight.app.cli.console import console, print_warning
+    from wheelsight.app.cli.calibration_results import HEAD, history_rows, loop_check, steps_of
+    from wheelsight.app.cli.console import console, print_warning, rows_table
     from wheelsight.core.inputs import is_there
 
     stdout = console()
     steps, history = steps_of(file)
     rows = [(step.name, step.state, step.values) for step in steps]
-    stdout.print(table(str(file) if is_there(file) else f"{file} (not there yet)", ("", "", "what"), rows))
+    stdout.print(rows_table(str(file) if is_there(file) else f"{file} (not there yet)", ("", "", "what"), rows))
     if history:
-        stdout.print(table("measured so far", HEAD, history_rows(history)))
+        stdout.print(rows_table("measured so far", HEAD, history_rows(history)))
     missing = next((step for step in steps if not step.is_done), None)
     if missing is not None:
         stdout.print(f"next: {missing.name}. {missing.how}", markup=False)

@@ -151,9 +151,10 @@ class CameraTask:
 
         Raises RecordingError, and CalibrationError where the views do not determine it.
         """
-        from wheelsight.app.cli.calibration_results import show_steps
+        from wheelsight.app.cli.calibration_results import print_end, show_steps
+        from wheelsight.app.cli.console import console, print_warning, rows_table
         from wheelsight.app.cli.progress import FrameProgress
-        from wheelsight.app.report.camera_page import write_camera_page
+        from wheelsight.app.report.camera_page import DISTANCE_HEAD, HEAD, distance_rows, lens_rows, write_camera_page
         from wheelsight.core.calibration import Calibration
         from wheelsight.vision.camera_calibration.calibration import calibrate_camera, camera_fields, measured
         from wheelsight.vision.camera_calibration.views import find_view_files, read_views
@@ -168,19 +169,14 @@ class CameraTask:
         written = save_found(document, kept, Calibration(), source, self.out, measured("camera", found))
         if page is not None:
             write_camera_page(found, page)
-        from wheelsight.app.cli.calibration_results import print_end, table
-        from wheelsight.app.cli.console import console, print_warning
-        from wheelsight.app.report.camera_page import HEAD, distance_rows, lens_rows
-
         stdout = console()
         for name, reason in found.left_out[:_MOST_LEFT_OUT]:
             print_warning(f"{name} is left out: {reason}")
         if len(found.left_out) > _MOST_LEFT_OUT:
             print_warning(f"and {len(found.left_out) - _MOST_LEFT_OUT} more")
-        stdout.print(table(f"cameras, by {len(found.views)} views of {found.board}", HEAD, lens_rows(found)))
+        stdout.print(rows_table(f"cameras, by {len(found.views)} views of {found.board}", HEAD, lens_rows(found)))
         if len(found.depth_residuals.off_m):
-            head = ("distance", "off before", "off after", "scatter", "σ of depth")
-            stdout.print(table("depth on the boards' planes", head, distance_rows(found)))
+            stdout.print(rows_table("depth on the boards' planes", DISTANCE_HEAD, distance_rows(found)))
         print_end(found.warnings, written, page)
 
     def by_folders(self, folders: Sequence[Path]) -> None:

@@ -8,13 +8,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
-from wheelsight.app.cli.console import console, print_warning
+from wheelsight.app.cli.console import console, print_warning, rows_table
 from wheelsight.app.cli.options import open_for
 from wheelsight.app.report.camera_page import mount_rows
 from wheelsight.app.report.wheel_page import HEAD as CALIBRATION_HEAD
@@ -35,10 +33,6 @@ from wheelsight.wheels.umbmark import (
     umbmark,
     umbmark_from_runs,
 )
-
-if TYPE_CHECKING:
-    from wheelsight.wheels import LoopCause
-
 
 # Squares
 
@@ -97,18 +91,18 @@ def print_trial(trial: WheelTrial, written: str, page: Path | None) -> None:
     along, across, turn = fit.spread
     slips = f"{len(fit.segments)} segments, {int(fit.is_slip.sum())} of them slips or jumps"
     left = f"{1e3 * along:.1f} mm along, {1e3 * across:.1f} mm across, {np.degrees(turn):.2f}°"
-    stdout.print(table(f"{trial.recording}: wheels", CALIBRATION_HEAD, fit_rows(fit)))
+    stdout.print(rows_table(f"{trial.recording}: wheels", CALIBRATION_HEAD, fit_rows(fit)))
     stdout.print(f"{slips}; left unexplained in each: {left}")
     title = f"errors on the {trial.held_out.length_m:.1f} m that the fit did not see, RMSE"
     stdout.print()
-    stdout.print(table(title, ("", "nominal", "calibrated"), error_rows(trial)))
+    stdout.print(rows_table(title, ("", "nominal", "calibrated"), error_rows(trial)))
     print_end(trial.warnings, written, page)
 
 
 def print_squares(squares: Squares, written: str, page: Path | None) -> None:
     """The same for UMBmark."""
     stdout, result = console(), squares.result
-    stdout.print(table(f"{squares.name}: wheels", CALIBRATION_HEAD, square_rows(result)))
+    stdout.print(rows_table(f"{squares.name}: wheels", CALIBRATION_HEAD, square_rows(result)))
     before_m, after_m = result.largest_error_m, result.largest_error_after_m
     stdout.print(f"E_max,syst, sides of {result.side_m:.3g} m: {before_m:.3f} m nominal, {after_m:.3f} m corrected")
     if squares.unused_m is not None:
@@ -120,7 +114,7 @@ def print_squares(squares: Squares, written: str, page: Path | None) -> None:
 def print_mount(found: BaseCalibration, written: str, page: Path | None) -> None:
     """A camera's mount before and after, and where the files are."""
     stdout, fit = console(), found.fit
-    stdout.print(table(f"{found.recording}: where the camera sits", CALIBRATION_HEAD, mount_rows(found)))
+    stdout.print(rows_table(f"{found.recording}: where the camera sits", CALIBRATION_HEAD, mount_rows(found)))
     pieces = f"{len(fit.segments)} pieces, {int(fit.is_slip.sum())} of them slips or jumps"
     stdout.print(f"{pieces}; floor seen in {len(found.floor.tilts)} of {found.floor.view_count} views")
     print_end(found.warnings, written, page)
@@ -142,16 +136,6 @@ def _wheels(calibration: Calibration) -> Wheels:
         problem = f"the calibration ({calibration.source}) {calibration.lacks_two_wheels}"
         raise CalibrationError(problem, fix="give nominal ones by --calibration")
     return calibration.wheels
-
-
-def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """A table for a terminal: numbers to the right."""
-    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
-    for column in head:
-        table.add_column(column, justify="right" if column else "left")
-    for row in rows:
-        table.add_row(*row)
-    return table
 
 
 def print_end(warnings: Sequence[str], written: str, page: Path | None) -> None:
@@ -234,57 +218,48 @@ def steps_of(file: Path) -> tuple[list[CalibrationStep], tuple[Measured, ...]]:
     known: dict[str, Any] = read_layer(file) if is_there(file) else {}
     history = history_of(known)
     by = {entry.command for entry in history}
-    force = " --force" if known else ""
-    return [step(file, known, by, force) for step in (_camera_step, _mount_step, _wheels_step)], history
+    out = f"--out {file}" + (" --force" if known else "")
+    has_wheels = "wheels" in known or "wheels" in known.get(NOMINAL, {})
+    given = (f" --calibration {file}" if known else "") + ("" if has_wheels else " --calibration nominal.yaml")
 
+    def step(name: str, is_done: bool, is_known: bool, values: Sequence[str], how: str, *todo: str) -> CalibrationStep:
+        """`values`: measured, known, and missing."""
+        return CalibrationStep(name, is_done, is_known, values[0 if is_done else 1 if is_known else 2], how, todo)
 
-def _camera_step(file: Path, known: dict[str, Any], by: set[str], force: str) -> CalibrationStep:
-    is_done = "calibrate camera" in by and "color" in known
-    is_known = "color" in known
-    values = "lenses, T_color_depth and depth_error, by a board" if is_done else "lenses as the maker has them"
-    how = (
+    camera = step(
+        "camera",
+        "calibrate camera" in by and "color" in known,
+        "color" in known,
+        (
+            "lenses, T_color_depth and depth_error, by a board",
+            "lenses as the maker has them",
+            "a live camera's maker says them",
+        ),
         "Print the board, measure the line on it, glue it to something flat. 20 to 40 views with all still: near and "
-        "far, tilted each way, in every corner of the image."
-    )
-    commands = (
+        "far, tilted each way, in every corner of the image.",
         "wheelsight board --out board.pdf",
-        f"wheelsight calibrate camera --camera any --board 9x6:25mm --plate --out {file}{force}",
+        f"wheelsight calibrate camera --camera any --board 9x6:25mm --plate {out}",
     )
-    return CalibrationStep(
-        "camera", is_done, is_known, values if is_known else "a live camera's maker says them", how, commands
-    )
-
-
-def _mount_step(file: Path, known: dict[str, Any], by: set[str], force: str) -> CalibrationStep:
-    is_done = "calibrate base" in by and "T_base_camera" in known
-    is_known = "T_base_camera" in known
-    values = "T_base_camera, found on a drive" if is_done else "T_base_camera, by a ruler" if is_known else "none"
-    how = (
+    mount = step(
+        "mount",
+        "calibrate base" in by and "T_base_camera" in known,
+        "T_base_camera" in known,
+        ("T_base_camera, found on a drive", "T_base_camera, by a ruler", "none"),
         "Drive two minutes over a flat floor that the camera sees: straight, turns both ways, some on the spot, stops "
-        "between. Wheels by a ruler will do."
+        "between. Wheels by a ruler will do.",
+        f"wheelsight calibrate base DRIVE{given} {out}",
     )
-    given = f" --calibration {file}" if known else ""
-    if not _has_wheels(known):
-        given += " --calibration nominal.yaml"
-    command = f"wheelsight calibrate base DRIVE{given} --out {file}{force}"
-    return CalibrationStep("mount", is_done, is_known, values, how, (command,))
-
-
-def _wheels_step(file: Path, known: dict[str, Any], by: set[str], force: str) -> CalibrationStep:
-    is_done = bool({"calibrate wheels", "calibrate umbmark"} & by) and "wheels" in known
-    is_known = _has_wheels(known)
-    values = "radii, track width, delay" if is_done else "by a data sheet or a ruler" if is_known else "none"
     # The camera's path calibrates the wheels once its mount is known.
-    how = "The same drive, or another of some minutes: straight, turns both ways, some on the spot, stops between."
-    commands = (
+    wheels = step(
+        "wheels",
+        bool({"calibrate wheels", "calibrate umbmark"} & by) and "wheels" in known,
+        has_wheels,
+        ("radii, track width, delay", "by a data sheet or a ruler", "none"),
+        "The same drive, or another of some minutes: straight, turns both ways, some on the spot, stops between.",
         f"wheelsight run DRIVE --odometry dense --calibration {file} --out visual",
-        f"wheelsight calibrate wheels DRIVE --reference visual/trajectory.txt --calibration {file} --out {file}{force}",
+        f"wheelsight calibrate wheels DRIVE --reference visual/trajectory.txt --calibration {file} {out}",
     )
-    return CalibrationStep("wheels", is_done, is_known, values, how, commands)
-
-
-def _has_wheels(known: dict[str, Any]) -> bool:
-    return "wheels" in known or "wheels" in known.get(NOMINAL, {})
+    return [camera, mount, wheels], history
 
 
 def loop_check(folder: Path, file: Path, topics: Sequence[str] | None) -> tuple[tuple[str, ...], bool]:
@@ -294,15 +269,15 @@ def loop_check(folder: Path, file: Path, topics: Sequence[str] | None) -> tuple[
         InputError: a recording without wheels, or a drive that is too short.
     """
     from wheelsight.estimation import ErrorStateSettings
-    from wheelsight.wheels import check_loop, drive_of, with_sigmas
+    from wheelsight.wheels import LoopCause, check_loop, drive_of, with_sigmas
 
     source = open_for(folder, [str(file)], topics)
     if source.calibration.holonomic is not None:
         raise RecordingError(source.calibration.lacks_two_wheels, path=folder, fix="a robot with two driven wheels")
     if source.calibration.wheels is None:
         raise RecordingError("has no wheels, and FILE has none either", path=folder, fix="calibrate the wheels first")
-    likely = ErrorStateSettings()
-    wheels = with_sigmas(source.calibration.wheels, likely.scale_sigma, likely.drift_sigma_rad_per_m, likely.turn_sigma)
+    usual = ErrorStateSettings()
+    wheels = with_sigmas(source.calibration.wheels, usual.scale_sigma, usual.drift_sigma_rad_per_m, usual.turn_sigma)
     try:
         found = check_loop(drive_of(source, wheels), wheels)
     except CalibrationError as error:
@@ -312,36 +287,28 @@ def loop_check(folder: Path, file: Path, topics: Sequence[str] | None) -> tuple[
     way = "counter-clockwise" if found.turns > 0 else "clockwise"
     turns = f"{count} turn{'s' if count > 1 else ''} {way}" if count else "no whole turn left over"
     a_turn = f", {degrees / count:+.2f}° a turn" if count else ""
-    loop_off = (
+    off = (
         f"loop of {found.way_m:.1f} m, {turns}: by the wheels alone it ends {found.off_m:.3f} m "
         f"({1e3 * found.off_m / found.way_m:.1f} mm a metre) and {degrees:+.1f}° ({degrees / found.way_m:+.2f}° a metre"
         f"{a_turn}) off its start."
     )
     whose = "The calibration's σ make" if is_stated else "The calibration states no σ; a data sheet's make"
-    likely_off = f"{whose} {found.sizes_sigma_m:.3f} m and {np.degrees(found.sizes_sigma_rad):.1f}° likely"
+    likely = f"{whose} {found.sizes_sigma_m:.3f} m and {np.degrees(found.sizes_sigma_rad):.1f}° likely"
     with_slip = f"with slip and the mark {found.off_sigma_m:.3f} m and {np.degrees(found.off_sigma_rad):.1f}°"
-    loop_against = (
-        f"{likely_off}, {with_slip}: {'no more than that is off.' if found.is_as_stated else 'it is off by more.'}"
-    )
-    # The next step
+    against = f"{likely}, {with_slip}: {'no more than that is off.' if found.is_as_stated else 'it is off by more.'}"
     if found.is_as_stated:
-        loop_advice = "" if found.is_good else "Those σ are large: calibrate the wheels, on a longer drive."
+        advice = "" if found.is_good else "Those σ are large: calibrate the wheels, on a longer drive."
     elif not found.causes:
-        loop_advice = (
-            "No size of the wheels explains it: a wheel slipped, or it did not end at its mark; drive it again."
-        )
+        advice = "No size of the wheels explains it: a wheel slipped, or it did not end at its mark; drive it again."
     else:
-        causes = " or ".join(_cause(cause, amount) for cause, amount in found.causes)
-        loop_advice = (
+        causes = " or ".join(
+            f"the wheels turned it by {np.degrees(amount):+.2f}° a metre"
+            if cause is LoopCause.DRIFT
+            else f"the track width were {100 * abs(amount):.1f} % too {'narrow' if amount > 0 else 'wide'}"
+            for cause, amount in found.causes
+        )
+        advice = (
             f"It is as if {causes}. Drive it the other way round: off to the same side again, the radii are unlike; to "
             "the other side, it is the track width. Then calibrate the wheels again."
         )
-    return (loop_off, f"{loop_against} {loop_advice}"), (found.is_as_stated and found.is_good)
-
-
-def _cause(cause: LoopCause, amount: float) -> str:
-    from wheelsight.wheels import LoopCause
-
-    if cause is LoopCause.DRIFT:
-        return f"the wheels turned it by {np.degrees(amount):+.2f}° a metre"
-    return f"the track width were {100 * abs(amount):.1f} % too {'narrow' if amount > 0 else 'wide'}"
+    return (off, f"{against} {advice}"), found.is_as_stated and found.is_good

@@ -142,7 +142,7 @@ def rows_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], s
 
     table = Table(title=title, title_justify="left", title_style=style or "table.title", box=SIMPLE_HEAD)
     for index, name in enumerate(head):
-        table.add_column(name, justify="right" if index else "left")
+        table.add_column(name, justify="right" if index and name else "left")
     for row in rows:
         table.add_row(*row)
     return table

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, get_args
 import typer
 
 if TYPE_CHECKING:
-    from wheelsight.app.exports import Exported
-    from wheelsight.mapping import SurfelMap
+    pass
 
 
 Out = Annotated[
@@ -173,7 +172,7 @@ def export_to_bag(asked: Asked, to: Path) -> None:
     from wheelsight.app.cli.progress import FrameProgress
     from wheelsight.app.exports import DEFAULT_VOXEL_M, BagParts, export_bag, exported_at
     from wheelsight.app.exports.bag import layout_paths
-    from wheelsight.core.errors import ConfigError
+    from wheelsight.core.errors import ConfigError, OutputError
     from wheelsight.io.recordings.bags.writing import ImageForm, check_bag_name, check_library
 
     if asked.images is not None and asked.images not in get_args(ImageForm):
@@ -181,9 +180,6 @@ def export_to_bag(asked: Asked, to: Path) -> None:
     check_bag_name(to)
     check_library()
     source = exported_at(asked.source)
-    # A bag must not overwrite its own source.
-    from wheelsight.core.errors import OutputError
-
     if to.exists() and asked.source.exists() and to.samefile(asked.source):
         raise OutputError("is what is to be exported", path=to, fix="choose another name")
     for path in (to, *layout_paths(to)):
@@ -218,7 +214,17 @@ _OUT = {
 
 def export_in(asked: Asked, form: str) -> None:
     """Write a trajectory, images with poses, or a tree. Raises InputError."""
-    from wheelsight.app.exports import TRAJECTORY_FORMATS, exported_at
+    from wheelsight.app.cli.options import check_out
+    from wheelsight.app.cli.progress import FrameProgress
+    from wheelsight.app.exports import (
+        DEFAULT_VOXEL_M,
+        TRAJECTORY_FORMATS,
+        export_colmap,
+        export_nerfstudio,
+        export_octomap,
+        export_trajectory,
+        exported_at,
+    )
     from wheelsight.core.errors import ConfigError
 
     if form not in _OUT:
@@ -230,37 +236,24 @@ def export_in(asked: Asked, form: str) -> None:
         raise ConfigError("--voxel is of maps alone", fix=f"no --voxel with --format {form}")
     source = exported_at(asked.source)
     to = asked.out or asked.source / _OUT[form]
+    voxel_m = asked.voxel_m or DEFAULT_VOXEL_M
     if is_trajectory:
-        from wheelsight.app.cli.options import check_out
-        from wheelsight.app.exports import export_trajectory
-
         check_out(to, asked.force)
         found = export_trajectory(source, form, to, asked.body)
         typer.echo(f"{len(found):,} poses, T_{found.frame}_{found.body}: {to}")
     elif form == "octomap":
-        _octomap(source, to, asked)
+        if to.suffix != ".bt":
+            fix = "a binary tree is what is written"
+            raise ConfigError(f"--out is {str(to)!r}, which does not end in .bt", fix=fix)
+        check_out(to, asked.force)
+        with FrameProgress("casting", None, unit="keyframes") as progress:
+            count = export_octomap(source, to, voxel_m, progress.reach)
+        typer.echo(f"{count:,} keyframes, {to.stat().st_size / 1e6:.1f} MB: {to}")
     else:
-        from wheelsight.app.cli.progress import FrameProgress
-        from wheelsight.app.exports import DEFAULT_VOXEL_M, export_colmap, export_nerfstudio
-
         write = export_nerfstudio if form == "nerfstudio" else export_colmap
         with FrameProgress("writing", None, unit="keyframes") as progress:
-            count = write(source, to, asked.voxel_m or DEFAULT_VOXEL_M, asked.force, progress.reach)
+            count = write(source, to, voxel_m, asked.force, progress.reach)
         typer.echo(f"{count:,} images: {to}")
-
-
-def _octomap(source: Exported, to: Path, asked: Asked) -> None:
-    from wheelsight.app.cli.options import check_out
-    from wheelsight.app.cli.progress import FrameProgress
-    from wheelsight.app.exports import DEFAULT_VOXEL_M, export_octomap
-    from wheelsight.core.errors import ConfigError
-
-    if to.suffix != ".bt":
-        raise ConfigError(f"--out is {str(to)!r}, which does not end in .bt", fix="a binary tree is what is written")
-    check_out(to, asked.force)
-    with FrameProgress("casting", None, unit="keyframes") as progress:
-        count = export_octomap(source, to, asked.voxel_m or DEFAULT_VOXEL_M, progress.reach)
-    typer.echo(f"{count:,} keyframes, {to.stat().st_size / 1e6:.1f} MB: {to}")
 
 
 # Points and meshes
@@ -273,24 +266,29 @@ def export_surface(asked: Asked, is_mesh: bool) -> None:
     """Write surfels as points, or as triangles. Raises InputError."""
     from wheelsight.app.cli.compiling import compile_missing
     from wheelsight.app.cli.options import check_out
+    from wheelsight.app.cli.progress import FrameProgress
     from wheelsight.app.run.kernels import usable_parts
     from wheelsight.core.errors import ConfigError
+    from wheelsight.mapping import load_map, mesh_of, write_mesh_ply, write_ply
+    from wheelsight.slam.maps import MapFolder, is_map
 
     path = _map_in(asked.source)
-    to = asked.out or _beside(path) / ("mesh.ply" if is_mesh else "points.ply")
+    folder = path.parent if is_map(path.parent) else None
+    to = asked.out or (path if folder is None else folder).parent / ("mesh.ply" if is_mesh else "points.ply")
     if to.suffix.lower() != ".ply":
         raise ConfigError(f"--out is {str(to)!r}, which does not end in .ply", fix="PLY is what is written")
     check_out(to, asked.force)
-    # The map's file, or the surfels of a map folder at current poses
-    from wheelsight.mapping import load_map
-    from wheelsight.slam.maps import MapFolder, is_map
-
-    found = MapFolder.open(path.parent).surfels() if is_map(path.parent) else None
+    found = None if folder is None else MapFolder.open(folder).surfels()  # at current poses
     surfel_map = load_map(path) if found is None else found
-    if is_mesh:
+    if not is_mesh:
+        what = f"{write_ply(surfel_map, to, stable_only=not asked.everything):,} points"
+    else:
         compile_missing([part for part in usable_parts() if part == "mesh"])
-    write = _write_mesh if is_mesh else _write_points
-    typer.echo(f"{write(surfel_map, to, asked)}, {to.stat().st_size / 1e6:.1f} MB: {to}")
+        with FrameProgress("meshing", None, unit="chunks") as progress:
+            mesh = mesh_of(surfel_map, asked.voxel_m or _VOXEL_M, not asked.everything, progress.reach)
+        write_mesh_ply(mesh, to)
+        what = f"{len(mesh.triangles):,} triangles of {len(mesh.vertices):,} points"
+    typer.echo(f"{what}, {to.stat().st_size / 1e6:.1f} MB: {to}")
 
 
 def _map_in(source: Path) -> Path:
@@ -310,26 +308,3 @@ def _map_in(source: Path) -> Path:
         fix = "make one: wheelsight run RECORDING --odometry dense --map surfels --out DIR"
         raise MapError(f"holds no {MAP_FILE}", path=source, fix=fix)
     return found[0]
-
-
-def _beside(path: Path) -> Path:
-    """Where points of a map's file go: beside it, or beside the map folder that holds it."""
-    from wheelsight.slam.maps import is_map
-
-    return path.parent.parent if is_map(path.parent) else path.parent
-
-
-def _write_points(surfel_map: SurfelMap, to: Path, asked: Asked) -> str:
-    from wheelsight.mapping import write_ply
-
-    return f"{write_ply(surfel_map, to, stable_only=not asked.everything):,} points"
-
-
-def _write_mesh(surfel_map: SurfelMap, to: Path, asked: Asked) -> str:
-    from wheelsight.app.cli.progress import FrameProgress
-    from wheelsight.mapping import mesh_of, write_mesh_ply
-
-    with FrameProgress("meshing", None, unit="chunks") as progress:
-        mesh = mesh_of(surfel_map, asked.voxel_m or _VOXEL_M, not asked.everything, progress.reach)
-    write_mesh_ply(mesh, to)
-    return f"{len(mesh.triangles):,} triangles of {len(mesh.vertices):,} points"
