@@ -105,7 +105,7 @@ class Calibration:
         source: origin of the numbers, for reports.
         depth_late_s: delay of depth behind colour beyond their stamps; negative if depth is earlier.
         frame_sigma_m, frame_sigma_rad: standard deviations of a frame's pose by errors common to all pixels: bent
-            depth, registration, timing of the shutter. See docs/decisions/0049.
+            depth, registration, timing of the shutter. See docs/decisions/dense-alignment.md.
         depth_error: systematic error of depth images; recordings correct it.
         point_errors: errors of points after that correction, by a calibration with a board; None if unknown, as for
             nominal values.

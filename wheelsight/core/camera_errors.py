@@ -17,12 +17,12 @@ _ACROSS, _DOWN, _DISTANCES_M = 9, 7, (1.0, 1.5, 2.0, 3.0, 4.0)
 
 
 def errors_of(calibration: Calibration) -> PointErrors:
-    """The point errors of a camera by its calibration, or likely ones for nominal values."""
+    """Return the point errors of a camera by its calibration, or those of nominal values."""
     return NOMINAL_ERRORS if calibration.point_errors is None else calibration.point_errors
 
 
 def moved_in_camera_m(calibration: Calibration, points_m: FloatArray) -> FloatArray:
-    """The displacement (K, N, 3), metres, of points (N, 3) in the camera frame by each of these errors."""
+    """Return the displacement (K, N, 3), metres, of points (N, 3) in the camera frame by each of these errors."""
     T_color_camera = calibration.T_color_camera
     moved_m = errors_of(calibration).moved_m(se3.apply(T_color_camera, points_m))
     return np.asarray(moved_m @ T_color_camera[:3, :3])
@@ -35,7 +35,7 @@ def motion_errors(calibration: Calibration, T_body_camera: FloatArray, points_m:
     and the estimated motion is the rigid one that fits best. To first order its error is the least-squares solution for
     D(v + ω × p) - ω × δ, with D the derivatives of δ. A δ proportional to p is a scale; a shift or rotation of all
     points is another mount. Points have the weight 1/z, between that of pixels (1/z²) and a uniform one. This agrees
-    best with dense odometry on simulated drives (docs/decisions/0108).
+    best with dense odometry on simulated drives (docs/decisions/calibration.md).
 
     Args:
         calibration: of the camera.

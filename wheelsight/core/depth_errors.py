@@ -33,13 +33,9 @@ __all__ = [
 ]
 
 
-# What a depth camera's readings are off by, by distance and over the image, and depth images freed of it.
-
-
-# A raw value of Kinect v1 that means: no disparity found.
-NO_DISPARITY = 2047
+NO_DISPARITY = 2047  # raw value of Kinect v1
 LARGEST_GRID = 64
-# Errors beyond these are no lens's and no timer's, but another unit: millimetres read as metres, and the like.
+# Larger errors are of another unit, such as millimetres read as metres.
 _RANGES = {
     "scale": Range(0.5, 2.0, ""),
     "offset_m": Range(-1.0, 1.0, "m"),
@@ -55,28 +51,27 @@ _OF_CURVE = Range(0.0, 1000.0, "m"), Range(-1.0, 1.0, "m")
 
 @dataclass(frozen=True, slots=True)
 class DepthError:
-    """How a depth camera's reading z becomes the true depth along its axis.
+    """Correction of a depth camera's reading z to the true depth along its axis.
 
-    The inverse depth as disparity has it is q = 1/z + inverse_per_m + lasting(u, v) + pattern(u, v) · exp(fade_m ·
+    The inverse depth by disparity is q = 1/z + inverse_per_m + lasting(u, v) + pattern(u, v) · exp(fade_m ·
     (1/z - 1/m)), and the true depth scale / q + offset_m + radial_m · r² + curve(1/q), where r is the tangent of the
     ray's angle from the axis. The default changes nothing.
 
     The pattern with its exponential is that of Herrera, Kannala & Heikkilä, "Joint depth and color camera calibration
-    with distortion correction", TPAMI 34 (2012), eq. 6, whose disparities are inverse depths but for a constant; what
-    of it does not fade has another shape.
-    Scale, offset and the radial term are those of time of flight; the curve is what swings about them (Lindner & Kolb,
-    "Lateral and depth calibration of PMD-distance sensors", ISVC 2006).
+    with distortion correction", TPAMI 34 (2012), eq. 6, whose disparities are inverse depths but for a constant; its
+    part that does not fade has another shape. Scale, offset and the radial term are those of time of flight; the curve
+    oscillates about them (Lindner & Kolb, "Lateral and depth calibration of PMD-distance sensors", ISVC 2006).
 
     Attributes:
         scale, offset_m, radial_m, inverse_per_m, fade_m: as above.
-        pattern_per_m: rows of numbers spread evenly over the image, corner to corner, linear between them; none: ().
-        lasting_per_m: likewise, of what does not fade with distance.
-        curve_m: pairs (depth, what to add to it), by growing depth, linear between them and constant beyond; none: ().
-        disparity_at_zero_per_m, disparity_step_per_m: where depth images hold raw disparities of Kinect v1,
-            1/z = at_zero + step · disparity; both 0 where they hold depths.
+        pattern_per_m: rows of numbers spread evenly over the image, corner to corner, linear between them; or ().
+        lasting_per_m: likewise, the part that does not fade with distance.
+        curve_m: pairs (depth, correction), by growing depth, linear between them and constant beyond; or ().
+        disparity_at_zero_per_m, disparity_step_per_m: 1/z = at_zero + step · disparity for raw disparities of Kinect
+            v1; both 0 for depths.
 
     Raises:
-        CalibrationError: a number out of its range, or a pattern or curve that is none.
+        CalibrationError: a number out of its range, or an invalid pattern or curve.
     """
 
     scale: float = 1.0
@@ -129,7 +124,7 @@ class DepthError:
 
     @property
     def changes_nothing(self) -> bool:
-        """Whether readings are depths already."""
+        """Whether readings are true depths."""
         return self == DepthError()
 
     @property
@@ -138,14 +133,14 @@ class DepthError:
         return self.disparity_step_per_m != 0
 
     def of_disparity(self, raw: NDArray[np.integer]) -> Float32Array:
-        """Readings (H, W) in metres of raw disparities (H, W), 0 where there is none, still to be corrected."""
+        """Return uncorrected readings (H, W) in metres of raw disparities (H, W), 0 without disparity."""
         inverse = np.float32(self.disparity_at_zero_per_m) + np.float32(self.disparity_step_per_m) * raw
         seen = (raw < NO_DISPARITY) & (inverse > 0)
         depth_m: Float32Array = np.divide(np.float32(1), inverse, out=np.zeros(raw.shape, np.float32), where=seen)
         return depth_m
 
     def corrected(self, depth_m: Float32Array, camera: PinholeCamera) -> Float32Array:
-        """A depth image (H, W) in metres of this camera, freed of its errors; 0 stays 0."""
+        """Return the corrected depth image (H, W) in metres of this camera; 0 stays 0."""
         if replace(self, disparity_at_zero_per_m=0.0, disparity_step_per_m=0.0).changes_nothing:
             return depth_m
         maps = _maps(self, camera)
@@ -155,10 +150,13 @@ class DepthError:
         return np.where(seen & (found > 0), found, 0).astype(np.float32)
 
     def of_readings(self, depth_m: ArrayLike, px: ArrayLike, camera: PinholeCamera) -> FloatArray:
-        """True depths (N,) of readings (N,) in metres at pixels (N, 2)."""
+        """Return true depths (N,) of readings (N,) in metres at pixels (N, 2)."""
         px = np.asarray(px, float)
-        fading, lasting = (_at(rows, px, camera) for rows in (self.pattern_per_m, self.lasting_per_m))
-        maps = _Maps(fading, lasting, (camera.normalise(px) ** 2).sum(axis=-1))
+        at_px = []
+        for rows in (self.pattern_per_m, self.lasting_per_m):
+            weights = pattern_weights(px, camera, (len(rows), len(rows[0]))) if rows else None
+            at_px.append(0.0 if weights is None else np.asarray(weights @ np.array(rows).ravel(), float))
+        maps = _Maps(*at_px, (camera.normalise(px) ** 2).sum(axis=-1))
         return np.asarray(self._of_inverse(1 / np.asarray(depth_m, float), maps), float)
 
     def _of_inverse(self, inverse: Any, maps: _Maps) -> Any:
@@ -181,7 +179,7 @@ class DepthError:
 
 
 class _Maps(NamedTuple):
-    """Of each pixel: both patterns, and the squared tangent of its ray's angle; a zero for what is not needed."""
+    """Both patterns and the squared tangent of the ray's angle, at each pixel; a zero for unused ones."""
 
     pattern: Any
     lasting: Any
@@ -205,22 +203,15 @@ def _map(rows: tuple[tuple[float, ...], ...], camera: PinholeCamera) -> Float32A
     return np.asarray(down @ knots @ across.T, np.float32)
 
 
-def _at(rows: tuple[tuple[float, ...], ...], px: FloatArray, camera: PinholeCamera) -> FloatArray | float:
-    if not rows:
-        return 0.0
-    knots = np.array(rows)
-    return np.asarray(pattern_weights(px, camera, (len(rows), len(rows[0]))) @ knots.ravel(), float)
-
-
 def pattern_weights(px: FloatArray, camera: PinholeCamera, grid: tuple[int, int]) -> FloatArray:
-    """What each knot (rows · columns) of a pattern counts at each of the pixels (N, 2): (N, rows · columns)."""
+    """Return the weights (N, rows · columns) of a pattern's knots at pixels (N, 2)."""
     down = knot_weights(px[:, 1] / max(camera.height - 1, 1), grid[0])
     across = knot_weights(px[:, 0] / max(camera.width - 1, 1), grid[1])
     return (down[:, :, None] * across[:, None, :]).reshape(len(px), -1)
 
 
 def knot_weights(shares: FloatArray, count: int) -> FloatArray:
-    """What each of `count` knots, evenly from 0 to 1, counts at shares (N,) of that way: (N, count), linear between."""
+    """Return the weights (N, count) of `count` knots, evenly from 0 to 1, at shares (N,); linear between them."""
     at = np.clip(shares, 0, 1) * (count - 1)
     return np.asarray(np.maximum(0.0, 1 - np.abs(at[:, None] - np.arange(count))), float)
 
@@ -231,13 +222,13 @@ _FIELDS = tuple(f.name for f in fields(DepthError))
 
 
 def depth_error_fields(error: DepthError) -> dict[str, Any]:
-    """The fields of a depth error as a calibration file has them: those that are not the default."""
+    """Return the fields of a depth error that are not the default, for a calibration file."""
     changed = {name: getattr(error, name) for name in _FIELDS if getattr(error, name) != getattr(DepthError(), name)}
     return {name: [list(row) for row in value] if name in _LISTS else float(value) for name, value in changed.items()}
 
 
 def depth_error_from(value: Any) -> DepthError:
-    """The depth error of a calibration file's field. Raises CalibrationError naming what is wrong."""
+    """Return the depth error of a calibration file's field. Raises CalibrationError."""
     known = mapping(value, "depth_error", _FIELDS)
     numbers: dict[str, Any] = {}
     for name, given in known.items():
@@ -253,11 +244,8 @@ def depth_error_from(value: Any) -> DepthError:
         raise CalibrationError(f"field depth_error: {error.problem}", fix=error.fix) from error
 
 
-# How far off the points may be that a depth camera shows: what its calibration leaves open, as modes of one σ each.
-
-
-# Powers of x and y: a lens bends by the third, a place that is off moves rays by inverse depth; a pattern of disparity,
-# as wide as floors and walls are, by the second, and by powers of inverse depth as scale, offset and fading have it.
+# Powers of x and y up to the third for lenses; inverse depth for a displaced camera. A pattern of disparity has the
+# second power, times powers of inverse depth for scale, offset and fading.
 _OF_RAYS = tuple((i, j) for i in range(4) for j in range(4 - i))
 _OF_INVERSE = tuple((i, j) for i in range(3) for j in range(3 - i))
 _POWERS = 3
@@ -272,17 +260,17 @@ MOST_MODES = TERMS  # more are no more independent
 
 @dataclass(frozen=True, slots=True)
 class PointErrors:
-    """Independent ways in which all points may be off together, each by one standard deviation.
+    """Independent errors common to all points that remain after calibration, each of one standard deviation.
 
     A point (X, Y, Z) of the colour camera's frame has the ray x = X/Z, y = Y/Z and the inverse depth q = 1/Z. A mode is
-    a polynomial for how far each is off: x and y by the powers of x and y up to the third and by q, q by the powers of
-    x and y up to the second times 1, q and q².
+    a polynomial of the error: in x and y by the powers of x and y up to the third and by q, in q by the powers of x and
+    y up to the second times 1, q and q².
 
     Attributes:
-        modes: (K, TERMS) coefficients, of x, then of y, then of q; none where points are known exactly.
+        modes: (K, TERMS) coefficients, of x, then of y, then of q; empty for exact points.
 
     Raises:
-        CalibrationError: modes of another length, too many, or what is no number.
+        CalibrationError: modes of another length, too many, or not finite.
     """
 
     modes: tuple[tuple[float, ...], ...] = ()
@@ -297,7 +285,7 @@ class PointErrors:
             raise CalibrationError("point_errors holds what is no number")
 
     def moved_m(self, points_m: ArrayLike) -> FloatArray:
-        """How far each mode moves points (N, 3) before the colour camera, metres of its frame: (K, N, 3)."""
+        """Return the displacement (K, N, 3) in metres of points (N, 3) of the colour camera by each mode."""
         rays, inverse = _split(np.asarray(points_m, float))
         coefficients = np.array(self.modes).reshape(-1, TERMS)
         x, y, q = np.split(coefficients, (_RAY_TERMS, 2 * _RAY_TERMS), axis=1)
@@ -308,14 +296,14 @@ class PointErrors:
 
 
 def mode_of(points_m: FloatArray, moved_m: FloatArray) -> FloatArray:
-    """The coefficients (..., TERMS) that come nearest to moving points (N, 3) by `moved_m` (..., N, 3), all metres.
+    """Fit the coefficients (..., TERMS) of displacements `moved_m` (..., N, 3) of points (N, 3), in metres.
 
-    Points are of the colour camera's frame, before it, in many directions and at three distances or more.
+    Points are in front of the colour camera, in its frame, in many directions and at three distances or more.
     """
     rays, inverse = _split(points_m)
     of_q = -(inverse**2) * moved_m[..., 2]
     aside = (moved_m[..., :2] - rays * moved_m[..., 2:]) * inverse[:, None]
-    # What an error of inverse depth moves a point by, over its distance, is that error over inverse depth.
+    # The displacement by an error of inverse depth, over the distance, is that error over inverse depth.
     to_rays = np.linalg.pinv(_ray_terms(rays, inverse))
     to_inverse = np.linalg.pinv(_inverse_terms(rays, inverse) / inverse[:, None])
     parts = (aside[..., 0] @ to_rays.T, aside[..., 1] @ to_rays.T, (of_q / inverse) @ to_inverse.T)
@@ -335,16 +323,15 @@ def _inverse_terms(rays: FloatArray, inverse: FloatArray) -> FloatArray:
     return np.stack([term * inverse**k for k in range(_POWERS) for term in plain], axis=-1)
 
 
-def _nominal() -> PointErrors:
-    """Errors of uncalibrated cameras: one mode each, chosen if no source is named.
+def nominal_errors() -> PointErrors:
+    """Return errors of uncalibrated cameras: one mode each, chosen if no source is named.
 
-    Focal length 1.5 %: the maker's 525 px is off freiburg1's 517 by as much. Centre 8 px of 586: published Kinects have
-    313 to 340 px across and 229 to 247 down, and registration is off by 3 px beside. A bend k1 of 0.1: what Brown's
-    numbers of TUM's Kinects make of rays up to 0.5. The cameras' places 2 mm. Depth 2 %: freiburg1's and freiburg2's
-    had to be scaled by 1.035 and 1.031 (Sturm et al. 2012). Half a step of a Kinect v1's disparity, 0.0014 1/m, is what
-    readings are off by alike all over the image, aslant, and as a bowl: planes before the one of Herrera et al. have 1
-    to 1.5 steps RMS; most of it is rough or fades with distance. 1 cm of all depth (Lachat et al. 2015: time of
-    flight).
+    Focal length 1.5 %: as the maker's 525 px against freiburg1's 517. Centre 8 px of 586: published Kinects have 313 to
+    340 px across and 229 to 247 down, and registration errs by 3 px too. Distortion k1 of 0.1: as Brown's coefficients
+    of TUM's Kinects for rays up to 0.5. Position of the cameras 2 mm. Depth 2 %: freiburg1's and freiburg2's had to be
+    scaled by 1.035 and 1.031 (Sturm et al. 2012). Half a step of a Kinect v1's disparity, 0.0014 1/m, over the whole
+    image, as a slope, and as a bowl: planes of Herrera et al. have 1 to 1.5 steps RMS, but most of it is rough or fades
+    with distance. 1 cm of all depth (Lachat et al. 2015: time of flight).
     """
     half_step = 0.0014
     parts: tuple[dict[tuple[str, int, int, int], float], ...] = (
@@ -365,12 +352,12 @@ def _nominal() -> PointErrors:
 
 
 def point_errors_fields(errors: PointErrors) -> list[list[float]]:
-    """The fields of a calibration file; four digits suffice for a standard deviation."""
+    """Return the field of a calibration file; four digits suffice for a standard deviation."""
     return [[float(f"{c:.4g}") for c in mode] for mode in errors.modes]
 
 
 def point_errors_from(value: Any) -> PointErrors:
-    """Of a calibration file's field. Raises CalibrationError naming what is wrong."""
+    """Return the point errors of a calibration file's field. Raises CalibrationError."""
     if not isinstance(value, list) or not all(isinstance(mode, list) for mode in value):
         raise CalibrationError("field point_errors must be a list of lists of numbers")
     try:
@@ -379,4 +366,4 @@ def point_errors_from(value: Any) -> PointErrors:
         raise CalibrationError(f"field {error.problem}".replace("field field", "field"), fix=error.fix) from error
 
 
-NOMINAL_ERRORS = _nominal()
+NOMINAL_ERRORS = nominal_errors()

@@ -1,22 +1,22 @@
 """Exceptions, one type for each kind of error that a caller may handle.
 
     WheelsightError
-    ├── InputError               what was handed in is wrong: names the file, the place and the fix
+    ├── InputError               invalid input: with file, place and fix
     │   ├── RecordingError       a recording's folder, list files or images
     │   ├── CalibrationError     camera, depth or robot parameters
     │   ├── TrajectoryError      a trajectory's text or values
     │   ├── AreaError            polygons of areas, their coordinates, or labels that fit none
-    │   ├── PlaceError           a model of places that is none, is hostile, or does not fit these areas or frames
-    │   ├── MapError             a map's file that is none, or a frame or pose that cannot go into a map
+    │   ├── PlaceError           a model of places that is invalid, hostile, or does not fit these areas or frames
+    │   ├── MapError             an invalid map file, or a frame or pose that a map cannot take
     │   ├── ConfigError          a setting that is unknown, impossible or in conflict
-    │   ├── ArgumentError        an event or array from Python code, of another type or shape than asked for
+    │   ├── ArgumentError        an event or array from Python code of the wrong type or shape
     │   ├── OutputError          an output that cannot be written, or would be overwritten
     │   ├── DeviceError          a port or pipe that is missing, denied, in use, or does not answer
-    │   └── PartError            a part of a user's own, such as a planner, raised, or answered what is no answer
-    ├── DegenerateGeometryError  points that do not determine the motion asked for
+    │   └── PartError            a user's own part, such as a planner, raised, or gave an invalid answer
+    ├── DegenerateGeometryError  points that do not determine a motion
     └── EvaluationError          two trajectories that cannot be compared
 
-A frame that cannot be tracked is no exception but a value: `MotionEstimate.reason`.
+A frame that cannot be tracked is a value, not an exception: `MotionEstimate.reason`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from __future__ import annotations
 from os import PathLike
 from pathlib import Path
 
-# Together no longer than a screen of 25 lines of 80 columns, whatever a file quotes.
+# Together at most a screen of 25 lines of 80 columns, whatever a file quotes.
 _LONGEST_PATH, _LONGEST_PROBLEM, _LONGEST_FIX = 600, 800, 500
 
 
@@ -33,7 +33,7 @@ class WheelsightError(Exception):
 
 
 class InputError(WheelsightError):
-    """Something handed in is wrong; the message is one line, `file:line: problem (fix)`."""
+    """Invalid input; the message is one line, `file:line: problem (fix)`."""
 
     def __init__(
         self,
@@ -47,20 +47,17 @@ class InputError(WheelsightError):
         self.path = None if path is None else Path(path)
         self.line = line
         self.fix = fix
-        super().__init__(self._one_line())
-
-    def _one_line(self) -> str:
-        where = "" if self.path is None else _shown(str(self.path), _LONGEST_PATH)
-        if self.line is not None:
-            where += f":{self.line}"
-        problem = _shown(" ".join(self.problem.split()), _LONGEST_PROBLEM)
-        fix = _shown(" ".join((self.fix or "").split()), _LONGEST_FIX)
-        text = f"{where}: {problem}" if where else problem
-        return f"{text} ({fix})" if fix else text
+        where = "" if path is None else _shown(str(self.path), _LONGEST_PATH)
+        if line is not None:
+            where += f":{line}"
+        text = _shown(" ".join(problem.split()), _LONGEST_PROBLEM)
+        text = f"{where}: {text}" if where else text
+        shown = _shown(" ".join((fix or "").split()), _LONGEST_FIX)
+        super().__init__(f"{text} ({shown})" if shown else text)
 
 
 def _shown(text: str, longest: int) -> str:
-    """Text as a terminal may show it: no control characters, its middle left out where it is longer than that."""
+    """Return text without control characters, and without its middle if it is longer than `longest`."""
     text = _shortened(text, longest)
     if text.isprintable():
         return text
@@ -88,11 +85,11 @@ class AreaError(InputError):
 
 
 class PlaceError(InputError):
-    """A model of places cannot be trained, read, or used with what it is given."""
+    """A model of places cannot be trained, read, or used with these inputs."""
 
 
 class MapError(InputError):
-    """A map cannot be read, written as asked, or take the frame or pose it is given."""
+    """A map cannot be read, written, or take a frame or pose."""
 
 
 class ConfigError(InputError):
@@ -100,23 +97,23 @@ class ConfigError(InputError):
 
 
 class ArgumentError(InputError):
-    """An event or array handed to a function is of another type or shape than it takes."""
+    """An event or array passed to a function has the wrong type or shape."""
 
 
 class OutputError(InputError):
-    """An output cannot be written, or would overwrite what is there."""
+    """An output cannot be written, or would overwrite a file."""
 
 
 class DeviceError(InputError):
-    """A serial port or pipe is missing, denied or in use, or what is behind it does not answer."""
+    """A serial port or pipe is missing, denied or in use, or its device does not answer."""
 
 
 class PartError(InputError):
-    """A part of a user's own raised an exception, or answered what is not asked for."""
+    """A user's own part raised an exception, or gave an invalid answer."""
 
 
 class DegenerateGeometryError(WheelsightError):
-    """The points given do not determine the motion asked for."""
+    """Points do not determine a motion."""
 
 
 class EvaluationError(WheelsightError):

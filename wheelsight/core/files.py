@@ -1,7 +1,6 @@
-"""Files that are either whole or not there: every output goes through here.
+"""Atomic output files: each is complete or absent, even if power fails during a write.
 
-A robot's battery may die in the middle of a write. A file is therefore written beside its place
-under a temporary name, flushed to the disk, and moved there in one step.
+A file is written beside its place under a temporary name, flushed to the disk, and renamed.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from typing import IO, Any, Literal, overload
 
 from wheelsight.core.errors import OutputError
 
-# What every public function takes for a path.
+# A path in public functions.
 StrPath = str | os.PathLike[str]
 
 _REASONS = {
@@ -39,7 +38,7 @@ def atomic_write(path: StrPath, mode: Literal["w"] = "w") -> AbstractContextMana
 def atomic_write(path: StrPath, mode: Literal["wb"]) -> AbstractContextManager[IO[bytes]]: ...
 @contextmanager
 def atomic_write(path: StrPath, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]]:
-    """Open `path` for writing ("w" as UTF-8, or "wb"); it appears whole when the block ends well, else not at all.
+    """Open `path` for writing ("w" as UTF-8, or "wb"); the file appears when the block ends without an error.
 
     Raises:
         OutputError: the folder is missing, not writable, or the disk is full.
@@ -70,16 +69,16 @@ def write_text(path: StrPath, text: str) -> None:
 
 
 def write_lines(path: StrPath, lines: Iterable[str]) -> None:
-    """Write texts one after another to `path`, as `write_text`; an hour's poses are 70 MB, and need not be held."""
+    """Write texts one after another to `path`, as `write_text`; an hour's poses take 70 MB."""
     with atomic_write(path) as stream:
         stream.writelines(lines)
 
 
 def settings_text(settings: Any) -> str:
-    """Nested settings, plain values, as YAML in their order."""
+    """Return nested plain values as YAML in their order."""
     import yaml
 
-    # libyaml takes a quarter of the time for the eight hundred settings of a run, where PyYAML was built with it.
+    # libyaml, if PyYAML was built with it, takes a quarter of the time.
     text: str = yaml.dump(
         settings, Dumper=getattr(yaml, "CSafeDumper", yaml.SafeDumper), sort_keys=False, allow_unicode=True
     )
@@ -114,7 +113,7 @@ def make_output_folder(folder: StrPath, force: bool = False) -> Path:
             refuse_full(folder)
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            pass  # only an attempt shows whether the folder can be written to, before a long run rather than after
+            pass  # only an attempt shows whether the folder can be written to
     except OSError as error:
         raise output_error(error, folder) from error
     return folder
@@ -122,10 +121,7 @@ def make_output_folder(folder: StrPath, force: bool = False) -> Path:
 
 @contextmanager
 def new_output_folder(folder: StrPath, force: bool = False) -> Iterator[Path]:
-    """Make `folder` as `make_output_folder` does, before work that may be refused: refused work leaves none.
-
-    Where the block fails, `folder` and its parents are removed again, as far as they were made here and hold nothing.
-    """
+    """Make `folder` as `make_output_folder` does; if the block fails, remove empty folders that it made."""
     folder = Path(folder)
     made = [place for place in (folder, *folder.parents) if not os.path.lexists(place)]
     try:
@@ -138,7 +134,7 @@ def new_output_folder(folder: StrPath, force: bool = False) -> Iterator[Path]:
 
 
 def refuse_full(folder: StrPath, fix: str = "choose another --out, or add --force to overwrite") -> None:
-    """Raises OutputError, with what to do, for a folder that holds something; it makes none."""
+    """Raise OutputError, with the fix, for a folder that is not empty; make none."""
     folder = Path(folder)
     try:
         if folder.is_dir() and any(folder.iterdir()):
@@ -148,7 +144,7 @@ def refuse_full(folder: StrPath, fix: str = "choose another --out, or add --forc
 
 
 def check_name(path: StrPath) -> None:
-    """Raises OutputError for a place that is no file's: a folder, or a device or pipe that a file would replace."""
+    """Raise OutputError for a folder, or a device or pipe that a file would replace."""
     path = Path(path)
     if path.name in ("", ".."):
         raise output_error(IsADirectoryError(errno.EISDIR, ""), path)
@@ -160,7 +156,7 @@ def check_name(path: StrPath) -> None:
 
 
 def output_error(error: OSError, path: StrPath) -> OutputError:
-    """The OutputError that tells a person what `error` means for `path`."""
+    """Return the OutputError of a system's error for `path`."""
     path = Path(path)
     problem, fix = _REASONS.get(error.errno or 0, (error.strerror or str(error), None))
     return OutputError(problem, path=path, fix=fix)

@@ -1,4 +1,4 @@
-"""What the program needs of its surroundings. `end_by_signals` turns SIGINT, SIGTERM and SIGHUP into a tidy end;
+"""Signals and optional libraries. `end_by_signals` turns SIGINT, SIGTERM and SIGHUP into a tidy end;
 `needed` imports an optional library or names the extra that installs it.
 """
 
@@ -16,19 +16,17 @@ from typing import Any
 
 from wheelsight.core.errors import ConfigError
 
-# Signals that end a program: Ctrl-C, SIGTERM, and SIGHUP of a terminal that is closed. All three end it alike.
-#
-# The first begins a tidy end: the step at hand is finished, a robot is stopped, results are written. A second gives
-# up what is not finished of that, wherever the program is; the system kills the program if it hangs there. A third
-# kills it.
+# Ctrl-C, SIGTERM, and SIGHUP of a closed terminal end a program alike. The first begins a tidy end: the current step is
+# finished, a robot is stopped, results are written. A second signal ends that wherever it is, and the system kills the
+# program if it hangs. A third kills it at once.
 
 
 ENDING: tuple[signal.Signals, ...] = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
 _SIGHUP = getattr(signal, "SIGHUP", None)
-# A closed terminal sends SIGHUP through its shell and by itself, and systemd SIGTERM and SIGHUP: one wish each time.
-_ONE_WISH_S = 1.0
+# A closed terminal sends SIGHUP through its shell and by itself, and systemd SIGTERM and SIGHUP: one request each.
+_ONE_REQUEST_S = 1.0
 # Closing a camera and a serial line takes up to 3 s.
 _FORCED_S = 5
 
@@ -36,10 +34,10 @@ _Handler = Callable[[int, FrameType | None], None]
 
 
 class _Program:
-    """The signals that came, and how far the program has come with its end.
+    """Received signals, and the stage of the program's end.
 
     Args:
-        is_ours: whether the program may be killed; else it belongs to another, which uses this package.
+        is_ours: whether the program may be killed; else it only uses this package.
     """
 
     def __init__(self, *, is_ours: bool = False) -> None:
@@ -72,9 +70,9 @@ class _Program:
             raise KeyboardInterrupt
 
     def asks(self, number: int) -> bool:
-        """Note a signal; False where it belongs to the wish that came just before."""
+        """Note a signal; return False if it belongs to the previous request."""
         now_s = time.monotonic()
-        is_close = bool(self.asked) and now_s - self._last_s < _ONE_WISH_S
+        is_close = bool(self.asked) and now_s - self._last_s < _ONE_REQUEST_S
         if is_close and (number == _SIGHUP or number not in self.asked):
             return False
         self._last_s = now_s
@@ -82,13 +80,13 @@ class _Program:
         return True
 
     def begin_end(self) -> None:
-        """The tidy end begins; a second time, it is given up within `_FORCED_S`; a third time, at once."""
+        """Begin the tidy end; at the second call, limit it to `_FORCED_S`; at the third, end at once."""
         self._begun += 1
         if not self._is_ours or self._begun == 1:
             return
         if self._begun == 2:
             if hasattr(signal, "alarm"):
-                # The system's own answer ends what is stuck in compiled code, too.
+                # The system's own handler also ends compiled code.
                 signal.signal(signal.SIGALRM, signal.SIG_DFL)
                 signal.alarm(_FORCED_S)
             return
@@ -100,9 +98,9 @@ _program: _Program | None = None
 
 
 def end_by_signals() -> None:
-    """From now on SIGTERM and SIGHUP raise KeyboardInterrupt, as Ctrl-C does. For a program's entry.
+    """Let SIGTERM and SIGHUP raise KeyboardInterrupt, as Ctrl-C does. For a program's entry.
 
-    What the program ignores from its beginning on, such as SIGHUP under nohup, stays ignored.
+    Signals that the program ignores at its start, such as SIGHUP under nohup, stay ignored.
     """
     global _program
     _program = _Program(is_ours=True)
@@ -112,18 +110,18 @@ def end_by_signals() -> None:
 
 
 def exit_code() -> int:
-    """Of a program that a signal ended, as shells have it: 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP."""
+    """Return the exit code after a signal: 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP."""
     return 128 + (_program.asked[0] if _program is not None and _program.asked else signal.SIGINT)
 
 
 def was_asked() -> bool:
-    """Whether a signal has asked this program to end, since `end_by_signals`."""
+    """Return whether a signal has asked this program to end, since `end_by_signals`."""
     return _program is not None and bool(_program.asked)
 
 
 @contextmanager
 def until_stopped(seconds: float | None = None) -> Iterator[Callable[[], bool]]:
-    """A function that returns whether a signal has arrived, or `seconds` have passed.
+    """Yield a function that returns whether a signal has arrived, or `seconds` have passed.
 
     A second signal raises KeyboardInterrupt. A SIGHUP that is ignored stays so.
     """
@@ -145,9 +143,9 @@ def until_stopped(seconds: float | None = None) -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def whole_step() -> Iterator[None]:
-    """A first signal in the block raises KeyboardInterrupt at its end, so that nothing is half built; a second at once.
+    """Delay KeyboardInterrupt by a first signal to the end of the block; a second one raises it at once.
 
-    Only signals that would raise it anyway: a program's own handlers stay, and other threads are left alone.
+    It applies only to signals that would raise it; a program's own handlers and other threads do not change.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -172,10 +170,7 @@ def _handled(numbers: list[signal.Signals], handler: _Handler) -> Iterator[None]
             signal.signal(number, handler_before)
 
 
-# Libraries that an extra of wheelsight brings: loaded when they are needed, and named where they are missing.
-
-
-# By the name that is imported: the library's, and all that its extra brings, by names that install from anywhere.
+# By imported name: the library, and the packages to install.
 _EXTRAS = {
     "av": ("PyAV", "av"),
     "backports": ("backports.zstd", "rosbags"),
@@ -199,10 +194,10 @@ _EXTRAS = {
 
 
 def needed(module: str) -> Any:
-    """A module of a library that an extra brings, such as "skops.io".
+    """Return a module of an optional library, such as "skops.io".
 
     Raises:
-        ConfigError: the library is not installed; says how to install it.
+        ConfigError: the library is not installed, with the command that installs it.
     """
     library, libraries = _EXTRAS[module.partition(".")[0]]
     try:
@@ -212,7 +207,7 @@ def needed(module: str) -> Any:
 
 
 def why_missing(library: str) -> str | None:
-    """What to say of a library of an extra, by the name that is imported; None where it is installed."""
+    """Return the message for a missing optional library, by imported name; None if it is installed."""
     try:
         needed(library)
     except ConfigError as error:

@@ -1,4 +1,4 @@
-"""Threads: those that share the rows of an image, and what keeps others off an object that has a state."""
+"""`Rows` shares the rows of an image among threads. `OneCaller` refuses concurrent calls of an object with a state."""
 
 from __future__ import annotations
 
@@ -13,12 +13,10 @@ from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from wheelsight.core.errors import ArgumentError
 
-# Images lower than this are done sooner by one thread than handed to several.
-_FEWEST_ROWS = 100
-# A thread that is done early takes another part: rows are not all the same work, nor are threads there at once.
-_PARTS_A_THREAD = 2
-# Of `nice`, of work that frames must not wait for: a third of an ordinary thread's share. With less, such a thread
-# holds Python's lock while the system runs other programs, and frames wait for its turn (docs/decisions/0112).
+_FEWEST_ROWS = 100  # a single thread is faster for smaller images
+_PARTS_A_THREAD = 2  # rows differ in work, and threads in their start
+# Of `nice` of background work: a third of an ordinary thread's share. With less, such a thread holds Python's lock
+# while the system runs other programs, and frames wait.
 _YIELDED = 5
 
 Given = ParamSpec("Given")
@@ -26,9 +24,9 @@ Answer = TypeVar("Answer")
 
 
 class OneCaller:
-    """An object with a state, which one call at a time may change, in the process that made it, until it is closed.
+    """An object with a state: one call at a time may change it, in the process that made it, until it is closed.
 
-    Threads may take turns, as those of an executor do. `one_at_a_time` and `ends` decorate the methods that change it.
+    Threads may take turns. `one_at_a_time` and `ends` decorate the methods that change it.
     """
 
     _turn: Any
@@ -36,7 +34,7 @@ class OneCaller:
     _is_over = False
 
     def __new__(cls, *_: Any, **__: Any) -> Self:
-        """With its lock: subclasses need not call an `__init__` of this class."""
+        """Make the lock, so that subclasses need not call an `__init__` of this class."""
         made = super().__new__(cls)
         made._turn, made._process = threading.RLock(), os.getpid()
         return made
@@ -58,7 +56,7 @@ Object = TypeVar("Object", bound=OneCaller)
 def one_at_a_time(
     method: Callable[Concatenate[Object, Given], Answer],
 ) -> Callable[Concatenate[Object, Given], Answer]:
-    """Of a method that changes a `OneCaller`: it raises ArgumentError beside another call, after a fork, or at the end.
+    """Decorate a method that changes a `OneCaller`: ArgumentError during another call, after a fork, or if closed.
 
     It may call other methods of the same object.
     """
@@ -78,7 +76,7 @@ def one_at_a_time(
 
 
 def ends(method: Callable[[Object], Answer]) -> Callable[[Object], Answer]:
-    """Of the method that closes a `OneCaller`, which may be called twice; else as `one_at_a_time`."""
+    """Decorate the method that closes a `OneCaller`, which may be called twice; else as `one_at_a_time`."""
 
     @wraps(method)
     def called(self: Object) -> Answer:
@@ -94,14 +92,14 @@ def ends(method: Callable[[Object], Answer]) -> Callable[[Object], Answer]:
 
 
 def yield_to_others() -> None:
-    """Let the calling thread run where others leave time, as far as the system lets threads differ (Linux does)."""
+    """Lower the priority of the calling thread, if the system has one for each thread, as Linux."""
     thread = threading.get_native_id()
     with suppress(AttributeError, OSError):
         os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, thread) + _YIELDED)
 
 
 class Rows:
-    """Shares the rows of an image among threads; the outcome does not depend on how many."""
+    """Shares the rows of an image among threads; the result does not depend on their number."""
 
     def __init__(self, threads: int) -> None:
         self._threads = threads

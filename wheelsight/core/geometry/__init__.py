@@ -1,4 +1,4 @@
-"""Rigid motions, cameras and alignment: mathematics that knows nothing of robots."""
+"""Rigid motions, cameras and alignment."""
 
 from wheelsight.core.geometry.alignment import align_points, align_points_with_scale, interpolate_at
 from wheelsight.core.geometry.arrays import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array, IntArray

@@ -1,4 +1,4 @@
-"""Quantiles of chi-square: what squares of errors stay below, where their covariance is right."""
+"""Quantiles of the χ² distribution."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ from scipy.special import gammaincinv
 
 @cache
 def quantile(share: float, degrees: int) -> float:
-    """What the squares of so many standard normal numbers together stay below, in so large a share of cases."""
-    # As scipy.stats.chi2.ppf; scipy.stats takes a third of a second to load.
+    """Return the quantile of χ² with `degrees` of freedom at the probability `share`."""
+    # Equals scipy.stats.chi2.ppf; scipy.stats takes a third of a second to load.
     return float(2 * gammaincinv(degrees / 2, share))

@@ -236,7 +236,7 @@ class ProfileSetting:
     source: str
 
 
-_MEASURED = "three real recordings on one core: docs/decisions/0087"
+_MEASURED = "three real recordings on one core: docs/decisions/package-and-speed.md"
 _COMPUTED = "computed; no recording here is long enough to show it"
 
 PI: Mapping[str, ProfileSetting] = MappingProxyType(
