@@ -13,7 +13,7 @@ from wheelsight.core.calibration_parts import DepthNoise, Wheels
 from wheelsight.core.depth_errors import PointErrors
 from wheelsight.core.geometry import FloatArray, PinholeCamera, se3
 from wheelsight.core.trajectory import Trajectory
-from wheelsight.vision.extrinsics import FloorViews, Sightings
+from wheelsight.vision.extrinsics import FloorDepths, Sightings
 from wheelsight.wheels import drive_from_ticks
 from wheelsight_sim import Robot
 
@@ -81,7 +81,7 @@ def sighted(
     return Sightings(drive, camera, len(stamps_s), (camera.stamps_s[0], camera.stamps_s[-1]), views)
 
 
-def room_views(stamps_s: FloatArray, T_odom_camera: FloatArray, rng: np.random.Generator | None) -> FloorViews:
+def room_views(stamps_s: FloatArray, T_odom_camera: FloatArray, rng: np.random.Generator | None) -> FloorDepths:
     """Depth of the floor z = 0 and of four walls around the way, noisy with `rng`."""
     rays = CAMERA.rays()[_STEP_PX // 2 :: _STEP_PX, _STEP_PX // 2 :: _STEP_PX].reshape(-1, 3)
     low, high = (edge(T_odom_camera[:, :2, 3], axis=0) for edge in (np.min, np.max))
@@ -94,7 +94,7 @@ def room_views(stamps_s: FloatArray, T_odom_camera: FloatArray, rng: np.random.G
         depth_m = np.minimum(depth_m, np.where(reach > 0, reach, np.inf))
     if rng is not None:
         depth_m = depth_m + NOISE.sigma_m(depth_m) * rng.standard_normal(depth_m.shape)
-    return FloorViews(stamps_s, rays, depth_m)
+    return FloorDepths(stamps_s, rays, depth_m)
 
 
 def with_late_camera(sightings: Sightings, late_s: float) -> Sightings:

@@ -48,7 +48,8 @@ def drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: BaseCalibratio
         recording: Recording, on_frame: Callable[[str], None], settings: ExtrinsicsSettings
     ) -> BaseCalibration:
         on_frame("tracking")
-        return replace(found, recording=recording.name, warnings=(*found.warnings, f"{settings.floor.steep:g} steep"))
+        warning = f"{settings.floor.highest_m:g} high"
+        return replace(found, recording=recording.name, warnings=(*found.warnings, warning))
 
     monkeypatch.setattr(extrinsics, "calibrate_base", calibrate)
     return tmp_path / "drive"
@@ -116,11 +117,11 @@ def test_nothing_is_overwritten_unasked(wheelsight: Command, refusal: Refusal, d
 
 def test_it_goes_by_settings(wheelsight: Command, refusal: Refusal, drive: Path, tmp_path: Path) -> None:
     out, config = tmp_path / "base.yaml", tmp_path / "settings.yaml"
-    config.write_text("extrinsics:\n  floor: {steep: 0.35}\n")
-    assert "0.35 steep" in wheelsight("calibrate", "base", drive, "--config", config, "--out", out).stderr
-    config.write_text("extrinsics:\n  floor: {steep: 2}\n")
+    config.write_text("extrinsics:\n  floor: {highest_m: 0.35}\n")
+    assert "0.35 high" in wheelsight("calibrate", "base", drive, "--config", config, "--out", out).stderr
+    config.write_text("extrinsics:\n  floor: {highest_m: 200}\n")
     told = refusal("calibrate", "base", drive, "--config", config, "--out", tmp_path / "other.yaml")
-    assert told.startswith(f"{config}:2: extrinsics.floor.steep is 2")
+    assert told.startswith(f"{config}:2: extrinsics.floor.highest_m is 200")
 
 
 def test_a_recording_without_images_is_refused(refusal: Refusal, wheels: Path, tmp_path: Path) -> None:

@@ -239,7 +239,7 @@ def test_dense_odometry_answers_frames_as_features_do(monkeypatch: pytest.Monkey
             made.append(settings)
 
     monkeypatch.setattr("wheelsight.estimation.camera_localizer.DenseOdometry", Dense)
-    config = load_config(overrides={"odometry": "dense", "dense.levels": 2})
+    config = load_config(overrides={"odometry": "dense", "dense.lost_after": 5})
     subject = Localizer(Calibration.registered_camera(CAMERA), config)
     assert made == [config.dense]
     subject.process(frame(2, 2.0))

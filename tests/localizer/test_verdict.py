@@ -9,7 +9,7 @@ from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.estimation import consistency_check
 from wheelsight.estimation.consistency_check import MotionSegments, Verdict
-from wheelsight.vision.extrinsics import AgreementSettings, Culprit
+from wheelsight.vision.extrinsics import Culprit
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
 T_BASE_CAMERA = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.0], [0, 0, 0, 1]])
@@ -22,7 +22,7 @@ def base_at(way_m: float) -> FloatArray:
 
 def judged(way_m: float, turns: float, ratio: float | None = None) -> Verdict:
     """A drive, by a camera that tells `turns` times the turns; and the floor's height over that of the mount."""
-    pieces = MotionSegments(WHEELS, T_BASE_CAMERA, AgreementSettings())
+    pieces = MotionSegments(WHEELS, T_BASE_CAMERA)
     verdict = Verdict()
     for at_m in np.arange(0, way_m, 0.02):
         mirrored = se3.from_plane(np.sin(at_m), turns * (1 - np.cos(at_m)), turns * at_m)

@@ -80,7 +80,7 @@ def test_a_camera_alone_is_followed_by_what_settings_ask_for(drive: ImageRecordi
         ({"features.keypoints": 900}, "features"),
         ({"features.keypoints": 900, "map": "surfels"}, "dense"),
         ({"profile": "pi", "map": "surfels"}, "dense"),
-        ({"profile": "pi", "dense.levels": 2}, "dense"),
+        ({"profile": "pi", "dense.lost_after": 5}, "dense"),
         ({"dense.threads": 1}, "dense"),
         ({"profile": "pi", "dense.threads": 1}, "features"),
     ],

@@ -40,9 +40,9 @@ def test_every_profile_can_be_asked_for() -> None:
 
 def test_a_file_lies_over_it_and_options_over_both(tmp_path: Path) -> None:
     file = tmp_path / "settings.yaml"
-    file.write_text("profile: pi\ndense: {keyframe_overlap: 0.7, levels: 2}\nfeatures: {keypoints: 300}\n")
+    file.write_text("profile: pi\ndense: {keyframe_overlap: 0.7, kept_keyframes: 20}\nfeatures: {keypoints: 300}\n")
     config = load_config(file, {"features.keypoints": 400})
-    assert (config.dense.keyframe_overlap, config.dense.levels, config.features.keypoints) == (0.7, 2, 400)
+    assert (config.dense.keyframe_overlap, config.dense.kept_keyframes, config.features.keypoints) == (0.7, 20, 400)
     assert config.dense.finest_width_px == PI["dense.finest_width_px"].value
     assert config.features.candidates == PI["features.candidates"].value
 

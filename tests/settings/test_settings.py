@@ -23,7 +23,6 @@ from wheelsight.core.messages import YawRate
 from wheelsight.core.settings import Settings
 from wheelsight.estimation import ErrorStateSettings, Localizer
 from wheelsight.estimation.pose_belief import FilterParameters
-from wheelsight.vision.extrinsics import AgreementSettings, FloorSettings
 from wheelsight.wheels import YawRateMeter
 
 PACKAGE = Path(wheelsight.__file__).parent
@@ -209,7 +208,7 @@ def changed(section: Settings) -> dict[str, Any]:
 
 
 # What a localizer by wheels and features hands to parts as it is.
-WHOLE = ("clocks", "features", "extrinsics.agreement", "extrinsics.floor")
+WHOLE = ("clocks", "features")
 REACHED = [(name, section) for name, section in sections(Config()) if name.startswith(WHOLE)]
 
 
@@ -228,14 +227,6 @@ def test_the_gap_reaches_who_goes_by_it() -> None:
     given = {"odometry": "wheels,dense", "wheels.gyro_gap_s": 0.3}
     subject = Localizer(CALIBRATION, load_config(overrides=given))
     assert {meter.gap_s for meter in held_by(subject, YawRateMeter)} == {0.3}
-
-
-def test_how_both_motions_are_compared_reaches_a_joined_run() -> None:
-    given = {"odometry": "wheels,features", "extrinsics.agreement.piece_m": 0.09, "extrinsics.floor.steep": 0.3}
-    settings = load_config(overrides=given)
-    subject = Localizer(CALIBRATION, settings)
-    assert held_by(subject, AgreementSettings) == [settings.extrinsics.agreement]
-    assert held_by(subject, FloorSettings) == [settings.extrinsics.floor]
 
 
 def test_real_time_is_played_by_the_settings() -> None:

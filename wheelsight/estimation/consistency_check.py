@@ -31,11 +31,8 @@ from wheelsight.estimation.fault_detection import COVERED_SIGMAS, covering_pose
 from wheelsight.estimation.filter import ErrorStateFilter
 from wheelsight.vision.extrinsics import (
     Agreement,
-    AgreementSettings,
     Culprit,
     Explanation,
-    ExtrinsicsSettings,
-    FloorSettings,
     depth_cause,
     height_below,
 )
@@ -109,7 +106,6 @@ class BaseCheck:
         calibration: with wheels and mount.
         T_base_camera: (4, 4), rigid.
         by_wheels: a filter that starts as the fused one and gets the wheels alone.
-        of_mount: for comparing motions and detecting the floor; None for the defaults.
 
     Attributes:
         by_wheels: see above; None once both sensors agree, or once the filter without the faulty one took over.
@@ -121,16 +117,14 @@ class BaseCheck:
         calibration: Calibration,
         T_base_camera: FloatArray,
         by_wheels: ErrorStateFilter,
-        of_mount: ExtrinsicsSettings | None = None,
     ) -> None:
         assert calibration.any_wheels is not None
-        mount = of_mount or ExtrinsicsSettings()
         self.by_wheels: ErrorStateFilter | None = by_wheels
         self.verdict = Verdict()
         self._wheels = WheelPoses()
         self._camera = CameraPoses(T_base_camera)
-        self._floor = FloorViews(calibration, T_base_camera, mount.floor)
-        self._segments = MotionSegments(calibration.any_wheels, T_base_camera, mount.agreement)
+        self._floor = FloorViews(calibration, T_base_camera)
+        self._segments = MotionSegments(calibration.any_wheels, T_base_camera)
         self._colors = ColorCheck()
 
     def add_wheels(self, wheels: WheelEstimate) -> None:
@@ -403,16 +397,13 @@ class MotionSegments:
     Args:
         wheels: of the robot.
         T_base_camera: (4, 4), rigid.
-        settings: length of a segment, and when both agree.
 
     Attributes:
         agreement: sum over all segments.
     """
 
-    def __init__(
-        self, wheels: Wheels | HolonomicWheels, T_base_camera: FloatArray, settings: AgreementSettings
-    ) -> None:
-        self.agreement = Agreement(wheels, T_base_camera, settings)
+    def __init__(self, wheels: Wheels | HolonomicWheels, T_base_camera: FloatArray) -> None:
+        self.agreement = Agreement(wheels, T_base_camera)
         # Stamp, T_odom_base and T_map_base at the begin of the segment, and where both were last known to agree.
         self._begin: tuple[float, FloatArray, FloatArray] | None = None
         self._agreed: tuple[float, FloatArray, FloatArray] | None = None
@@ -581,16 +572,14 @@ class FloorViews:
     Args:
         calibration: with the camera.
         T_base_camera: (4, 4), rigid.
-        settings: how to detect the floor in one view.
     """
 
-    def __init__(self, calibration: Calibration, T_base_camera: FloatArray, settings: FloorSettings) -> None:
+    def __init__(self, calibration: Calibration, T_base_camera: FloatArray) -> None:
         camera = calibration.cameras[1]
         step = max(1, camera.height // _FLOOR_ROWS)
         self._grid = np.s_[step // 2 :: step, step // 2 :: step]
         self._rays = camera.rays()[self._grid].reshape(-1, 3)
         self._up, self._height_m = T_base_camera[2, :3], float(T_base_camera[2, 3])
-        self._settings = settings
         self._ratios: list[float] = []
 
     @property
@@ -603,7 +592,7 @@ class FloorViews:
         if not self._height_m > 0:
             return
         depth_m = frame.depth_m[self._grid].ravel().astype(float)
-        found_m = height_below(self._rays, depth_m, self._up, self._height_m, self._settings)
+        found_m = height_below(self._rays, depth_m, self._up, self._height_m)
         if found_m is not None:
             self._ratios = nlargest(_FLOOR_VIEWS, [*self._ratios, found_m / self._height_m])
 

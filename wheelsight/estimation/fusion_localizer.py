@@ -136,7 +136,7 @@ class ByFusion:
         self.filter = ErrorStateFilter(*begin)
 
         def new_check() -> BaseCheck:
-            return BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin), settings.extrinsics)
+            return BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin))
 
         self._check, self._readmission = new_check(), ReadmissionCheck(new_check, self._camera.another)
         detector = parts.loop_detector

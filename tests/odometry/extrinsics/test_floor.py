@@ -10,7 +10,7 @@ from sighted_drives import MOUNT, NOISE, room_views
 from wheelsight.core.depth_errors import NOMINAL_ERRORS, PointErrors
 from wheelsight.core.errors import CalibrationError
 from wheelsight.core.geometry import FloatArray, se3, so3
-from wheelsight.vision.extrinsics import FloorViews, fit_floor, tilt_of
+from wheelsight.vision.extrinsics import FloorDepths, fit_floor, tilt_of
 from wheelsight_sim import Robot
 
 STAMPS_S = np.arange(0.0, 30.0, 0.5)
@@ -18,7 +18,7 @@ YAW_RAD = np.linspace(0, 9, len(STAMPS_S))
 T_WORLD_BASE = se3.from_plane(2 * np.sin(STAMPS_S / 5), 2 * np.cos(STAMPS_S / 4), YAW_RAD)
 
 
-def views_of(T_base_camera: FloatArray, rng: np.random.Generator | None = None) -> FloorViews:
+def views_of(T_base_camera: FloatArray, rng: np.random.Generator | None = None) -> FloorDepths:
     return room_views(STAMPS_S, T_WORLD_BASE @ T_base_camera, rng)
 
 
@@ -112,7 +112,7 @@ def test_a_camera_that_sways_is_refused(rng: np.random.Generator) -> None:
 
 def test_few_views_of_the_floor_are_too_few() -> None:
     views = views_of(MOUNT)
-    few = FloorViews(views.stamps_s[:5], views.rays, views.depth_m[:5])
+    few = FloorDepths(views.stamps_s[:5], views.rays, views.depth_m[:5])
     with pytest.raises(CalibrationError, match="only 5 of 5 views show enough floor"):
         fit_floor(few, MOUNT[2, :3], NOISE)
 

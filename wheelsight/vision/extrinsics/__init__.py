@@ -4,6 +4,7 @@ from wheelsight.vision.extrinsics.agreement import Agreement, Culprit, Explanati
 from wheelsight.vision.extrinsics.calibration import (
     QUANTITIES,
     BaseCalibration,
+    ExtrinsicsSettings,
     Sightings,
     base_from,
     calibrate_base,
@@ -11,8 +12,9 @@ from wheelsight.vision.extrinsics.calibration import (
     watch,
 )
 from wheelsight.vision.extrinsics.mount import (
-    Floor,
-    FloorViews,
+    FloorDepths,
+    FloorFit,
+    FloorRangeSettings,
     MountFit,
     Turning,
     common_turning,
@@ -21,19 +23,17 @@ from wheelsight.vision.extrinsics.mount import (
     height_below,
     tilt_of,
 )
-from wheelsight.vision.extrinsics.settings import AgreementSettings, ExtrinsicsSettings, FloorSettings
 
 __all__ = [
     "QUANTITIES",
     "Agreement",
-    "AgreementSettings",
     "BaseCalibration",
     "Culprit",
     "Explanation",
     "ExtrinsicsSettings",
-    "Floor",
-    "FloorSettings",
-    "FloorViews",
+    "FloorDepths",
+    "FloorFit",
+    "FloorRangeSettings",
     "MountFit",
     "Sightings",
     "Turning",

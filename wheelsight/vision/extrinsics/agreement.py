@@ -19,7 +19,20 @@ import numpy as np
 
 from wheelsight.core.calibration_parts import HolonomicWheels, Wheels
 from wheelsight.core.geometry import FloatArray, so3
-from wheelsight.vision.extrinsics.settings import DEFAULTS, AgreementSettings
+
+# A piece ends after this distance or rotation by either sensor: a camera errs by a millimetre or two, and a robot at
+# 0.5 m/s is reported after its first three frames. In each piece both may differ by the usual amount, because clocks
+# differ by milliseconds. Chosen; simulator.
+_PIECE_M, _PIECE_RAD, _USUAL_M, _USUAL_RAD = 0.06, 0.06, 0.01, 0.01
+# Tolerance of rotations, as a multiple of the calibration's slip, and by radii that differ by 2 %, rad/m; chosen.
+_SLIPS, _DRIFT_RAD_PER_M = 2.0, 0.04
+_LARGEST_FACTOR = 100.0  # of sizes: a missing gear; beyond, only one sensor reports motion
+# Share of the squared motion beyond which both disagree, a scale of 20 % or a direction of 10°, and that a good
+# explanation leaves; chosen.
+_DISAGREES, _EXPLAINED = 0.03, 0.015
+_SAME_SCALE = 0.15  # logarithm by which the height over a floor may differ; chosen
+# Least rotation of a mount that differs, and least tilt of its vertical axis that moves the floor; chosen.
+_LEAST_TURN_DEG, _LARGEST_TILT_DEG = 8.0, 10.0
 
 _LEAST_WAY_M = 0.005  # a holonomic base's shorter translations have no direction: it turns on the spot
 _LITTLE = 1e-3  # of the usual squares: the prior of a fit for a drive without turns
@@ -62,7 +75,6 @@ class Agreement:
     Attributes:
         wheels: assumed wheels.
         T_base_camera: (4, 4) assumed mount.
-        settings: thresholds of agreement and of explanations.
         products: (8, 8) of distance and rotation by wheels, translation (3) and rotation (3) by the camera, in the
             base's axes.
         of_gyro: (3, 3) of rotations by wheels, camera and gyroscope, for pieces with a gyroscope.
@@ -73,7 +85,6 @@ class Agreement:
 
     wheels: Wheels | HolonomicWheels
     T_base_camera: FloatArray
-    settings: AgreementSettings = DEFAULTS.agreement
     products: FloatArray = field(default_factory=lambda: np.zeros((8, 8)))
     of_gyro: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     pieces: int = 0
@@ -95,7 +106,7 @@ class Agreement:
         """Add a piece, the base's motion (4, 4) by each; returns False if it is too short, and then adds nothing."""
         w, c = _way_and_turn(T_by_wheels), _way_and_turn(T_by_camera)
         ways_m, turns_rad = (np.array([_size(w[part]), _size(c[part])]) for part in (np.s_[:3], np.s_[3:]))
-        if ways_m.max() < self.settings.piece_m and turns_rad.max() < self.settings.piece_rad:
+        if ways_m.max() < _PIECE_M and turns_rad.max() < _PIECE_RAD:
             return False
         if isinstance(self.wheels, HolonomicWheels):  # in axes along the direction of travel
             along = so3.exp([0.0, 0.0, -math.atan2(w[1], w[0]) if _size(w[:2]) > _LEAST_WAY_M else 0.0])
@@ -104,19 +115,17 @@ class Agreement:
         if gyro_rad is not None:
             turns = np.array([w[5], c[5], gyro_rad])
             self.of_gyro += np.outer(turns, turns)
-        slip = self._slip_rad2(float(ways_m[0]))
-        self.drift += self.settings.slips * slip + (self.settings.drift_rad_per_m * ways_m.max()) ** 2
+        way_m = float(ways_m[0])
+        if isinstance(self.wheels, HolonomicWheels):  # variance of the rotation by the wheels' slip
+            slip_rad2 = self.wheels.turn_variance_per_m * way_m
+        else:
+            slip_rad2 = 2 * self.wheels.slip_m_per_sqrt_m**2 * way_m / self.wheels.track_width_m**2
+        self.drift += _SLIPS * slip_rad2 + (_DRIFT_RAD_PER_M * ways_m.max()) ** 2
         self.products += np.outer(motion, motion)
         self.pieces += 1
         self.ways_m += ways_m
         self.turns_rad += turns_rad
         return True
-
-    def _slip_rad2(self, way_m: float) -> float:
-        """Variance of the turn by the wheels' slip over a way."""
-        if isinstance(self.wheels, HolonomicWheels):
-            return self.wheels.turn_variance_per_m * way_m
-        return 2 * self.wheels.slip_m_per_sqrt_m**2 * way_m / self.wheels.track_width_m**2
 
     def unexplained(self, expected: FloatArray) -> tuple[float, float]:
         """The shares of translations and of rotations that `expected` (6, 2) does not explain."""
@@ -124,15 +133,15 @@ class Agreement:
         cross = expected @ G[_WHEELS, 2:]
         left = np.diag(G[2:, 2:] - cross - cross.T + expected @ G[_WHEELS, _WHEELS] @ expected.T)
         # Differences of usual size do not count; translations of turns on the spot are nothing else.
-        usual = np.square([self.settings.usual_m, self.settings.usual_rad]) / self.settings.disagrees
+        usual = np.square([_USUAL_M, _USUAL_RAD]) / _DISAGREES
         least_m2, least_rad2 = self.pieces * usual
         way = max(np.trace(G[_WAYS, _WAYS]), G[0, 0], least_m2)
         turn = max(np.trace(G[_TURNS, _TURNS]), G[1, 1], least_rad2)
         return float(left[:3].sum() / way), max(float(left[3:].sum() - self.drift), 0.0) / turn
 
-    def agrees(self, most: float | None = None) -> bool:
-        """Whether both motions agree up to a share `most` of their squares; default `settings.disagrees`."""
-        return max(self.unexplained(_seen_of(np.eye(2)))) < (self.settings.disagrees if most is None else most)
+    def agrees(self, most: float = _DISAGREES) -> bool:
+        """Whether both motions agree up to a share `most` of their squares; default `_DISAGREES`."""
+        return max(self.unexplained(_seen_of(np.eye(2)))) < most
 
     def explanations(self, floor_ratio: float | None, *, is_accused: bool = False) -> list[Explanation]:
         """The explanations of a disagreement, filtered by floor and gyroscope; none if both motions agree.
@@ -142,17 +151,17 @@ class Agreement:
                 is in view.
             is_accused: whether an explanation was found before; then a better agreement is needed to drop it.
         """
-        if not self.pieces or self.agrees(self.settings.explained if is_accused else None):
+        if not self.pieces or self.agrees(_EXPLAINED if is_accused else _DISAGREES):
             return []
         turned = self._turned()
-        is_near = min(turned[0, 0], turned[2, 2]) > math.cos(math.radians(self.settings.least_turn_deg))
+        is_near = min(turned[0, 0], turned[2, 2]) > math.cos(math.radians(_LEAST_TURN_DEG))
         looks_elsewhere = [] if is_near else [self._of_mount(turned)]
         fit = [*self._explained(self._of_wheels())[:1], *self._explained([*self._of_camera(), *looks_elsewhere])]
         found = fit or self._explained([self._of_mount(turned, self._swings()[:, 1]) for _ in looks_elsewhere])
         return self._by_gyro(self._by_floor(found, floor_ratio))
 
     def _explained(self, candidates: list[Explanation]) -> list[Explanation]:
-        return [one for one in candidates if max(self.unexplained(one.expected)) < self.settings.explained]
+        return [one for one in candidates if max(self.unexplained(one.expected)) < _EXPLAINED]
 
     def _of_wheels(self) -> list[Explanation]:
         """Faults of wheels, the simplest first: signs, swapped wheels, sizes."""
@@ -173,7 +182,7 @@ class Agreement:
             ways = ((-np.eye(2), "all wheels count backwards: turn their signs"),)
         found = [Explanation(Culprit.WHEELS, cause, _seen_of(M)) for M, cause in ways]
         way, turn = _ratio(G[0, 2], G[0, 0]), _ratio(G[1, 7], G[1, 1])
-        weights = np.array([G[0, 0] / self.settings.usual_m**2, G[1, 1] / self.settings.usual_rad**2])
+        weights = np.array([G[0, 0] / _USUAL_M**2, G[1, 1] / _USUAL_RAD**2])
         both = float(weights @ [way, turn] / max(weights.sum(), 1e-12))
         sizes = (
             ((both, both), both, "their ways and turns are {} times the true ones: check ticks_per_turn and radii"),
@@ -181,7 +190,7 @@ class Agreement:
             ((way, 1.0), way, "their ways, not their turns, are {} times the true ones: check radii and track_width_m"),
         )
         for M, ratio, cause in sizes:
-            if 1 / self.settings.largest_factor < ratio < self.settings.largest_factor:
+            if 1 / _LARGEST_FACTOR < ratio < _LARGEST_FACTOR:
                 text = cause.format(f"{1 / ratio:.2g}")
                 found.append(Explanation(Culprit.WHEELS, text, _seen_of(np.diag(M)), is_scale=True))
         return found
@@ -191,7 +200,7 @@ class Agreement:
         way, R = _ratio(self.products[0, 2], self.products[0, 0]), self.T_base_camera[:3, :3]
         swing = np.cross(_UP, self._place)  # of the camera, in a rotation of the base
         found = []
-        if 1 / self.settings.largest_factor < way < self.settings.largest_factor:
+        if 1 / _LARGEST_FACTOR < way < _LARGEST_FACTOR:
             expected = _seen_of(np.diag([way, 1.0]))
             expected[:3, 1] = (way - 1) * swing
             found.append(Explanation(Culprit.CAMERA, depth_cause(way), expected, True, way))
@@ -213,7 +222,7 @@ class Agreement:
     def _swings(self) -> FloatArray:
         """(3, 2) the camera's translation as a linear function of the wheels' distance and rotation, least squares."""
         G = self.products
-        usual = self.pieces * np.diag(np.square([self.settings.usual_m, self.settings.usual_rad])) * _LITTLE
+        usual = self.pieces * np.diag(np.square([_USUAL_M, _USUAL_RAD])) * _LITTLE
         return np.asarray(G[_WAYS, _WHEELS] @ np.linalg.inv(G[_WHEELS, _WHEELS] + usual))
 
     def _turned(self) -> FloatArray:
@@ -223,8 +232,8 @@ class Agreement:
         give no direction of travel.
         """
         G, M = self.products, np.eye(3)
-        M[:, 0] += self._swings()[:, 0] * G[0, 0] / self.settings.usual_m**2
-        M[:, 2] += G[_TURNS, 1] / self.settings.usual_rad**2
+        M[:, 0] += self._swings()[:, 0] * G[0, 0] / _USUAL_M**2
+        M[:, 2] += G[_TURNS, 1] / _USUAL_RAD**2
         return np.asarray(so3.nearest(M))
 
     def _of_mount(self, turned: FloatArray, swing: FloatArray | None = None) -> Explanation:
@@ -232,7 +241,7 @@ class Agreement:
         G, expected = self.products, np.zeros((6, 2))
         expected[:3, 0], expected[3:, 1] = turned[:, 0], turned[:, 2]
         expected[:3, 1] = np.cross(self._place - turned @ self._place, turned[:, 2]) if swing is None else swing
-        is_turning = G[1, 1] > self.pieces * self.settings.usual_rad**2
+        is_turning = G[1, 1] > self.pieces * _USUAL_RAD**2
         off_deg = (
             math.degrees(float(so3.angle(turned)))
             if is_turning
@@ -243,14 +252,14 @@ class Agreement:
             Culprit.CAMERA,
             cause,
             expected,
-            tilts=is_turning and turned[2, 2] < math.cos(math.radians(self.settings.largest_tilt_deg)),
+            tilts=is_turning and turned[2, 2] < math.cos(math.radians(_LARGEST_TILT_DEG)),
         )
 
     def _by_floor(self, found: list[Explanation], ratio: float | None) -> list[Explanation]:
         """The explanations that agree with the floor: its height is right, or wrong by the factor of depth."""
         if ratio is None:
             return found
-        near = self.settings.same_scale
+        near = _SAME_SCALE
         if abs(math.log(ratio)) < near:
             return [one for one in found if one.depth is None and not one.tilts]
         return [one for one in found if one.depth is not None and abs(math.log(ratio / one.depth)) < near] or found
@@ -258,14 +267,11 @@ class Agreement:
     def _by_gyro(self, found: list[Explanation]) -> list[Explanation]:
         """The explanations that agree with the gyroscope, if that agrees clearly with one sensor."""
         wheels, camera, gyro = np.diag(self.of_gyro)
-        if gyro < self.pieces * self.settings.usual_rad**2 or len({one.culprit for one in found}) < 2:
+        if gyro < self.pieces * _USUAL_RAD**2 or len({one.culprit for one in found}) < 2:
             return found
         by_wheels = (wheels + gyro - 2 * self.of_gyro[0, 2]) / max(wheels, gyro)
         by_camera = (camera + gyro - 2 * self.of_gyro[1, 2]) / max(camera, gyro)
-        if (
-            max(by_wheels, by_camera) < 2 * self.settings.disagrees
-            or min(by_wheels, by_camera) > self.settings.disagrees
-        ):
+        if max(by_wheels, by_camera) < 2 * _DISAGREES or min(by_wheels, by_camera) > _DISAGREES:
             return found
         wrong = Culprit.CAMERA if by_wheels < by_camera else Culprit.WHEELS
         return [one for one in found if one.culprit is wrong]

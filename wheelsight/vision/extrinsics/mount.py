@@ -14,8 +14,8 @@ from wheelsight.core.calibration_parts import DepthNoise, Wheels
 from wheelsight.core.errors import CalibrationError
 from wheelsight.core.geometry import BoolArray, FloatArray, IntArray, se3, so3
 from wheelsight.core.robust_fit import UNKNOWN_SIGMA, robust_fit, spread
+from wheelsight.core.settings import CHOSEN, Settings, setting
 from wheelsight.core.trajectory import Trajectory
-from wheelsight.vision.extrinsics.settings import DEFAULTS, FloorSettings, MountSettings, TurningSettings
 from wheelsight.wheels.calibration import covariance_by
 from wheelsight.wheels.drive import Drive, Segments, cut, yaw_at_readings
 
@@ -27,6 +27,11 @@ from wheelsight.wheels.drive import Drive, Segments, cut, yaw_at_readings
 
 ComplexArray = NDArray[np.complex128]
 
+# A piece of a drive ends after this distance or rotation, long relative to the camera's noise; chosen.
+_SEGMENT_M, _SEGMENT_RAD = 0.3, 0.25
+# Largest delay between the clocks that the fit finds, and how far tyres may creep outwards in bends, as
+# `MountFit.slide_s`; chosen.
+LARGEST_DELAY_S, _SLIDE_SIGMA_S = 0.5, 0.02
 # Bias of visual odometry that residuals do not show; measured on simulated drives.
 _LEAST_SIGMAS = np.array([1e-3, 1e-3, 1e-3, 5e-3, 2e-3, 2e-3, 1e-3, 1e-4])
 # Limits of all parameters but the delay; no robot exceeds them.
@@ -83,10 +88,9 @@ def levelled(camera: Trajectory, up_camera: FloatArray) -> Trajectory:
     return Trajectory(camera.stamps_s, camera.T_frame_body @ T_camera_level, body="base")
 
 
-def cut_level(drive: Drive, wheels: Wheels, level: Trajectory, settings: MountSettings = DEFAULTS.mount) -> Segments:
+def cut_level(drive: Drive, wheels: Wheels, level: Trajectory) -> Segments:
     """The pieces of a drive. Raises CalibrationError if readings and frames do not overlap in time."""
-    longest_s = settings.largest_delay_s + abs(wheels.delay_s)
-    return cut(drive, level, wheels, settings.segment_m, longest_s, settings.segment_rad)
+    return cut(drive, level, wheels, _SEGMENT_M, LARGEST_DELAY_S + abs(wheels.delay_s), _SEGMENT_RAD)
 
 
 def fit_mount(
@@ -94,7 +98,6 @@ def fit_mount(
     wheels: Wheels,
     segments: Segments,
     delay_s: float,
-    settings: MountSettings = DEFAULTS.mount,
     camera_errors: FloatArray | None = None,
 ) -> MountFit:
     """Fit the planar mount robustly to the motions of wheels and camera.
@@ -104,10 +107,9 @@ def fit_mount(
         wheels: nominal wheels, correct to a few percent.
         segments: from `cut_level`, with turns and straight motion.
         delay_s: initial delay of the wheels' stamps, correct to a few hundredths of a second.
-        settings: of the mount.
         camera_errors: (K, 3, 3) of the levelled camera, see `camera_errors.motion_errors`; None for none.
     """
-    problem = _Problem(drive, wheels, segments, delay_s, settings)
+    problem = _MountProblem(drive, wheels, segments, delay_s)
     found = robust_fit(problem, np.zeros(len(_BOUNDS)))
     left_m, right_m, track_m = problem.sizes_m(found.values).tolist()
     fitted = replace(
@@ -149,20 +151,18 @@ def _larger(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray((across * np.maximum(values, 1.0)) @ across.T)
 
 
-class _Problem:
+class _MountProblem:
     """Residuals by log sizes over nominal, mount and delay relative to the initial values, and slide."""
 
-    def __init__(
-        self, drive: Drive, wheels: Wheels, segments: Segments, delay_s: float, settings: MountSettings
-    ) -> None:
+    def __init__(self, drive: Drive, wheels: Wheels, segments: Segments, delay_s: float) -> None:
         self.drive, self.segments, self.start_delay_s = drive, segments, delay_s
         self.nominal_m = np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
         base = segments.predicted(drive, self.nominal_m, delay_s, np.zeros(3))
         self.start_mount = closed_form(base, segments.motions)
         self.bounds = _BOUNDS.copy()
-        self.bounds[6] = 2 * settings.largest_delay_s
+        self.bounds[6] = 2 * LARGEST_DELAY_S
         self.prior_sigmas = np.full(len(_BOUNDS), UNKNOWN_SIGMA)
-        self.prior_sigmas[7] = settings.slide_sigma_s
+        self.prior_sigmas[7] = _SLIDE_SIGMA_S
         x, y, turn_rad = base.T
         middle = np.exp(0.5j * turn_rad)
         along_m = ((x + 1j * y) / middle).real
@@ -186,13 +186,20 @@ class _Problem:
         return self.segments.residuals(motions)
 
 
+# Largest offset between the clocks, and the step of the search for it, which fits refine; chosen.
+_LARGEST_OFFSET_S, _OFFSET_STEP_S = 10.0, 0.02
+# Interval over which rotations are compared; longer ones than the second figure hide a gap. Chosen.
+_INTERVAL_S, _LONGEST_INTERVAL_S = 0.25, 1.0
+_FEWEST_INTERVALS = 0.5  # share of the intervals that must lie within the time of the readings
+
+
 @dataclass(frozen=True, eq=False)
 class Turning:
     """The vertical axis and the clock delay by the rotations of wheels and camera.
 
     Attributes:
         up_camera: (3,) unit axis of left turns in the camera frame.
-        delay_s: of the wheels' stamps behind the camera's, to 20 ms, within ±`largest_offset_s` of the nominal one.
+        delay_s: of the wheels' stamps behind the camera's, to 20 ms, within ±10 s of the nominal one.
         agreement: 0 to 1, the correlation of the camera's turns about that axis with the wheels'.
     """
 
@@ -201,30 +208,26 @@ class Turning:
     agreement: float
 
 
-def common_turning(
-    drive: Drive, wheels: Wheels, camera: Trajectory, settings: TurningSettings = DEFAULTS.turning
-) -> Turning:
+def common_turning(drive: Drive, wheels: Wheels, camera: Trajectory) -> Turning:
     """The axis and delay for which the rotations of `camera` (T_map_camera) and of the wheels agree best.
 
     A robot on a floor rotates about the floor's normal only, so all rotations of the camera have one axis, and their
     angles are those of the wheels. Rotations outside the time of the readings are ignored; a delay is skipped if too
     few remain. Without rotations the agreement is 0.
     """
-    marks = (
-        np.floor((camera.stamps_s - camera.stamps_s[:1]) / settings.interval_s) if len(camera.stamps_s) else np.zeros(0)
-    )
+    marks = np.floor((camera.stamps_s - camera.stamps_s[:1]) / _INTERVAL_S) if len(camera.stamps_s) else np.zeros(0)
     cuts = np.flatnonzero(np.diff(marks, prepend=-1) > 0)
     start, end = cuts[:-1], cuts[1:]
-    whole = camera.stamps_s[end] - camera.stamps_s[start] <= settings.longest_interval_s
+    whole = camera.stamps_s[end] - camera.stamps_s[start] <= _LONGEST_INTERVAL_S
     start, end = start[whole], end[whole]
     turns = so3.log(se3.invert(camera.T_frame_body[start])[:, :3, :3] @ camera.T_frame_body[end, :3, :3])
-    steps = round(settings.largest_offset_s / settings.step_s)
+    steps = round(_LARGEST_OFFSET_S / _OFFSET_STEP_S)
     turned_rad = yaw_at_readings(drive, wheels)
     best = Turning(np.array([0.0, -1.0, 0.0]), wheels.delay_s, 0.0)
-    for delay_s in wheels.delay_s + settings.step_s * np.arange(-steps, steps + 1):
+    for delay_s in wheels.delay_s + _OFFSET_STEP_S * np.arange(-steps, steps + 1):
         begin_s, until_s = camera.stamps_s[start] + delay_s, camera.stamps_s[end] + delay_s
         inside = (begin_s >= drive.stamps_s[0]) & (until_s <= drive.stamps_s[-1])
-        if np.count_nonzero(inside) < max(1.0, settings.fewest_share * len(start)):
+        if np.count_nonzero(inside) < max(1.0, _FEWEST_INTERVALS * len(start)):
             continue
         ends_rad = (np.interp(stamps_s[inside], drive.stamps_s, turned_rad) for stamps_s in (until_s, begin_s))
         yaw_rad = np.subtract(*ends_rad)
@@ -243,14 +246,35 @@ def common_turning(
 
 _WORST_CONDITION = 1e6  # of the normal equations of a plane
 _MOST_CLUSTERS = 25  # of consecutive views, whose spread gives the covariance
-_FLOOR_LEAST_SIGMAS = np.array(
-    [2e-4, 2e-4, 5e-4]
-)  # no depth camera is better than a hundredth of a degree and half a mm
+# No depth camera is better than a hundredth of a degree and half a mm.
+_FLOOR_LEAST_SIGMAS = np.array([2e-4, 2e-4, 5e-4])
+# Least height of a camera over the floor, the bins of the histogram of heights, and the share of its largest bin that a
+# floor must reach; chosen.
+_LEAST_HEIGHT_M, _BIN_M, _PEAK_SHARE = 0.05, 0.04, 0.2
+# Bands around the plane, narrowed step by step (chosen), the number of reweighted fits after that, and χ² of an outlier,
+# three standard deviations.
+_BANDS_M, _ROBUST_STEPS, _OUTLIER_CHI2 = (0.15, 0.10, 0.06, 0.04, 0.04), 8, 9.0
+# Points of the plane in a view, and views that show it, also as a share of all views; chosen.
+_FEWEST_POINTS, _FEWEST_VIEWS, _FEWEST_VIEW_SHARE = 40, 10, 0.25
+# Below the plane by this distance lies no noise of it; with more points there than this share of those on it, the plane
+# is a table. Chosen.
+_BELOW_M, _MOST_BELOW = 0.15, 0.1
+_MOST_SWAY_DEG, _MOST_SWAY_M = 0.6, 0.02  # between views; a loose camera has more
+# In one view: least sine of a ray's angle below the horizon that gives the height, bins and range of the height's
+# logarithm (8 %, ten times as high or low), and the slope halfway from a floor to a wall.
+_STEEP, _BIN_LOG, _RANGE_LOG, _STEEPEST_DEG = 0.2, 0.08, 2.3, 45.0
 _ADVICE = "tilt the camera down, or drive where more floor lies free before it"
 
 
+class FloorRangeSettings(Settings):
+    """Where the floor is searched."""
+
+    farthest_m: float = setting(5.0, "largest depth; beyond, errors outweigh the information", CHOSEN, gt=0, le=100)
+    highest_m: float = setting(3.0, "largest height of a camera over the floor", CHOSEN, gt=0, le=100)
+
+
 @dataclass(frozen=True, eq=False)
-class FloorViews:
+class FloorDepths:
     """Subsampled depth images.
 
     Attributes:
@@ -265,7 +289,7 @@ class FloorViews:
 
 
 @dataclass(frozen=True, eq=False)
-class Floor:
+class FloorFit:
     """The floor in the camera frame.
 
     Attributes:
@@ -308,38 +332,43 @@ def tilt_of(up_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def fit_floor(
-    views: FloorViews, up_camera: FloatArray, noise: DepthNoise, settings: FloorSettings = DEFAULTS.floor
-) -> Floor:
+    views: FloorDepths, up_camera: FloatArray, noise: DepthNoise, settings: FloorRangeSettings | None = None
+) -> FloorFit:
     """Fit the floor to all views; `up_camera` (3,), the axis of the robot's turns, is correct to a few degrees.
 
     Raises:
         CalibrationError: too few views show a floor, the plane is not the lowest, or it varies between views.
     """
-    points = _Points.of(views, noise, settings)
-    q = -up_camera / _coarse_height_m(points, up_camera)
-    for band_m in settings.bands_m:
+    settings, view_count = settings or FloorRangeSettings(), len(views.stamps_s)
+    is_near = (views.depth_m > noise.near_m) & (views.depth_m < min(noise.far_m, settings.farthest_m))
+    view, pixel = np.nonzero(is_near)
+    depth_m = views.depth_m[is_near].astype(float)
+    points = _FloorPoints(view, pixel, views.rays[pixel], 1 / depth_m, noise.sigma_m(depth_m) / depth_m**2)
+    q = -up_camera / _coarse_height_m(points, up_camera, settings.highest_m)
+    for band_m in _BANDS_M:
         q = points.plane(np.abs(points.off_m(q)) < band_m)
-    for _ in range(settings.robust_steps):
+    for _ in range(_ROBUST_STEPS):
         q = points.plane(points.agreement(q))
     agreement = points.agreement(q)
-    seen, tilts = _view_by_view(points, q, agreement, len(views.stamps_s))
-    _refuse_if_unsteady(tilts, len(views.stamps_s), settings)
-    _refuse_if_not_lowest(points, q)
-    height_m = float(1 / np.linalg.norm(q))
+    seen, tilts = _view_by_view(points, q, agreement, view_count)
+    if len(tilts) < max(_FEWEST_VIEWS, _FEWEST_VIEW_SHARE * view_count):
+        raise CalibrationError(f"only {len(tilts)} of {view_count} views show enough floor", fix=_ADVICE)
+    sway = 1.4826 * np.median(np.abs(tilts - np.median(tilts, axis=0)), axis=0)
+    if max(sway[:2]) > np.radians(_MOST_SWAY_DEG) or sway[2] > _MOST_SWAY_M:
+        raise CalibrationError(
+            f"the floor sways by {np.degrees(max(sway[:2])):.1f}° and {100 * sway[2]:.0f} cm from view to view",
+            fix="fix the camera to the robot, and drive on level ground",
+        )
+    off_m, height_m = points.off_m(q), float(1 / np.linalg.norm(q))
+    if np.count_nonzero(off_m < -_BELOW_M) > _MOST_BELOW * np.count_nonzero(np.abs(off_m) < _BANDS_M[-1]):
+        problem = f"much lies below the lowest plane in sight, {height_m:.2f} m under the camera: no floor is in view"
+        raise CalibrationError(problem, fix=_ADVICE)
     covariance = _covariance(points, q, agreement)
     points_m, weights = points.by_pixel(q, agreement)
-    return Floor(
-        -q * height_m, height_m, covariance, points_m, weights, views.stamps_s[seen], tilts, len(views.stamps_s)
-    )
+    return FloorFit(-q * height_m, height_m, covariance, points_m, weights, views.stamps_s[seen], tilts, view_count)
 
 
-def height_below(
-    rays: FloatArray,
-    depth_m: FloatArray,
-    up_camera: FloatArray,
-    expected_m: float,
-    settings: FloorSettings = DEFAULTS.floor,
-) -> float | None:
+def height_below(rays: FloatArray, depth_m: FloatArray, up_camera: FloatArray, expected_m: float) -> float | None:
     """The approximate height of a camera over the floor by one view; None if no floor is in view.
 
     Steep rays give the height even if `up_camera` is some degrees off. The plane must be level, which excludes a wall
@@ -350,25 +379,24 @@ def height_below(
         depth_m: (N,), 0 where nothing was measured; its unit may be wrong.
         up_camera: (3,) by the mount.
         expected_m: the height by the mount; the search covers a tenth of it to ten times it.
-        settings: of one view.
     """
     down = -(rays @ up_camera)
-    is_steep = (down > settings.steep * np.linalg.norm(rays, axis=-1)) & (depth_m > 0)
+    is_steep = (down > _STEEP * np.linalg.norm(rays, axis=-1)) & (depth_m > 0)
     logs = np.log(down[is_steep] * depth_m[is_steep] / expected_m)
-    counts, edges = np.histogram(logs, np.arange(-settings.range_log, settings.range_log, settings.bin_log))
+    counts, edges = np.histogram(logs, np.arange(-_RANGE_LOG, _RANGE_LOG, _BIN_LOG))
     pairs = counts[:-1] + counts[1:]
-    many = np.flatnonzero(pairs >= max(settings.peak_share * pairs.max(initial=0), settings.fewest_points))
+    many = np.flatnonzero(pairs >= max(_PEAK_SHARE * pairs.max(initial=0), _FEWEST_POINTS))
     if not len(many):
         return None
     lowest = (logs >= edges[many[-1]]) & (logs < edges[many[-1] + 2])
     q = np.linalg.lstsq(rays[is_steep][lowest], 1 / depth_m[is_steep][lowest])[0]
-    if not bool(-(q @ up_camera) > math.cos(math.radians(settings.steepest_deg)) * np.linalg.norm(q)):
+    if not bool(-(q @ up_camera) > math.cos(math.radians(_STEEPEST_DEG)) * np.linalg.norm(q)):
         return None
     return float(expected_m * np.exp(np.median(logs[lowest])))
 
 
 @dataclass(frozen=True, eq=False)
-class _Points:
+class _FloorPoints:
     """Depth readings of all views: view, pixel and inverse depth (P,), its standard deviation (P,) and rays (P, 3)."""
 
     view: IntArray
@@ -376,14 +404,6 @@ class _Points:
     rays: FloatArray
     inverse: FloatArray
     sigma: FloatArray
-    settings: FloorSettings
-
-    @classmethod
-    def of(cls, views: FloorViews, noise: DepthNoise, settings: FloorSettings) -> _Points:
-        is_near = (views.depth_m > noise.near_m) & (views.depth_m < min(noise.far_m, settings.farthest_m))
-        view, pixel = np.nonzero(is_near)
-        depth_m = views.depth_m[is_near].astype(float)
-        return cls(view, pixel, views.rays[pixel], 1 / depth_m, noise.sigma_m(depth_m) / depth_m**2, settings)
 
     def off_m(self, q: FloatArray) -> FloatArray:
         """Height (P,) of each point above the plane."""
@@ -399,11 +419,10 @@ class _Points:
 
     def agreement(self, q: FloatArray) -> FloatArray:
         """Geman–McClure weights (P,), scaled by the spread of points near the plane; 0 for all others."""
-        near = np.abs(self.off_m(q)) < 2 * self.settings.bands_m[-1]
+        near = np.abs(self.off_m(q)) < 2 * _BANDS_M[-1]
         r = (self.inverse - self.rays @ q) / self.sigma
         scale = 1.4826 * float(np.median(np.abs(r[near]))) if near.any() else 1.0
-        chi2 = self.settings.outlier_chi2
-        return np.where(near, (chi2 / (chi2 + (r / scale) ** 2)) ** 2, 0.0)
+        return np.where(near, (_OUTLIER_CHI2 / (_OUTLIER_CHI2 + (r / scale) ** 2)) ** 2, 0.0)
 
     def by_pixel(self, q: FloatArray, agreement: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points (N, 3) of the plane, metres, where views agree with it, and weights (N,) of all views."""
@@ -415,14 +434,13 @@ class _Points:
         return rays[shown] / inverse[shown, None], weights[shown]
 
 
-def _coarse_height_m(points: _Points, up_camera: FloatArray) -> float:
+def _coarse_height_m(points: _FloorPoints, up_camera: FloatArray, highest_m: float) -> float:
     """The lowest peak of the histogram of heights below the camera."""
     below_m = -(points.rays @ up_camera) / points.inverse
-    settings = points.settings
-    edges = np.arange(settings.least_height_m, settings.highest_m, settings.bin_m)
+    edges = np.arange(_LEAST_HEIGHT_M, highest_m, _BIN_M)
     counts, _ = np.histogram(below_m, edges)
     pairs = counts[:-1] + counts[1:]
-    many = np.flatnonzero(pairs >= max(settings.peak_share * pairs.max(), settings.fewest_points))
+    many = np.flatnonzero(pairs >= max(_PEAK_SHARE * pairs.max(), _FEWEST_POINTS))
     if not len(many):
         raise CalibrationError("hardly any depth lies below the camera: no floor is in view", fix=_ADVICE)
     lowest = (below_m >= edges[many[-1]]) & (below_m < edges[many[-1] + 2])
@@ -430,7 +448,7 @@ def _coarse_height_m(points: _Points, up_camera: FloatArray) -> float:
 
 
 def _view_by_view(
-    points: _Points, q: FloatArray, agreement: FloatArray, view_count: int
+    points: _FloorPoints, q: FloatArray, agreement: FloatArray, view_count: int
 ) -> tuple[IntArray, FloatArray]:
     """Indices (K,) of the views that determine the plane alone, and roll, pitch and height (K, 3) by each."""
     weights = agreement / points.sigma**2
@@ -438,7 +456,7 @@ def _view_by_view(
     np.add.at(H, points.view, weights[:, None, None] * points.rays[:, :, None] * points.rays[:, None, :])
     g = np.zeros((view_count, 3))
     np.add.at(g, points.view, (weights * (points.inverse - points.rays @ q))[:, None] * points.rays)
-    enough = np.bincount(points.view, agreement > 0.5, minlength=view_count) >= points.settings.fewest_points
+    enough = np.bincount(points.view, agreement > 0.5, minlength=view_count) >= _FEWEST_POINTS
     seen = np.flatnonzero(enough)
     seen = seen[np.linalg.cond(H[seen]) < _WORST_CONDITION]
     planes = q + np.linalg.solve(H[seen], g[seen][..., None])[..., 0]
@@ -457,7 +475,7 @@ def _derivatives(q: FloatArray) -> FloatArray:
     return np.stack([(_tilts(q + h) - _tilts(q - h)) / (2 * h.max()) for h in steps], axis=-1)
 
 
-def _covariance(points: _Points, q: FloatArray, agreement: FloatArray) -> FloatArray:
+def _covariance(points: _FloorPoints, q: FloatArray, agreement: FloatArray) -> FloatArray:
     """Covariance (3, 3) of roll, pitch and height by the sandwich estimator.
 
     The gradient is summed over runs of neighbouring views, whose errors correlate.
@@ -472,25 +490,3 @@ def _covariance(points: _Points, q: FloatArray, agreement: FloatArray) -> FloatA
     spread = inverse @ (sums.T @ sums) @ inverse * groups / max(groups - 3, 1)
     J = _derivatives(q)
     return np.asarray(J @ spread @ J.T + np.diag(_FLOOR_LEAST_SIGMAS**2))
-
-
-def _refuse_if_not_lowest(points: _Points, q: FloatArray) -> None:
-    settings, off_m = points.settings, points.off_m(q)
-    below, on = np.count_nonzero(off_m < -settings.below_m), np.count_nonzero(np.abs(off_m) < settings.bands_m[-1])
-    if below > settings.most_below * on:
-        raise CalibrationError(
-            f"much lies below the lowest plane in sight, {1 / np.linalg.norm(q):.2f} m under the camera: "
-            "no floor is in view",
-            fix=_ADVICE,
-        )
-
-
-def _refuse_if_unsteady(tilts: FloatArray, view_count: int, settings: FloorSettings) -> None:
-    if len(tilts) < max(settings.fewest_views, settings.fewest_share * view_count):
-        raise CalibrationError(f"only {len(tilts)} of {view_count} views show enough floor", fix=_ADVICE)
-    sway = 1.4826 * np.median(np.abs(tilts - np.median(tilts, axis=0)), axis=0)
-    if max(sway[:2]) > np.radians(settings.most_sway_deg) or sway[2] > settings.most_sway_m:
-        raise CalibrationError(
-            f"the floor sways by {np.degrees(max(sway[:2])):.1f}° and {100 * sway[2]:.0f} cm from view to view",
-            fix="fix the camera to the robot, and drive on level ground",
-        )
