@@ -130,8 +130,8 @@ def test_it_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.Mon
         monkeypatch.setattr(shutil, "disk_usage", lambda _: used._replace(free=149_000_000))
         session.join()
     assert str(session.problem) == (
-        f"{tmp_path / 'r'}: only 149 MB are left on the disk: recording stopped; what was recorded is whole "
-        "(free some space, then go on with --resume)"
+        f"{tmp_path / 'r'}: only 149 MB are left on the disk: recording stopped, and is complete "
+        "(free some space, then continue with --resume)"
     )
 
 

@@ -196,5 +196,5 @@ def test_images_in_milliseconds_that_find_no_partner_say_the_unit(tmp_path: Path
 
 @pytest.mark.parametrize("rate_hz", [0.0, -30.0, np.nan, np.inf])
 def test_rates_that_are_none_are_refused(rate_hz: float) -> None:
-    with pytest.raises(ConfigError, match="--rate-hz is"):
+    with pytest.raises(ConfigError, match="rate_hz is"):
         OpenOptions(rate_hz=rate_hz)

@@ -320,7 +320,14 @@ class StreamingCamera:
         arrived_s = host_clock.now_s()
         if images is not None:
             self._receive(images, arrived_s)
-        self._read_gyro()
+        turns = self._driver.take_angular_velocities() if isinstance(self._driver, GyroDriver) else ()
+        for turn in turns:
+            # Its stamps are mapped as those of frames. Stamps that decrease are left out.
+            stamp_s = self._check.clock.host_s(turn.device_s)
+            if stamp_s is not None and stamp_s > self._turned_s:
+                self._turned_s = stamp_s
+                with self._ready:
+                    self._turns.append(AngularVelocity(stamp_s, turn.x_rad_s, turn.y_rad_s, turn.z_rad_s))
         if images is not None:
             return
         if arrived_s - self._received_s > self._settings.reopen_s:
@@ -347,17 +354,6 @@ class StreamingCamera:
             self._ready.notify_all()
         self._set_status(CameraStatus.STREAMING)
 
-    def _read_gyro(self) -> None:
-        """Keep readings of the gyroscope, with stamps mapped as those of frames. Stamps that decrease are left out."""
-        if not isinstance(self._driver, GyroDriver):
-            return
-        for turn in self._driver.take_angular_velocities():
-            stamp_s = self._check.clock.host_s(turn.device_s)
-            if stamp_s is not None and stamp_s > self._turned_s:
-                self._turned_s = stamp_s
-                with self._ready:
-                    self._turns.append(AngularVelocity(stamp_s, turn.x_rad_s, turn.y_rad_s, turn.z_rad_s))
-
     def _wait_for_device(self, reason: DeviceError) -> None:
         """Close a device that failed, and open it as soon as it is back."""
         self._driver.close()
@@ -369,11 +365,13 @@ class StreamingCamera:
             except DeviceError as error:
                 self._detail = str(error)
                 continue
-            wrong = _difference(device, self._device)
-            if wrong is None:
+            if device.name != self._device.name:
+                self._detail = f"another camera is there: {device.name}, not {self._device.name}"
+            elif device.calibration.cameras != self._device.calibration.cameras:
+                self._detail = "the camera came back with images of another calibration"
+            else:
                 break
             self._driver.close()
-            self._detail = wrong
         else:
             return
         with self._ready:
@@ -425,15 +423,6 @@ def _checked_calibration(calibration: Calibration | None, device: OpenedDevice) 
     return calibration
 
 
-def _difference(found: OpenedDevice, first: OpenedDevice) -> str | None:
-    """How a device differs from the one that was opened first; None where it is the same."""
-    if found.name != first.name:
-        return f"another camera is there: {found.name}, not {first.name}"
-    if any(a != b for a, b in zip(found.calibration.cameras, first.calibration.cameras, strict=True)):
-        return "the camera came back with images of another calibration"
-    return None
-
-
 # Consecutive older frames that the bus may deliver out of order; more mean that a clock or a counter was set back.
 _MOST_OUT_OF_ORDER = 3
 
@@ -463,7 +452,11 @@ class FrameCheck:
         if self._is_old(images):
             self.refused += 1
             return None
-        missing = self._missing(images.sequence, arrived_s)
+        missing = 0
+        if images.sequence is not None and self._sequence is not None:
+            missing = images.sequence - self._sequence - 1
+            most = 2 * self._settings.rate_hz * (arrived_s - self._arrived_s) + self._settings.rate_hz
+            missing = missing if 0 < missing <= most else 0  # else the numbers were reset
         self.lost += missing
         index = self._index + missing
         self._index = index + 1
@@ -499,14 +492,6 @@ class FrameCheck:
             self.replugged()
             return False
         return behind >= 0
-
-    def _missing(self, sequence: int | None, arrived_s: float) -> int:
-        """The number of frames missing before this one; 0 where it is implausible, since numbers were reset."""
-        if sequence is None or self._sequence is None:
-            return 0
-        missing = sequence - self._sequence - 1
-        most = 2 * self._settings.rate_hz * (arrived_s - self._arrived_s) + self._settings.rate_hz
-        return missing if 0 < missing <= most else 0
 
     def _why_wrong(self, images: DeviceImages) -> str:
         """The error of an image's size or type; "" without one."""

@@ -8,7 +8,7 @@ import ctypes
 import math
 import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
@@ -385,8 +385,13 @@ class OpenNI2Driver:
             if not devices:
                 raise DeviceError("OpenNI2 sees no camera", fix="plug it in, and see: wheelsight devices")
             return _Source(devices[0].uri, is_file=False, is_listed=True)
-        listed = next((d.uri for d in devices if d.uri == asked or _has_serial(d, asked)), None)
-        return _Source(listed or asked, is_file=False, is_listed=listed is not None)
+        for device in devices:
+            if device.uri == asked:
+                return _Source(asked, is_file=False, is_listed=True)
+            with closing(OniDevice(device.uri)) as opened:
+                if opened.serial == asked:
+                    return _Source(device.uri, is_file=False, is_listed=True)
+        return _Source(asked, is_file=False, is_listed=False)
 
     def _start(self, device: OniDevice, source: _Source) -> OpenedDevice:
         is_file = device.play_once()
@@ -498,14 +503,6 @@ def why_unusable(driver: str) -> tuple[str, str] | None:
     if folder is None or any(driver.lower() in path.name.lower() for path in folder.glob("lib*")):
         return None
     return f"OpenNI2 has no driver for it in {folder}", _DRIVERS.get(driver, "install the maker's driver there")
-
-
-def _has_serial(device: ListedDevice, serial: str) -> bool:
-    opened = OniDevice(device.uri)
-    try:
-        return opened.serial == serial
-    finally:
-        opened.close()
 
 
 def _calibration(device: OniDevice, is_registered: bool, is_v2: bool, warnings: list[str]) -> Calibration:

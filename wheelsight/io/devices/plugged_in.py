@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from importlib.util import find_spec
 
 from serial.tools.list_ports import comports
@@ -50,7 +49,7 @@ class _Model:
 
     Attributes:
         products: ids of the vendor's products; empty for all products.
-        lacks: gives a missing requirement and its fix, or None.
+        driver: its driver in OpenNI2; "" without one.
     """
 
     vendor: int
@@ -58,7 +57,7 @@ class _Model:
     name: str
     opener: str
     needs_usb_3: bool
-    lacks: Callable[[], tuple[str, str] | None]
+    driver: str = ""
 
     def is_of(self, device: UsbDevice) -> bool:
         """Whether a device is of this model."""
@@ -92,7 +91,7 @@ def _camera(device: UsbDevice, model: _Model) -> PluggedIn:
     name = " ".join(word for word in (model.name, f"({device.name})" if device.name else "", device.serial) if word)
     use = f"--camera {model.opener}" + (f":{device.serial}" if model.opener in _BY_SERIAL and device.serial else "")
     problem, fix = "", ""
-    if (missing := model.lacks()) is not None:
+    if (missing := _missing(model)) is not None:
         problem, fix = missing
     elif not device.is_usable:
         problem, fix = "no permission to open it", udev_rule(device.vendor)
@@ -104,46 +103,43 @@ def _camera(device: UsbDevice, model: _Model) -> PluggedIn:
     return PluggedIn("camera", name, use if model.opener else "", problem, fix, model.opener)
 
 
-def _lacks_realsense() -> tuple[str, str] | None:
-    if find_spec("pyrealsense2") is not None:
+def _missing(model: _Model) -> tuple[str, str] | None:
+    """What a model lacks to be read, and the fix; None where nothing is missing."""
+    if model.opener == "realsense":
+        has_library = find_spec("pyrealsense2") is not None
+        return None if has_library else ("its library is missing", "pip install pyrealsense2")
+    if model.opener == "openni2":
+        from wheelsight.io.devices.openni2 import why_unusable
+
+        return why_unusable(model.driver)
+    if model.opener == "freenect":
+        from wheelsight.io.devices.freenect import library
+
+        try:
+            library()
+        except DeviceError as error:
+            return error.problem, error.fix or ""
         return None
-    return "its library is missing", "pip install pyrealsense2"
-
-
-def _lacks_openni2(driver: str) -> tuple[str, str] | None:
-    from wheelsight.io.devices.openni2 import why_unusable
-
-    return why_unusable(driver)
-
-
-def _lacks_freenect() -> tuple[str, str] | None:
-    from wheelsight.io.devices.freenect import library
-
-    try:
-        library()
-    except DeviceError as error:
-        return error.problem, error.fix or ""
-    return None
+    return "cannot be read live", "record with k4arecorder, and give its .mkv as the recording"
 
 
 _KINECT_V1 = "Kinect v1"
 _BY_SERIAL = ("realsense",)
 _REALSENSE = (0x0AD3, 0x0AD4, 0x0AD5, 0x0AF6, 0x0B07, 0x0B3A, 0x0B5B, 0x0B5C, 0x0ABF, 0xABCD, 0x1155)
-_NEVER_LIVE = "cannot be read live", "record with k4arecorder, and give its .mkv as the recording"
 _MODELS = (
-    _Model(0x8086, _REALSENSE, "RealSense D400", "realsense", True, _lacks_realsense),
+    _Model(0x8086, _REALSENSE, "RealSense D400", "realsense", True),
     _Model(
         0x1D27,
         (0x0500, 0x0600, 0x0601, 0x0609),
         "PrimeSense or Xtion",
         "openni2",
         False,
-        partial(_lacks_openni2, "PS1080"),
+        "PS1080",
     ),
-    _Model(_MICROSOFT, (0x02AE, 0x02BF), _KINECT_V1, "freenect", False, _lacks_freenect),
-    _Model(_MICROSOFT, (0x02C4, 0x02D8), "Kinect v2", "openni2", True, partial(_lacks_openni2, "freenect2")),
-    _Model(_MICROSOFT, (0x097C,), "Azure Kinect", "", True, lambda: _NEVER_LIVE),
-    _Model(0x2BC5, (), "Orbbec", "openni2", False, partial(_lacks_openni2, "rbbec")),
+    _Model(_MICROSOFT, (0x02AE, 0x02BF), _KINECT_V1, "freenect", False),
+    _Model(_MICROSOFT, (0x02C4, 0x02D8), "Kinect v2", "openni2", True, "freenect2"),
+    _Model(_MICROSOFT, (0x097C,), "Azure Kinect", "", True),
+    _Model(0x2BC5, (), "Orbbec", "openni2", False, "rbbec"),
 )
 
 

@@ -200,7 +200,7 @@ class LiveRecorder:
 
 THREAD = "wheelsight-capture"
 _LONGEST_WAIT_S = 0.1
-_LOOK_S = 0.5  # between two looks at the camera, the disk and the rates
+_LOOK_S = 0.5  # between two checks of the camera, the disk and the rates
 _RATE_SPAN_S = 3.0  # rates are averages over this time
 
 
@@ -240,8 +240,8 @@ class SessionLook:
 class RecordingSession:
     """Records a camera and wheels together, and reports changes of their state.
 
-    A camera that goes away does not end it: the wheels go on, and so does the camera once it is back. It ends when it
-    is told to, when nothing more can come, or before the disk is full.
+    A camera that goes away does not end it: the wheels continue, and the camera does once it is back. It ends on
+    request, when nothing more can come, or before the disk is full.
 
     Args:
         recorder: that writes.
@@ -299,7 +299,10 @@ class RecordingSession:
                 if time.monotonic() >= next_look_s:
                     next_look_s += _LOOK_S
                     on_look(self.look())
-                    self._stop_where_full()
+                    free_mb = self._free_bytes() / 1e6
+                    if free_mb < self._settings.least_free_mb:
+                        full = f"only {free_mb:.0f} MB are left on the disk: recording stopped, and is complete"
+                        raise OutputError(full, path=self._folder, fix="free some space, then continue with --resume")
         finally:
             self._is_over.set()
             capture.join()
@@ -364,10 +367,3 @@ class RecordingSession:
             return shutil.disk_usage(self._folder).free
         except OSError as error:
             raise output_error(error, self._folder) from error
-
-    def _stop_where_full(self) -> None:
-        """Raise OutputError before the disk is full."""
-        free_mb = self._free_bytes() / 1e6
-        if free_mb < self._settings.least_free_mb:
-            problem = f"only {free_mb:.0f} MB are left on the disk: recording stopped; what was recorded is whole"
-            raise OutputError(problem, path=self._folder, fix="free some space, then go on with --resume")

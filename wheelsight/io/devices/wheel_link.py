@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import partial
+from operator import contains
 from pathlib import Path
 from types import TracebackType
 
@@ -458,21 +460,17 @@ class Commands:
             self._send(command, body)
             return
         for _ in range(_ATTEMPTS):
-            status = self._answer_to(command, body)
+            with self._answer:
+                self._answers.clear()
+                key = (int(command), self._send(command, body))
+                self._answer.wait_for(partial(contains, self._answers, key), _ANSWER_S)
+                status = self._answers.get(key)
             if status == 0:
                 return
             if status is not None:
                 problem = ACK_PROBLEMS.get(status, f"answers with status {status}")
                 raise DeviceError(f"the controller {problem} {command.name}", path=self._port)
         raise DeviceError(f"the controller does not answer {command.name}", path=self._port, fix="check the wire to it")
-
-    def _answer_to(self, command: LinkCommand, body: bytes) -> int | None:
-        """Send a command once. Returns the status of the answer, or None without one in time."""
-        with self._answer:
-            self._answers.clear()
-            key = (int(command), self._send(command, body))
-            self._answer.wait_for(lambda: key in self._answers, _ANSWER_S)
-            return self._answers.get(key)
 
     def _send(self, command: LinkCommand, body: bytes = b"") -> int:
         """Write a command's frame. Returns its sequence number."""

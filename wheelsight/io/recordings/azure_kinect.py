@@ -5,7 +5,7 @@ to the undistorted colour image.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -321,7 +321,10 @@ class AzureKinectRecording:
         depth_mm = np.frombuffer(data, ">u2").reshape(height, width).astype(np.uint16)
         if not depth_mm.any():
             return SkippedFrame(pair.stamp_s, NOTHING_MEASURED, index)
-        pixels = _color_of(color)
+        av, pixels = needed("av"), None
+        with suppress(av.error.FFmpegError, OSError, ValueError):
+            for decoded in color.decode()[:1]:
+                pixels = np.asarray(decoded.to_ndarray(format="rgb24"), np.uint8)
         camera, _ = self.calibration.cameras
         if pixels is None or pixels.shape != (camera.height, camera.width, 3):
             return SkippedFrame(pair.stamp_s, "colour image is damaged", index)
@@ -477,13 +480,3 @@ def _pair(listed: _Listed, max_gap_s: float, path: Path) -> tuple[list[_KinectPa
     ]
     largest_s = float(np.abs(late_s - listed.depth_delay_s).max())
     return pairs, AssociationReport(len(color_s), len(depth_s), len(pairs), max_gap_s, largest_s)
-
-
-def _color_of(packet: Any) -> ByteArray | None:
-    """The colour image (H, W, 3) of a packet, or None where it is damaged."""
-    av = needed("av")
-    try:
-        frames = packet.decode()
-        return np.asarray(frames[0].to_ndarray(format="rgb24"), np.uint8) if frames else None
-    except (av.error.FFmpegError, OSError, ValueError):
-        return None

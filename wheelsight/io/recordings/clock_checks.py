@@ -110,17 +110,17 @@ def _units(stamps: Mapping[str, FloatArray]) -> dict[str, StampUnit]:
     """The units of FRAMES and WHEELS other than seconds. Integers that last as long as other stamps are seconds."""
     units = {name: unit_of(found) for name, found in stamps.items()}
     in_seconds = [stamps[name] for name, unit in units.items() if unit is None]
+
+    def last_alike(*both_s: FloatArray) -> bool:
+        spans = [(float(stamps_s[0]), float(stamps_s[-1])) for stamps_s in both_s]
+        return _shared_s(spans[0], spans[1]) >= _SAME_SPAN * max(end_s - begin_s for begin_s, end_s in spans)
+
     return {
         name: unit
         for name in _sensors(stamps)
         if (unit := units[name]) is not None
-        and not (unit is NUMBERS and any(_last_alike(stamps[name], other) for other in in_seconds))
+        and not (unit is NUMBERS and any(last_alike(stamps[name], other) for other in in_seconds))
     }
-
-
-def _last_alike(a_s: FloatArray, b_s: FloatArray) -> bool:
-    spans = [(float(stamps_s[0]), float(stamps_s[-1])) for stamps_s in (a_s, b_s)]
-    return _shared_s(*spans) >= _SAME_SPAN * max(end_s - begin_s for begin_s, end_s in spans)
 
 
 def apart(wheels_s: tuple[float, float], frames_s: tuple[float, float], least_s: float = 0.0) -> tuple[str, str] | None:
@@ -203,7 +203,17 @@ def counter_warnings(wheels: Wheels | None, readings: Sequence[WheelReading]) ->
     ticks = [reading for reading in readings if isinstance(reading, WheelTicks)]
     if wheels is None or len(ticks) < _FEWEST_READINGS:
         return []
-    return [*_leaps(wheels, ticks), *_unseen(wheels, ticks)]
+    warnings = _leaps(wheels, ticks)
+    # A wheel at top speed may turn by half the counter's range or more in the usual period.
+    period_s = float(np.median(np.diff([reading.stamp_s for reading in ticks])))
+    half_m = 0.5 * wheels.counter_span * min(wheels.left_m_per_tick, wheels.right_m_per_tick)
+    if wheels.counter_span and period_s > 0 and wheels.max_speed_m_s * period_s >= half_m:
+        warnings.append(
+            f"Counters of {wheels.counter_span} values, read each {1e3 * period_s:.3g} ms, may roll over unseen at "
+            f"{wheels.max_speed_m_s:g} m/s, so readings are refused: where wheels never roll so fast, set "
+            f"wheels.max_speed_m_s to what they do, below {half_m / period_s:.2g}."
+        )
+    return warnings
 
 
 def _leaps(wheels: Wheels, ticks: Sequence[WheelTicks]) -> list[str]:
@@ -257,22 +267,6 @@ def _bits(modulus: float) -> int | None:
     """The number of bits of a modulus that is a power of two, or None."""
     bits = round(np.log2(modulus))
     return bits if abs(modulus / 2.0**bits - 1) < _SAME else None
-
-
-def _unseen(wheels: Wheels, ticks: Sequence[WheelTicks]) -> list[str]:
-    """A warning where a wheel at top speed turns by half the counter's range or more in the usual period."""
-    if not wheels.counter_span:
-        return []
-    period_s = float(np.median(np.diff([reading.stamp_s for reading in ticks])))
-    half_m = 0.5 * wheels.counter_span * min(wheels.left_m_per_tick, wheels.right_m_per_tick)
-    if period_s <= 0 or wheels.max_speed_m_s * period_s < half_m:
-        return []
-    slow_m_s = half_m / period_s
-    return [
-        f"Counters of {wheels.counter_span} values, read each {1e3 * period_s:.3g} ms, may roll over unseen at "
-        f"{wheels.max_speed_m_s:g} m/s, so readings are refused: where wheels never roll so fast, set "
-        f"wheels.max_speed_m_s to what they do, below {slow_m_s:.2g}."
-    ]
 
 
 # Clock offsets from turns
@@ -366,7 +360,12 @@ class MotionClock:
         if isinstance(event, RgbdFrame):
             self.see(event.stamp_s, event.color)
         elif isinstance(event, YawRate):
-            self._turn(event)
+            # Integrate the mean rate of two readings.
+            headings, before = self._headings["gyroscope"], self._rate or event
+            step_s = min(max(event.stamp_s - before.stamp_s, 0.0), _LONGEST_STEP_S)
+            mean_rad_s = (before.yaw_rate_rad_s + event.yaw_rate_rad_s) / 2
+            headings.append((event.stamp_s, (headings[-1][1] if headings else 0.0) + mean_rad_s * step_s))
+            self._rate = event
         elif isinstance(event, WheelTicks | WheelSpeeds | OdometryReading):
             self._read(event)
 
@@ -444,15 +443,6 @@ class MotionClock:
         delay_s = 0.0 if self._wheels is None else self._wheels.delay_s
         last_rad = headings[-1][1] if headings else 0.0
         headings.append((stamp_s - delay_s, last_rad + (step_rad if abs(step_rad) < _LARGEST_STEP_RAD else 0.0)))
-
-    def _turn(self, rate: YawRate) -> None:
-        """Integrate a reading of the gyroscope, with the mean rate of two readings."""
-        headings, before = self._headings["gyroscope"], self._rate or rate
-        last_rad = headings[-1][1] if headings else 0.0
-        step_s = min(max(rate.stamp_s - before.stamp_s, 0.0), _LONGEST_STEP_S)
-        mean_rad_s = (before.yaw_rate_rad_s + rate.yaw_rate_rad_s) / 2
-        headings.append((rate.stamp_s, last_rad + mean_rad_s * step_s))
-        self._rate = rate
 
 
 def _turned(headings: FloatArray, shifts: FloatArray, lag_s: float) -> tuple[FloatArray, FloatArray]:

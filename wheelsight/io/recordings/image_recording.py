@@ -160,38 +160,28 @@ def recording_of(
         ground_truth=truth,
         warnings=tuple(warnings),
     )
-    _try_frames(made)
+    # Decode frames spread over the recording until one is valid; if none is, raise the first one's error.
+    first: RecordingError | None = None
+    for index in dict.fromkeys(np.linspace(0, len(made.frames) - 1, _FRAMES_TRIED).astype(int).tolist()):
+        try:
+            made.read_frame(index)
+            break
+        except RecordingError as error:
+            first = first or error
+    else:
+        if first is not None:
+            raise first
     if truth is None:
         return made
     try:
         truth = express_for(made.body, truth, calibration)
     except CalibrationError as error:
         raise CalibrationError(f"ground truth: {error.problem}", path=folder, fix=error.fix) from error
-    return replace(made, ground_truth=truth, warnings=(*warnings, *_coverage(made, truth)))
-
-
-def _try_frames(recording: ImageRecording) -> None:
-    """Decode frames spread over the recording until one is valid; if none is, raise the first one's error."""
-    first: RecordingError | None = None
-    tried = np.linspace(0, len(recording.frames) - 1, _FRAMES_TRIED).astype(int)
-    for index in dict.fromkeys(tried.tolist()):
-        try:
-            recording.read_frame(index)
-            return
-        except RecordingError as error:
-            first = first or error
-    if first is not None:
-        raise first
-
-
-def _coverage(recording: ImageRecording, truth: Trajectory) -> list[str]:
-    """A warning where the ground truth does not cover all frames."""
-    start_s, end_s = truth.stamps_s[0], truth.stamps_s[-1]
-    covered = sum(bool(start_s <= frame.stamp_s <= end_s) for frame in recording.frames)
-    slack = 0 if len(recording.frames) < 3 else 2
-    if covered + slack >= len(recording.frames):
-        return []
-    return [f"The ground truth covers {covered} of {len(recording.frames)} frames; only these can be evaluated."]
+    start_s, end_s, count = truth.stamps_s[0], truth.stamps_s[-1], len(made.frames)
+    covered = sum(bool(start_s <= frame.stamp_s <= end_s) for frame in made.frames)
+    if covered + (0 if count < 3 else 2) < count:
+        warnings = [*warnings, f"The ground truth covers {covered} of {count} frames; only these can be evaluated."]
+    return replace(made, ground_truth=truth, warnings=tuple(warnings))
 
 
 def pair_images(

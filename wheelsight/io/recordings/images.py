@@ -294,7 +294,24 @@ def read_ahead(items: Iterator[T], depth: int) -> Generator[T]:
     """
     ready: Queue[T | _End] = Queue(maxsize=depth)
     stop = Event()
-    thread = Thread(target=_produce, args=(items, ready, stop), name="wheelsight-read-ahead", daemon=True)
+
+    def produce() -> None:
+        """Fill the queue until the items end or `stop` is set; at most one item follows `stop`."""
+        end = _End()
+        try:
+            for item in items:
+                ready.put(item)
+                if stop.is_set():
+                    break
+        except BaseException as error:
+            end = _End(error)
+        finally:
+            if isinstance(items, Generator):
+                items.close()
+        if not stop.is_set():
+            ready.put(end)
+
+    thread = Thread(target=produce, name="wheelsight-read-ahead", daemon=True)
     thread.start()
     try:
         while not isinstance(item := ready.get(), _End):
@@ -307,20 +324,3 @@ def read_ahead(items: Iterator[T], depth: int) -> Generator[T]:
             while True:
                 ready.get_nowait()
         thread.join()
-
-
-def _produce(items: Iterator[T], ready: Queue[T | _End], stop: Event) -> None:
-    """Fill the queue until the items end or `stop` is set; at most one item follows `stop`."""
-    end = _End()
-    try:
-        for item in items:
-            ready.put(item)
-            if stop.is_set():
-                break
-    except BaseException as error:
-        end = _End(error)
-    finally:
-        if isinstance(items, Generator):
-            items.close()
-    if not stop.is_set():
-        ready.put(end)

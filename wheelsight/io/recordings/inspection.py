@@ -287,6 +287,10 @@ def clock_mapping(clocks: Sequence[FrameClock]) -> ClockMapping | None:
     sigmas_s = np.array([clock.stamp_sigma_s for clock in clocks])
     arrivals_s = np.array([clock.arrived_s - clock.stamp_s for clock in clocks])
     paired = [(clock.device_s, clock.stamp_s) for clock in clocks if clock.device_s is not None]
+    # Slopes over a quarter of the stamps: their median is robust to one jump of the clock.
+    paired_s, quarter = np.array(paired, float).reshape(-1, 2), max(len(paired) // 4, 1)
+    drifts = paired_s[quarter:] - paired_s[:-quarter]
+    drifts = drifts[drifts[:, 1] > 0]
     numbers = [clock.sequence for clock in clocks if clock.sequence is not None]
     steps = np.diff(np.array(numbers, float))
     # After a reconnection frame numbers start again: decreasing steps do not count.
@@ -294,21 +298,13 @@ def clock_mapping(clocks: Sequence[FrameClock]) -> ClockMapping | None:
     return ClockMapping(
         frames=len(clocks),
         offset_s=paired[0][1] - paired[0][0] if paired else None,
-        drift_ppm=_drift_ppm(np.array(paired, float).reshape(-1, 2)),
+        drift_ppm=float(1e6 * np.median(drifts[:, 0] / drifts[:, 1] - 1)) if len(drifts) else None,
         sigma_median_s=float(np.median(sigmas_s)),
         sigma_largest_s=float(sigmas_s.max()),
         arrival_median_s=float(np.median(arrivals_s)),
         arrival_p95_s=float(np.percentile(arrivals_s, 95)),
         missing=missing,
     )
-
-
-def _drift_ppm(paired_s: np.ndarray) -> float | None:
-    """The median of slopes over a quarter of the stamps, which is robust to one jump of the clock."""
-    quarter = max(len(paired_s) // 4, 1)
-    steps = paired_s[quarter:] - paired_s[:-quarter]
-    steps = steps[steps[:, 1] > 0]
-    return float(1e6 * np.median(steps[:, 0] / steps[:, 1] - 1)) if len(steps) else None
 
 
 # Inspection
@@ -409,12 +405,25 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
     period_s = float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else float("nan")
     truth, calibration = recording.ground_truth, recording.calibration
     motion = tally.turns.offset() if tally.wheel_readings and recording.frame_count else None
-    offset = tally.offset_meter.offset()
+    offset, color = tally.offset_meter.offset(), calibration.color
+    of_clocks = []
+    if motion is not None and motion.offset_s is not None and motion.is_apart:
+        wheels = calibration.any_wheels
+        delay_s = (0.0 if wheels is None else wheels.delay_s) - motion.offset_s
+        of_clocks.append(
+            f"By the turns of both, the camera's stamps are {motion} of the wheels': the clocks are apart. "
+            f"Say `delay_s: {delay_s:.3f}` of the calibration's wheels."
+        )
+    camera = None
+    if color is not None:
+        camera = f"{color.width} × {color.height}, f {color.fx:g}, {color.fy:g} px ({calibration.source})"
+    steps_s = np.diff(stamps_s)
+    long = np.flatnonzero(steps_s > _GAP_PERIODS * period_s)
     return Inspection(
         name=recording.name,
         format=recording.format,
         body=recording.body,
-        camera=_camera(calibration),
+        camera=camera,
         wheels=_wheels(calibration),
         is_registered=None if calibration.color is None else calibration.is_registered,
         frames=recording.frame_count,
@@ -423,7 +432,7 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
         yaw_readings=tally.yaw_readings,
         duration_s=float(np.ptp(stamps_s)) if len(stamps_s) else 0.0,
         rate_hz=1 / period_s if period_s > 0 else float("nan"),
-        gaps=_gaps(stamps_s, period_s),
+        gaps=tuple(Gap(float(stamps_s[i]), float(steps_s[i])) for i in long),
         valid_depth_share=tally.valid_share,
         depth_m=tally.depth_percentiles_m(),
         offset=offset,
@@ -431,10 +440,9 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
         ground_truth=sequence_statistics(truth) if truth is not None and len(truth) > 1 else None,
         warnings=(
             *recording.warnings,
-            *_repeat_warnings(tally),
-            *_depth_warnings(tally, recording),
+            *_image_warnings(tally, recording),
             *_offset_warnings(offset, tally, recording),
-            *_clock_warnings(motion, recording),
+            *of_clocks,
         ),
         topics=tuple(recording.topics) if isinstance(recording, ListsTopics) else (),
         clock=clock_mapping(read_frame_clocks(recording.path)) if recording.path.is_dir() else None,
@@ -442,25 +450,6 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
         motion=motion,
         left_out=tuple((why, *counts) for why, counts in left_out_of(recording.warnings).items()),
     )
-
-
-def _clock_warnings(motion: MotionOffset | None, recording: Recording) -> list[str]:
-    """A warning where the clocks of camera and wheels differ, by the turns of both."""
-    if motion is None or motion.offset_s is None or not motion.is_apart:
-        return []
-    wheels = recording.calibration.any_wheels
-    delay_s = (0.0 if wheels is None else wheels.delay_s) - motion.offset_s
-    return [
-        f"By the turns of both, the camera's stamps are {motion} of the wheels': the clocks are apart. "
-        f"Say `delay_s: {delay_s:.3f}` of the calibration's wheels."
-    ]
-
-
-def _camera(calibration: Calibration) -> str | None:
-    camera = calibration.color
-    if camera is None:
-        return None
-    return f"{camera.width} × {camera.height}, f {camera.fx:g}, {camera.fy:g} px ({calibration.source})"
 
 
 def _wheels(calibration: Calibration) -> str | None:
@@ -534,36 +523,28 @@ class _Tally:
 _PERCENTILES = {"p5": 0.05, "median": 0.5, "p95": 0.95}
 
 
-def _gaps(stamps_s: FloatArray, period_s: float) -> tuple[Gap, ...]:
-    steps_s = np.diff(stamps_s)
-    long = np.flatnonzero(steps_s > _GAP_PERIODS * period_s)
-    return tuple(Gap(float(stamps_s[i]), float(steps_s[i])) for i in long)
-
-
-def _repeat_warnings(tally: _Tally) -> list[str]:
-    if not tally.repeated:
-        return []
-    repeated = f"{tally.repeated} of {tally.recording.frame_count} frames show the same image as the frame before"
-    return [f"{repeated}: fewer images a second were taken than recorded, or the camera hung. They are skipped."]
-
-
-def _depth_warnings(tally: _Tally, recording: Recording) -> list[str]:
-    noise = recording.calibration.depth_noise
+def _image_warnings(tally: _Tally, recording: Recording) -> list[str]:
+    """Warnings about repeated images, and about depth outside the sensor's range."""
+    noise, warnings = recording.calibration.depth_noise, list[str]()
+    if tally.repeated:
+        repeated = f"{tally.repeated} of {recording.frame_count} frames show the same image as the frame before"
+        slow = "fewer images a second were taken than recorded, or the camera hung. They are skipped."
+        warnings.append(f"{repeated}: {slow}")
     if not tally.histogram.any():
-        return ["No depth pixel measured anything."] if tally.pixels else []
+        return [*warnings, *(["No depth pixel measured anything."] if tally.pixels else [])]
     near_share = tally.share_between(0.0, noise.near_m)
     if near_share > _NEAR_SHARE and near_share < _PLAUSIBLE_SHARE:
-        return [
+        warnings.append(
             f"{100 * near_share:.0f} % of depth lies nearer than the {noise.near_m:g} m from which the sensor is "
             "trusted: is the depth scale right? Depth in millimetres is read by --depth-factor 1000."
-        ]
-    if tally.share_between(noise.near_m, noise.far_m) >= _PLAUSIBLE_SHARE:
-        return []
-    median_m = tally.depth_percentiles_m()["median"]
-    return [
-        f"Most depth lies outside the {noise.near_m:g} to {noise.far_m:g} m the sensor is trusted in "
-        f"(median {median_m:.3g} m): is the depth scale right? See --depth-factor."
-    ]
+        )
+    elif tally.share_between(noise.near_m, noise.far_m) < _PLAUSIBLE_SHARE:
+        median_m = tally.depth_percentiles_m()["median"]
+        warnings.append(
+            f"Most depth lies outside the {noise.near_m:g} to {noise.far_m:g} m the sensor is trusted in "
+            f"(median {median_m:.3g} m): is the depth scale right? See --depth-factor."
+        )
+    return warnings
 
 
 def _offset_warnings(offset: RegistrationOffset | None, tally: _Tally, recording: Recording) -> list[str]:

@@ -92,7 +92,12 @@ class NativeReader:
     def open(self, folder: Path, options: OpenOptions) -> ImageRecording | WheelRecording:
         """The recording in `folder`. Raises InputError naming file and line."""
         has_images = any(is_there(folder / name) for name in ("rgb.txt", "depth.txt"))
-        calibration = choose_calibration(folder, options, lambda: _missing(folder, has_images))
+
+        def no_calibration() -> Calibration:
+            fix = camera_choices() if has_images else "say how large the wheels are with --calibration"
+            raise CalibrationError("is missing", path=folder / "calibration.yaml", fix=fix)
+
+        calibration = choose_calibration(folder, options, no_calibration)
         wheels, warnings = _read_readings(folder / "wheels.csv", calibration)
         yaw_rates, more = _read_yaw_rates(folder, calibration)
         warnings += more
@@ -114,12 +119,6 @@ class NativeReader:
             warnings,
         )
         return replace(made, wheels=wheels, yaw_rates=tuple(yaw_rates))
-
-
-def _missing(folder: Path, has_images: bool) -> Calibration:
-    """Raises CalibrationError: the recording has no calibration."""
-    fix = camera_choices() if has_images else "say how large the wheels are with --calibration"
-    raise CalibrationError("is missing", path=folder / "calibration.yaml", fix=fix)
 
 
 def _read_readings(

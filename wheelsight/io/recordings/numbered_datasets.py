@@ -130,51 +130,29 @@ class IclNuimReader:
         warnings: list[str] = []
         rate_hz = rate_of(options, warnings)
         calibration = choose_calibration(folder, options, lambda: load_camera(self.name))
-        color, depth = _list_files(folder, rate_hz)
+        # As published for TUM's tools, else as rendered.
+        color, depth = (numbered_files((folder / name).glob("*.png"), _FRAME, rate_hz) for name in ("rgb", "depth"))
+        if not color and not depth:
+            rendered = list(folder.glob("scene_*"))
+            color, depth = (numbered_files(rendered, pattern, rate_hz) for pattern in (_COLOR, _DISTANCES))
         need_files(color, "colour image", folder, self.needs)
         need_files(depth, "depth image", folder, self.needs)
+        encoding = DepthEncoding(options.depth_factor or DEPTH_FACTOR)
+        if depth[0].path.suffix == ".depth":
+            encoding = DepthEncoding(options.depth_factor or 1.0, rays=calibration.cameras[1])
         images = pair_images(color, depth, 0.0, folder)
-        return recording_of(
-            folder,
-            self.name,
-            calibration,
-            images,
-            _encoding(depth, calibration, options),
-            _read_truth(folder, rate_hz, warnings),
-            warnings,
-        )
-
-
-def _list_files(folder: Path, rate_hz: float) -> tuple[list[ListedFile], list[ListedFile]]:
-    """Colour and depth files as published for TUM's tools, else those as rendered."""
-    published = [numbered_files((folder / name).glob("*.png"), _FRAME, rate_hz) for name in ("rgb", "depth")]
-    if any(published):
-        return published[0], published[1]
-    rendered = list(folder.glob("scene_*"))
-    return numbered_files(rendered, _COLOR, rate_hz), numbered_files(rendered, _DISTANCES, rate_hz)
-
-
-def _encoding(depth: list[ListedFile], calibration: Calibration, options: OpenOptions) -> DepthEncoding:
-    if depth[0].path.suffix != ".depth":
-        return DepthEncoding(options.depth_factor or DEPTH_FACTOR)
-    return DepthEncoding(options.depth_factor or 1.0, rays=calibration.cameras[1])
-
-
-def _read_truth(folder: Path, rate_hz: float, warnings: list[str]) -> Trajectory | None:
-    """T_frame_camera of the optical frame. In the file the y axes of camera and room point up.
-
-    Raises TrajectoryError naming file and line, and RecordingError for several files.
-    """
-    found = sorted(folder.glob(_TRUTH))
-    if len(found) > 1:
-        problem = f"holds {len(found)} files of true poses: {', '.join(path.name for path in found)}"
-        raise RecordingError(problem, path=folder, fix="leave the one that belongs to these images")
-    if not found:
-        warnings.append(f"There is no {_TRUTH}, so that nothing can be evaluated.")
-        return None
-    truth = read_tum(found[0], "camera", warnings.append)
-    T = _UP_DOWN @ truth.T_frame_body @ _UP_DOWN
-    return replace(truth, stamps_s=truth.stamps_s / rate_hz, T_frame_body=T)
+        found, truth = sorted(folder.glob(_TRUTH)), None
+        if len(found) > 1:
+            problem = f"holds {len(found)} files of true poses: {', '.join(path.name for path in found)}"
+            raise RecordingError(problem, path=folder, fix="leave the one that belongs to these images")
+        if found:
+            # In the file the y axes of camera and room point up.
+            read = read_tum(found[0], "camera", warnings.append)
+            T = _UP_DOWN @ read.T_frame_body @ _UP_DOWN
+            truth = replace(read, stamps_s=read.stamps_s / rate_hz, T_frame_body=T)
+        else:
+            warnings.append(f"There is no {_TRUTH}, so that nothing can be evaluated.")
+        return recording_of(folder, self.name, calibration, images, encoding, truth, warnings)
 
 
 # 7-Scenes
@@ -182,7 +160,7 @@ def _read_truth(folder: Path, rate_hz: float, warnings: list[str]) -> Trajectory
 _DEPTH = DepthEncoding(factor=1000.0, invalid=65535)
 _FILE = re.compile(r"frame-(\d{6})\.(?:(color)\.(?:png|jpe?g)|(depth)\.png|(pose)\.txt)")
 
-_OF_TRUTH = "True poses come from the tracker of a Kinect, not from motion capture: good to about 2 cm."
+_SEVEN_SCENES_TRUTH = "True poses come from the tracker of a Kinect, not from motion capture: good to about 2 cm."
 
 
 class SevenScenesReader:
@@ -204,7 +182,7 @@ class SevenScenesReader:
     def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
         """The recording in `folder`. Stamps are the frames' numbers at 30 Hz, or the rate given. Raises InputError."""
         calibration = choose_calibration(folder, options, lambda: _calibration(folder))
-        return open_frames(folder, options, self, _OF_TRUTH, lambda _: calibration)
+        return open_frames(folder, options, self, _SEVEN_SCENES_TRUTH, lambda _: calibration)
 
 
 def has_frames(folder: Path) -> bool:
@@ -229,7 +207,14 @@ def open_frames(
         calibration_of: gives the calibration for the frames.
     """
     warnings: list[str] = []
-    files = _seven_scenes_files(folder, rate_of(options, warnings))
+    rate_hz = rate_of(options, warnings)
+    found: dict[str, dict[int, Path]] = {"color": {}, "depth": {}, "pose": {}}
+    for path in sorted(folder.glob("frame-*")):
+        if match := _FILE.fullmatch(path.name):
+            found[match[2] or match[3] or match[4]][int(match[1])] = path
+    files = {
+        kind: [ListedFile(number / rate_hz, paths[number]) for number in sorted(paths)] for kind, paths in found.items()
+    }
     for kind in ("color", "depth"):
         need_files(files[kind], f"frame-NNNNNN.{kind} image", folder, reader.needs)
     images = pair_images(files["color"], files["depth"], 0.0, folder)
@@ -239,26 +224,13 @@ def open_frames(
             "Colour and depth images are not registered: things lie up to about 40 px apart in them. "
             f"They are joined by T_color_depth of: {calibration.source}."
         )
-    return recording_of(
-        folder,
-        reader.name,
-        calibration,
-        images,
-        replace(_DEPTH, factor=options.depth_factor or _DEPTH.factor),
-        _seven_scenes_truth(files["pose"], of_truth, warnings),
-        warnings,
-    )
-
-
-def _seven_scenes_files(folder: Path, rate_hz: float) -> dict[str, list[ListedFile]]:
-    """Colour, depth and pose files in order of their numbers."""
-    found: dict[str, dict[int, Path]] = {"color": {}, "depth": {}, "pose": {}}
-    for path in sorted(folder.glob("frame-*")):
-        if match := _FILE.fullmatch(path.name):
-            found[match[2] or match[3] or match[4]][int(match[1])] = path
-    return {
-        kind: [ListedFile(number / rate_hz, paths[number]) for number in sorted(paths)] for kind, paths in found.items()
-    }
+    encoding = replace(_DEPTH, factor=options.depth_factor or _DEPTH.factor)
+    # Of the depth camera. The files' rotations deviate from orthonormal by 4e-4.
+    poses = [WrittenPose(pose.stamp_s, read_matrix(pose.path, 4), pose.path) for pose in files["pose"]]
+    truth = true_poses(poses, warnings)
+    if truth is not None:
+        warnings.append(of_truth)
+    return recording_of(folder, reader.name, calibration, images, encoding, truth, warnings)
 
 
 def _calibration(folder: Path) -> Calibration:
@@ -275,19 +247,11 @@ def _calibration(folder: Path) -> Calibration:
     return replace(shipped, depth=depth)
 
 
-def _seven_scenes_truth(poses: list[ListedFile], of_truth: str, warnings: list[str]) -> Trajectory | None:
-    """T_frame_camera of the depth camera. The files' rotations deviate from orthonormal by 4e-4."""
-    truth = true_poses([WrittenPose(pose.stamp_s, read_matrix(pose.path, 4), pose.path) for pose in poses], warnings)
-    if truth is not None:
-        warnings.append(of_truth)
-    return truth
-
-
 # 3DMatch
 
 _INTRINSICS = "camera-intrinsics.txt"
 _UNREGISTERED = "7-scenes"
-_THREE_D_MATCH_OF_TRUTH = "True poses are those of the reconstructions that 3DMatch took over, not motion capture."
+_THREE_D_MATCH_TRUTH = "True poses are those of the reconstructions that 3DMatch took over, not motion capture."
 
 
 class ThreeDMatchReader:
@@ -310,19 +274,18 @@ class ThreeDMatchReader:
         """The recording in `folder`. Stamps are the frames' numbers at 30 Hz, or the rate given. Raises InputError."""
         path = folder.resolve().parent / _INTRINSICS
 
+        def known(frames: tuple[FramePaths, ...]) -> Calibration:
+            width, height = color_size(frame.color for frame in frames)
+            try:
+                camera = PinholeCamera(width, height, *intrinsic_numbers(path))
+                return Calibration.registered_camera(camera, source=f"{path.name} of {path.parent.name}")
+            except (CalibrationError, RecordingError) as error:
+                raise CalibrationError(error.problem, path=path, fix="correct it, or give --camera") from error
+
         def calibration_of(frames: tuple[FramePaths, ...]) -> Calibration:
-            return choose_calibration(folder, options, lambda: _three_d_match_calibration(path, frames))
+            return choose_calibration(folder, options, lambda: known(frames))
 
-        return open_frames(folder, options, self, _THREE_D_MATCH_OF_TRUTH, calibration_of)
-
-
-def _three_d_match_calibration(path: Path, frames: tuple[FramePaths, ...]) -> Calibration:
-    width, height = color_size(frame.color for frame in frames)
-    try:
-        camera = PinholeCamera(width, height, *intrinsic_numbers(path))
-        return Calibration.registered_camera(camera, source=f"{path.name} of {path.parent.name}")
-    except (CalibrationError, RecordingError) as error:
-        raise CalibrationError(error.problem, path=path, fix="correct it, or give --camera") from error
+        return open_frames(folder, options, self, _THREE_D_MATCH_TRUTH, calibration_of)
 
 
 # Redwood
@@ -359,27 +322,17 @@ class RedwoodReader:
         need_files(color, "colour image called by its number", color_folder, self.needs)
         need_files(depth, "depth image called by its number", folder / "depth", self.needs)
         images = pair_images(color, depth, 0.0, folder)
-        return recording_of(
-            folder,
-            self.name,
-            calibration,
-            images,
-            DepthEncoding(options.depth_factor or _DEPTH_FACTOR),
-            true_poses(_read_log(_only_log(folder), depth, warnings), warnings),
-            warnings,
-        )
+        logs = sorted(folder.glob("*.log"))
+        if len(logs) != 1:
+            problem = f"holds {len(logs)} logs: {', '.join(log.name for log in logs)}"
+            raise RecordingError(problem, path=folder, fix="leave the one with these images' poses")
+        encoding = DepthEncoding(options.depth_factor or _DEPTH_FACTOR)
+        truth = true_poses(_read_log(logs[0], depth, warnings), warnings)
+        return recording_of(folder, self.name, calibration, images, encoding, truth, warnings)
 
 
 def _color_folder(folder: Path) -> Path | None:
     return next((folder / name for name in _COLOR_FOLDERS if (folder / name).is_dir()), None)
-
-
-def _only_log(folder: Path) -> Path:
-    logs = sorted(folder.glob("*.log"))
-    if len(logs) != 1:
-        problem = f"holds {len(logs)} logs: {', '.join(log.name for log in logs)}"
-        raise RecordingError(problem, path=folder, fix="leave the one with these images' poses")
-    return logs[0]
 
 
 def _read_log(path: Path, depth: list[ListedFile], warnings: list[str]) -> list[WrittenPose]:
@@ -417,8 +370,7 @@ def _pose(lines: list[Line], depth: list[ListedFile], path: Path) -> WrittenPose
     return WrittenPose(depth[count - 1].stamp_s, np.array(rows), path, first.number)
 
 
-# Replica's rooms as NICE-SLAM renders them: results/, traj.txt, cam_params.json (Zhu et al., CVPR 2022).
-
+# Replica's rooms as NICE-SLAM renders them (Zhu et al., CVPR 2022)
 
 _REPLICA_COLOR = re.compile(r"frame(\d{1,9})\.(?:jpe?g|png)")
 _REPLICA_DEPTH = re.compile(r"depth(\d{1,9})\.png")
@@ -430,14 +382,14 @@ _JSON = Kind("a camera's description", most_mb=1)
 
 
 class ReplicaReader:
-    """Colour and depth, both rendered at one place; units a metre as the camera's file says."""
+    """Reads rendered colour and registered depth. The camera's file states the units of depth per metre."""
 
     name = "replica"
     layout = Layout.NUMBERED
     needs = "results/frameN.jpg and depthN.png, and cam_params.json"
 
     def recognises(self, folder: Path) -> bool:
-        """Whether images lie in results/ called as theirs."""
+        """Whether results/ has depth images with their names."""
         results = folder / "results"
         return results.is_dir() and any(_REPLICA_DEPTH.fullmatch(path.name) for path in results.glob("depth*.png"))
 
@@ -445,69 +397,46 @@ class ReplicaReader:
         """The recording in `folder`. Stamps are the frames' numbers at 30 Hz, or the rate given. Raises InputError."""
         warnings: list[str] = []
         rate_hz = rate_of(options, warnings)
-        written = _read_camera(folder)
-        calibration = choose_calibration(folder, options, lambda: _replica_calibration(folder, written))
+        # The camera's file is in the folder, or in the one above, where one serves all rooms.
+        beside = [above / _CAMERA for above in (folder, folder.resolve().parent)]
+        camera_file = next((path for path in beside if is_there(path)), None)
+        values: dict[str, Any] = {}
+        if camera_file is not None:
+            try:
+                values = dict(parse_json(read_text(camera_file, _JSON, CalibrationError))["camera"])
+            except (KeyError, TypeError, ValueError) as error:
+                raise CalibrationError(f"describes no camera: {error}", path=camera_file, fix=_REPLICA_FIX) from error
+        calibration = choose_calibration(folder, options, lambda: _replica_calibration(folder, camera_file, values))
         files = list((folder / "results").iterdir())
         color, depth = (numbered_files(files, pattern, rate_hz) for pattern in (_REPLICA_COLOR, _REPLICA_DEPTH))
         need_files(color, "colour image", folder / "results", self.needs)
         images = pair_images(color, depth, 0.0, folder / "results")
-        return recording_of(
-            folder,
-            self.name,
-            calibration,
-            images,
-            DepthEncoding(options.depth_factor or _units_a_metre(written)),
-            _replica_read_truth(folder / _REPLICA_TRUTH, rate_hz, warnings),
-            warnings,
-        )
+        factor = options.depth_factor or values.get("scale", _REPLICA_DEPTH_FACTOR)
+        if isinstance(factor, bool) or not isinstance(factor, int | float) or not factor > 0:
+            problem = f"scale is {factor!r}, not a positive number"
+            raise CalibrationError(problem, path=camera_file, fix=_REPLICA_FIX)
+        encoding = DepthEncoding(float(factor))
+        truth = _replica_read_truth(folder / _REPLICA_TRUTH, rate_hz, warnings)
+        return recording_of(folder, self.name, calibration, images, encoding, truth, warnings)
 
 
-@dataclass(frozen=True, slots=True)
-class _Written:
-    """What a camera's file holds, and which that is."""
-
-    path: Path
-    values: dict[str, Any]
-
-
-def _read_camera(folder: Path) -> _Written | None:
-    """The camera's file in the folder, else in the one above, where one serves all rooms; None without any."""
-    beside = [above / _CAMERA for above in (folder, folder.resolve().parent)]
-    path = next((path for path in beside if is_there(path)), None)
+def _replica_calibration(folder: Path, path: Path | None, values: dict[str, Any]) -> Calibration:
+    """The camera that its file describes. Raises CalibrationError where there is none."""
     if path is None:
-        return None
-    try:
-        values = parse_json(read_text(path, _JSON, CalibrationError))["camera"]
-        return _Written(path, dict(values))
-    except (KeyError, TypeError, ValueError) as error:
-        raise CalibrationError(f"describes no camera: {error}", path=path, fix=_REPLICA_FIX) from error
-
-
-def _units_a_metre(written: _Written | None) -> float:
-    if written is None:
-        return _REPLICA_DEPTH_FACTOR
-    factor = written.values.get("scale", _REPLICA_DEPTH_FACTOR)
-    if isinstance(factor, bool) or not isinstance(factor, int | float) or not factor > 0:
-        raise CalibrationError(f"scale is {factor!r}, not a positive number", path=written.path, fix=_REPLICA_FIX)
-    return float(factor)
-
-
-def _replica_calibration(folder: Path, written: _Written | None) -> Calibration:
-    if written is None:
         fix = f"copy {_CAMERA} of the data set here, or say which camera with --camera"
         raise CalibrationError(f"there is no {_CAMERA}, here or in the folder above", path=folder, fix=fix)
     try:
-        width, height, fx, fy, cx, cy = (written.values[name] for name in ("w", "h", "fx", "fy", "cx", "cy"))
+        width, height, fx, fy, cx, cy = (values[name] for name in ("w", "h", "fx", "fy", "cx", "cy"))
         camera = PinholeCamera(width, height, fx, fy, cx, cy)
         return Calibration.registered_camera(camera, source=_CAMERA)
     except KeyError as error:
-        raise CalibrationError(f"camera has no {error}", path=written.path, fix=_REPLICA_FIX) from error
+        raise CalibrationError(f"camera has no {error}", path=path, fix=_REPLICA_FIX) from error
     except CalibrationError as error:
-        raise CalibrationError(error.problem, path=written.path, fix=error.fix or _REPLICA_FIX) from error
+        raise CalibrationError(error.problem, path=path, fix=error.fix or _REPLICA_FIX) from error
 
 
 def _replica_read_truth(path: Path, rate_hz: float, warnings: list[str]) -> Trajectory | None:
-    """T_frame_camera, sixteen numbers a line, a line a frame from 0, in the optical frame already."""
+    """T_frame_camera of the optical frame: sixteen numbers a line, one line for each frame from 0."""
     if not is_there(path):
         return None
     poses = []
@@ -515,9 +444,8 @@ def _replica_read_truth(path: Path, rate_hz: float, warnings: list[str]) -> Traj
         try:
             T = np.array([float(word) for word in line.text.split()], np.float64)
         except ValueError as error:
-            raise TrajectoryError(
-                f"holds what is no number: {error}", path=path, line=line.number, fix=_POSE_FIX
-            ) from error
+            problem = f"holds what is no number: {error}"
+            raise TrajectoryError(problem, path=path, line=line.number, fix=_POSE_FIX) from error
         if T.size != 16:
             problem = f"holds {T.size} numbers where the sixteen of a 4×4 matrix are expected"
             raise TrajectoryError(problem, path=path, line=line.number, fix=_POSE_FIX)

@@ -244,11 +244,11 @@ def _as_text(path: Any) -> Any:
     return fspath(path) if isinstance(path, PathLike) else path
 
 
-def _one_or_all(texts: tuple[str, ...]) -> str | list[str] | None:
-    return list(texts) if len(texts) > 1 else next(iter(texts), None)
-
-
-_Texts = Annotated[tuple[str, ...], BeforeValidator(_as_texts), PlainSerializer(_one_or_all)]
+_Texts = Annotated[
+    tuple[str, ...],
+    BeforeValidator(_as_texts),
+    PlainSerializer(lambda texts: list(texts) if len(texts) > 1 else next(iter(texts), None)),
+]
 
 
 class OpenOptions(Settings):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 from wheelsight.core.errors import RecordingError
@@ -78,32 +77,18 @@ def open_recording(path: StrPath, options: OpenOptions | None = None) -> Recordi
     if is_sample(folder):
         folder = SAMPLE
     try:
-        return _open(folder, options or OpenOptions())
+        if not folder.exists():
+            raise RecordingError("there is no such folder", path=folder, fix="check the path")
+        reader = _reader_of(folder)
+        if reader is None:
+            raise _unknown(folder)
+        recording = reader.open(folder, options or OpenOptions())
     except OSError as error:  # no permission, or a name that is too long
         raise RecordingError(f"cannot be read: {error.strerror}", path=folder, fix="check the path") from error
     except ValueError as error:
         if "null byte" not in str(error):
             raise
         raise RecordingError("is not a valid path", path=str(folder), fix="check the path") from error
-
-
-def is_sample(path: Path) -> bool:
-    """Whether a path names the recording that comes with the package: `sample`, where no such entry exists."""
-    return path == Path(SAMPLE_NAME) and not is_there(path)
-
-
-def _open(folder: Path, options: OpenOptions) -> Recording:
-    """The recording of a folder or file, with warnings about implausible stamps and counters."""
-    if not folder.exists():
-        raise RecordingError("there is no such folder", path=folder, fix="check the path")
-    reader = _reader_of(folder)
-    if reader is None and not folder.is_dir():
-        raise RecordingError(
-            "is a file, but no recording in one", path=folder, fix="give the folder, a bag, an .mkv or a .sens"
-        )
-    if reader is None:
-        raise _unknown(folder)
-    recording = reader.open(folder, options)
     if not isinstance(recording, ImageRecording | WheelRecording):
         return recording
     of_stamps = stamp_warnings(listed_stamps(recording))
@@ -111,26 +96,32 @@ def _open(folder: Path, options: OpenOptions) -> Recording:
     return replace(recording, warnings=(*recording.warnings, *of_stamps, *of_counters))
 
 
+def is_sample(path: Path) -> bool:
+    """Whether a path names the recording that comes with the package: `sample`, where no such entry exists."""
+    return path == Path(SAMPLE_NAME) and not is_there(path)
+
+
 def _reader_of(folder: Path) -> Reader | None:
     return next((reader for reader in _READERS if reader.recognises(folder)), None)
 
 
 def _unknown(folder: Path) -> RecordingError:
-    """The error for a folder that no reader recognises, with the nearest formats or recordings as fix."""
+    """The error for a path that no reader recognises, with the nearest formats or recordings as fix."""
+    if not folder.is_dir():
+        fix = "give the folder, a bag, an .mkv or a .sens"
+        return RecordingError("is a file, but no recording in one", path=folder, fix=fix)
     inside = find_recordings(folder)
     if inside:
         return RecordingError("is no recording itself", path=folder, fix=f"did you mean {inside[0]}?")
     named = {kind: sorted(reader.name for reader in _READERS if reader.layout is kind) for kind in Layout}
     known = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in named.items())
-    near = (f"{reader.name} needs {reader.needs}" for reader in _READERS if _has_some(folder, reader.needs))
-    fix = "; ".join(islice(near, _MOST_SUGGESTED)) or f"docs/recordings.md says which files each needs; {_LEAST}"
+    near = []
+    for reader in _READERS:
+        files = [name for word in reader.needs.split() if "." in (name := word.strip(",;")) or name.endswith("/")]
+        if any((folder / name).exists() for name in files):
+            near.append(f"{reader.name} needs {reader.needs}")
+    fix = "; ".join(near[:_MOST_SUGGESTED]) or f"docs/recordings.md says which files each needs; {_LEAST}"
     return RecordingError(f"no reader recognises this folder; known are {known}", path=folder, fix=fix)
-
-
-def _has_some(folder: Path, needs: str) -> bool:
-    """Whether a folder has any of the files that a format needs."""
-    names = (word.strip(",;") for word in needs.split())
-    return any((folder / name).exists() for name in names if name.endswith("/") or "." in name)
 
 
 def find_recordings(folder: StrPath) -> list[Path]:

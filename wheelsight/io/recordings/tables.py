@@ -136,9 +136,8 @@ def keep_growing(items: Sequence[S], lines: Sequence[int], path: Path) -> tuple[
     problem = f"stamp {items[first].stamp_s:.6f} repeats another or is out of order"
     if len(items) - len(kept) > _SHARE_OUT_OF_ORDER_ALLOWED * len(items):
         _refuse_clock_set_back(stamps_s, lines, path)
-        raise RecordingError(
-            problem, path=path, line=lines[first], fix="sort the lines by stamp and keep one of each stamp"
-        )
+        fix = "sort the lines by stamp and keep one of each stamp"
+        raise RecordingError(problem, path=path, line=lines[first], fix=fix)
     gone = len(items) - len(kept)
     warning = f"{path.name}:{lines[first]}: {problem}; {gone} of {len(items)} lines like it were left out"
     reason = f"{path.name}: stamps repeat others or are out of order"
@@ -325,7 +324,10 @@ def _header(text: str, path: Path, columns: Sequence[str]) -> _Header:
             continue
         between = next((mark for mark in ";\t," if mark in line), None)
         bare = line.lstrip("# \t").lower()
-        names, per_second = _with_stamps(_split(bare if between else _UNIT_APART.sub(r"\1", bare), between))
+        names, per_second = _split(bare if between else _UNIT_APART.sub(r"\1", bare), between), 1.0
+        units = [(i, unit.per_second) for i, name in enumerate(names) if (unit := column_unit(name)) is not None]
+        if "stamp_s" not in names and len(units) == 1:  # stamps in another unit
+            names[units[0][0]], per_second = "stamp_s", units[0][1] or 1.0
         if all(column in names for column in columns):
             for name, count in Counter(names).items():
                 if count > 1:
@@ -337,17 +339,6 @@ def _header(text: str, path: Path, columns: Sequence[str]) -> _Header:
     number, missing = first or (1, columns[0])
     expected = f"the first line must name the columns {', '.join(columns)}"
     raise RecordingError(f"has no column {missing}", path=path, line=number, fix=expected)
-
-
-def _with_stamps(names: list[str]) -> tuple[list[str], float]:
-    """The names, with stamp_s for the name of stamps in another unit, and that unit per second."""
-    if "stamp_s" in names:
-        return names, 1.0
-    found = [(i, unit.per_second) for i, name in enumerate(names) if (unit := column_unit(name)) is not None]
-    if len(found) != 1:
-        return names, 1.0
-    place, per_second = found[0]
-    return [*names[:place], "stamp_s", *names[place + 1 :]], per_second or 1.0
 
 
 def _rows(text: str, header: _Header, path: Path, warnings: list[str]) -> Iterator[Row]:
@@ -521,7 +512,10 @@ class GrowingText:
         self.earlier: tuple[str, ...] = ()
         check_name(path)
         try:
-            kept = _whole_lines(path) if resume else b""
+            kept = read_bytes(path, _LIST, RecordingError) if resume and is_there(path) else b""
+            # Complete lines, up to the first zero byte, which a power cut may leave.
+            kept = kept[: kept.find(b"\0")] if b"\0" in kept else kept
+            kept = kept[: kept.rfind(b"\n") + 1]
             self._stream = path.open("r+b" if kept else "wb", buffering=0)
             if kept:
                 self._length = len(kept)
@@ -559,12 +553,3 @@ class GrowingText:
 def seconds(stamp_s: float) -> str:
     """A number with all its decimals and without exponent, so that it reads back exactly."""
     return np.format_float_positional(stamp_s, min_digits=6)
-
-
-def _whole_lines(path: Path) -> bytes:
-    """The complete lines of a file, up to the first zero byte, which a power cut may leave; empty without a file."""
-    if not is_there(path):
-        return b""
-    data = read_bytes(path, _LIST, RecordingError)
-    data = data[: data.find(b"\0")] if b"\0" in data else data
-    return data[: data.rfind(b"\n") + 1]

@@ -64,7 +64,16 @@ class TumReader:
             InputError: a file is invalid, or the camera is unknown from folder name, files and options; names file and
                 line.
         """
-        calibration = choose_calibration(folder, options, lambda: _camera_by_name(folder))
+
+        def known() -> Calibration:
+            name = folder.resolve().name
+            found = set(_FREIBURG.findall(name))
+            if len(found) != 1:
+                problem = f"its camera is unknown: the folder's name {name!r} names no freiburg1, 2 or 3"
+                raise CalibrationError(problem, path=folder, fix=camera_choices())
+            return load_camera(f"freiburg{found.pop()}")
+
+        calibration = choose_calibration(folder, options, known)
         return open_lists(folder, options, self.name, lambda _: calibration)
 
 
@@ -122,16 +131,14 @@ def beside(truth: Trajectory | None, frames: tuple[FramePaths, ...], options: Op
     """
     if truth is None or options.rate_hz is None or not len(truth) or not frames:
         return truth
-    there_s = frames[0].stamp_s, frames[-1].stamp_s
-    divided = replace(truth, stamps_s=truth.stamps_s / options.rate_hz)
-    return max(divided, truth, key=lambda found: _common_share(found.stamps_s, there_s))
 
+    def shared(found: Trajectory) -> float:
+        """The time that both share, divided by the time of both together."""
+        (begin_s, end_s), stamps_s = (frames[0].stamp_s, frames[-1].stamp_s), found.stamps_s
+        both_s = max(stamps_s[-1], end_s) - min(stamps_s[0], begin_s)
+        return float((min(stamps_s[-1], end_s) - max(stamps_s[0], begin_s)) / both_s) if both_s > 0 else 0.0
 
-def _common_share(stamps_s: FloatArray, span_s: tuple[float, float]) -> float:
-    """The time that stamps (N,) and a span share, divided by the time of both together."""
-    common_s = min(stamps_s[-1], span_s[1]) - max(stamps_s[0], span_s[0])
-    both_s = max(stamps_s[-1], span_s[1]) - min(stamps_s[0], span_s[0])
-    return float(common_s / both_s) if both_s > 0 else 0.0
+    return max(replace(truth, stamps_s=truth.stamps_s / options.rate_hz), truth, key=shared)
 
 
 def read_truth(path: Path, warnings: list[str], body: str = "camera") -> Trajectory | None:
@@ -140,16 +147,6 @@ def read_truth(path: Path, warnings: list[str], body: str = "camera") -> Traject
     Raises TrajectoryError naming file and line.
     """
     return read_tum(path, body, warnings.append) if is_there(path) else None
-
-
-def _camera_by_name(folder: Path) -> Calibration:
-    """The calibration of freiburg1, 2 or 3 in the folder's name. Raises CalibrationError."""
-    name = folder.resolve().name
-    found = set(_FREIBURG.findall(name))
-    if len(found) != 1:
-        problem = f"its camera is unknown: the folder's name {name!r} names no freiburg1, 2 or 3"
-        raise CalibrationError(problem, path=folder, fix=camera_choices())
-    return load_camera(f"freiburg{found.pop()}")
 
 
 # Associations files, with lines `stamp color stamp depth`, or depth first
@@ -208,7 +205,7 @@ def _color_first(
     depth_first = [None if a == b else a == "depth" or b == "color" for a, b in kinds]
     ambiguous = [i for i, known in enumerate(depth_first) if known is None]
     if ambiguous:
-        by_images = _by_images([pairs[i] for i in ambiguous], path, numbers[ambiguous[0]])
+        by_images = _is_depth_first([pairs[i] for i in ambiguous], path, numbers[ambiguous[0]])
         depth_first = [by_images if known is None else known for known in depth_first]
     return [
         (second, first) if turned else (first, second)
@@ -222,7 +219,7 @@ def _kind(name: str) -> str | None:
     return None if not words else "depth" if words[-1]["depth"] else "color"
 
 
-def _by_images(pairs: Sequence[tuple[_Stamped, _Stamped]], path: Path, line: int) -> bool:
+def _is_depth_first(pairs: Sequence[tuple[_Stamped, _Stamped]], path: Path, line: int) -> bool:
     """Whether the first image of pairs is depth, of 16 bits and grey. False where no image can be read."""
     tried = pairs[:: max(len(pairs) // _PAIRS_TRIED, 1)]
     columns = [find_files([pair[k][1] for pair in tried], path, folder)[0] for k, folder in ((0, "rgb"), (1, "depth"))]
@@ -267,16 +264,15 @@ class BonnReader:
     def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
         """The recording in `folder`. Raises InputError naming file and line."""
         calibration = choose_calibration(folder, options, lambda: load_camera(self.name))
-        return open_lists(folder, options, self.name, lambda _: calibration, _bonn_truth)
 
+        def truth_of(path: Path, warnings: list[str]) -> Trajectory | None:
+            truth = read_truth(path, warnings)
+            if truth is None:
+                return None
+            warnings.append("True poses are of markers; the camera's pose among them is by the data set's authors.")
+            return replace(truth, T_frame_body=_AXES @ truth.T_frame_body @ _AXES @ se3.nearest(_MARKERS))
 
-def _bonn_truth(path: Path, warnings: list[str]) -> Trajectory | None:
-    """T_frame_camera, from poses of markers in the axes of motion capture. Raises TrajectoryError."""
-    truth = read_truth(path, warnings)
-    if truth is None:
-        return None
-    warnings.append("True poses are of markers; the camera's pose among them is that of the data set's authors.")
-    return replace(truth, T_frame_body=_AXES @ truth.T_frame_body @ _AXES @ se3.nearest(_MARKERS))
+        return open_lists(folder, options, self.name, lambda _: calibration, truth_of)
 
 
 # ETH3D

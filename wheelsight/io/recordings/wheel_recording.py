@@ -117,7 +117,19 @@ class VelocityReader:
         rows = zip(table.stamps_s, table["v_mps"], table["w_radps"], strict=True)
         speeds, more = keep_growing([speeds_of_wheels(nominal, *row) for row in rows], table.lines, path)
         warnings += more
-        truth, more = _read_truth(folder / "ground_truth.csv")
+        path = folder / "ground_truth.csv"
+        poses, more = read_table(path, ("stamp_s", "x_m", "y_m", "yaw_rad", "valid"))
+        warnings += more
+        poses = [row for row in poses if row["valid"] != 0]
+        poses, more = keep_growing(poses, [row.number for row in poses], path)
+        warnings += more
+        truth = None
+        if poses:
+            x, y, yaw = np.array([[row[name] for name in ("x_m", "y_m", "yaw_rad")] for row in poses]).T
+            stamps_s = np.array([row.stamp_s for row in poses])
+            truth = Trajectory(stamps_s, se3.from_plane(x, y, yaw), body="base")
+        else:
+            warnings.append(f"{path.name}: no true pose is marked valid.")
         return WheelRecording(
             name=folder.resolve().name,
             path=folder,
@@ -125,21 +137,8 @@ class VelocityReader:
             calibration=choose_calibration(folder, options, lambda: shipped_robot("velocities")),
             wheels=tuple(speeds),
             ground_truth=truth,
-            warnings=(*warnings, *more),
+            warnings=tuple(warnings),
         )
-
-
-def _read_truth(path: Path) -> tuple[Trajectory | None, list[str]]:
-    """T_frame_base of the valid rows, None without any; and warnings."""
-    rows, warnings = read_table(path, ("stamp_s", "x_m", "y_m", "yaw_rad", "valid"))
-    rows = [row for row in rows if row["valid"] != 0]
-    rows, more = keep_growing(rows, [row.number for row in rows], path)
-    warnings += more
-    if not rows:
-        return None, [*warnings, f"{path.name}: no true pose is marked valid."]
-    x, y, yaw = np.array([[row[name] for name in ("x_m", "y_m", "yaw_rad")] for row in rows]).T
-    stamps_s = np.array([row.stamp_s for row in rows])
-    return Trajectory(stamps_s, se3.from_plane(x, y, yaw), body="base"), warnings
 
 
 _SIDES = (("front_left", "rear_left"), ("front_right", "rear_right"))
@@ -224,18 +223,32 @@ class MeasurementLineReader:
         """The recording in `folder`. Raises InputError naming file and line."""
         path = _only(folder, _INPUT)
         kinds = _read(path)
-        speeds, warnings = _speeds(kinds["odom2"], path)
+        odometry = kinds["odom2"]
+        if not odometry:
+            fix = "odom2 stamp vx vy turn-rate and three variances"
+            raise RecordingError("holds no line odom2", path=path, fix=fix)
+        nominal = need_wheels(shipped_robot("velocities"))
+        speeds = [speeds_of_wheels(nominal, m.stamp_s, m.values[0], m.values[2]) for m in odometry]
+        growing, warnings = keep_growing(speeds, [m.line for m in odometry], path)
+        across_m_s = max(abs(m.values[1]) for m in odometry)
+        if across_m_s > 0:
+            warnings.append(f"Speeds across, up to {across_m_s:.2g} m/s, are left out: two wheels cannot measure them.")
+        for m in odometry:
+            if min(m.values[3:]) < 0:
+                raise RecordingError("a variance is negative", path=path, line=m.line, fix="three variances from 0 up")
+        stated = sorted(odometry, key=lambda m: m.stamp_s)
+        variances = SpeedVariances(np.array([m.stamp_s for m in stated]), np.array([m.values[3:] for m in stated]))
         truth, more = _true_poses(_only(folder, _TRUTH))
         return WheelRecording(
             name=folder.resolve().name,
             path=folder,
             format=self.name,
             calibration=choose_calibration(folder, options, lambda: shipped_robot("velocities")),
-            wheels=tuple(speeds),
+            wheels=tuple(growing),
             ground_truth=truth,
             warnings=(*warnings, *more),
             matches=tuple(Match(m.values[0], m.stamp_s, score=m.values[1]) for m in kinds["loop"]),
-            speed_variances=_variances(kinds["odom2"], path),
+            speed_variances=variances,
         )
 
 
@@ -267,27 +280,6 @@ def _read(path: Path) -> dict[str, list[_Measurement]]:
     return found
 
 
-def _speeds(odometry: list[_Measurement], path: Path) -> tuple[list[WheelSpeeds], list[str]]:
-    if not odometry:
-        raise RecordingError("holds no line odom2", path=path, fix="odom2 stamp vx vy turn-rate and three variances")
-    nominal = need_wheels(shipped_robot("velocities"))
-    speeds = [speeds_of_wheels(nominal, m.stamp_s, m.values[0], m.values[2]) for m in odometry]
-    growing, warnings = keep_growing(speeds, [m.line for m in odometry], path)
-    across_m_s = max(abs(m.values[1]) for m in odometry)
-    if across_m_s > 0:
-        warnings.append(f"Speeds across, up to {across_m_s:.2g} m/s, are left out: two wheels cannot measure them.")
-    return growing, warnings
-
-
-def _variances(odometry: list[_Measurement], path: Path) -> SpeedVariances:
-    """The variances of the lines in order of time. Raises RecordingError where one is negative."""
-    for m in odometry:
-        if min(m.values[3:]) < 0:
-            raise RecordingError("a variance is negative", path=path, line=m.line, fix="three variances from 0 up")
-    stated = sorted(odometry, key=lambda m: m.stamp_s)
-    return SpeedVariances(np.array([m.stamp_s for m in stated]), np.array([m.values[3:] for m in stated]))
-
-
 def _true_poses(path: Path) -> tuple[Trajectory | None, list[str]]:
     """T_frame_base at the stamps that have a point and an angle, None without any; and warnings."""
     kinds = _read(path)
@@ -314,9 +306,8 @@ def _true_poses(path: Path) -> tuple[Trajectory | None, list[str]]:
 
 def _without_partner(path: Path, kind: str, missing: str, count: int, of: int) -> LeftOut:
     reason = f"lines {kind} have no {missing}"
-    return LeftOut(
-        f"{path.name}: {count} {reason} of their stamp and were left out.", count, of, f"{path.name}: {reason}"
-    )
+    warning = f"{path.name}: {count} {reason} of their stamp and were left out."
+    return LeftOut(warning, count, of, f"{path.name}: {reason}")
 
 
 def _column(measurements: list[_Measurement], column: int) -> FloatArray:

@@ -38,13 +38,9 @@ def _by(code: int) -> Callable[[_Pixels], _Pixels]:
     return lambda pixels: np.asarray(cv2.cvtColor(pixels, code))
 
 
-def _as_is(pixels: _Pixels) -> _Pixels:
-    return pixels
-
-
 _GREY, _BGR = _by(cv2.COLOR_GRAY2RGB), _by(cv2.COLOR_BGR2RGB)
-_COLOR = {
-    "rgb": (3, _as_is),
+_COLOR: dict[str, tuple[int, Callable[[_Pixels], _Pixels]]] = {
+    "rgb": (3, lambda pixels: pixels),
     "bgr": (3, _BGR),
     "rgba": (4, _by(cv2.COLOR_RGBA2RGB)),
     "bgra": (4, _by(cv2.COLOR_BGRA2RGB)),

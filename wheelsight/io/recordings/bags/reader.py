@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from wheelsight.core.calibration import Calibration, load_calibration, parse_calibration
-from wheelsight.core.calibration_parts import HolonomicWheels, Wheels
+from wheelsight.core.calibration_parts import HolonomicWheels
 from wheelsight.core.errors import CalibrationError, RecordingError, WheelsightError
 from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import FloatArray, PinholeCamera, se3, so3
@@ -71,24 +71,19 @@ class BagReader:
         """
         choices = Choices.of(options.topics)
         with open_bag(folder) as bag:
-            stated = _stated_wheels(bag, options)
+            # The wheels of the last calibration that has any. Errors are raised where a calibration is used.
+            stated = None
+            if _is_own(bag):
+                with suppress(WheelsightError):
+                    stated = _own_calibration(bag).any_wheels
+            for path in _calibration_files(bag, options):
+                with suppress(WheelsightError):
+                    stated = load_calibration(path).any_wheels or stated
             holonomic = stated if isinstance(stated, HolonomicWheels) else None
             roles = roles_of(bag, choices, stated is not None or _is_own(bag), holonomic)
             if roles.color is None and roles.wheels is None:
                 raise lacks(roles, bag, folder)
             return _open(bag, roles, options)
-
-
-def _stated_wheels(bag: OpenBag, options: OpenOptions) -> Wheels | HolonomicWheels | None:
-    """The wheels of the last calibration that has any. Errors in a calibration are raised where it is used."""
-    stated = None
-    if _is_own(bag):
-        with suppress(WheelsightError):
-            stated = _own_calibration(bag).any_wheels
-    for path in _calibration_files(bag, options):
-        with suppress(WheelsightError):
-            stated = load_calibration(path).any_wheels or stated
-    return stated
 
 
 def _calibration_files(bag: OpenBag, options: OpenOptions) -> list[StrPath]:

@@ -648,17 +648,14 @@ class Pairing:
             frames.append(ImagePair(color_s, color_message, depth_message, depth_s - color_s))
         for kind, paired in zip(("color", "depth"), pairs.T.tolist(), strict=True):
             singles = {i for i, (stamp_s, _) in enumerate(self._waiting[kind]) if stamp_s < due_s} - set(paired)
-            self._count_alone(kind, singles)
+            # Count single images and their gaps to the nearest image of the other kind.
+            other = "depth" if kind == "color" else "color"
+            others_s = [self._came_s[other], *(stamp_s for stamp_s, _ in self._waiting[other])]
+            self.alone[kind] += len(singles)
+            for place in singles:
+                gap_s = min(abs(other_s - self._waiting[kind][place][0]) for other_s in others_s)
+                self._gaps_s[kind].append(gap_s)
             gone[kind] |= singles
         for kind, places in gone.items():
             self._waiting[kind] = [image for i, image in enumerate(self._waiting[kind]) if i not in places]
         yield from frames
-
-    def _count_alone(self, kind: str, places: set[int]) -> None:
-        """Count single images and their gaps to the nearest image of the other kind."""
-        other = "depth" if kind == "color" else "color"
-        others_s = [self._came_s[other], *(stamp_s for stamp_s, _ in self._waiting[other])]
-        self.alone[kind] += len(places)
-        for place in places:
-            gap_s = min(abs(other_s - self._waiting[kind][place][0]) for other_s in others_s)
-            self._gaps_s[kind].append(gap_s)

@@ -322,7 +322,13 @@ def clocks_of(
         for image in set(images) & set(believed):
             heads[image] = _Head(heads[image].stamps, f"the other images of its camera: {why}")
             del believed[image]
-    shifts_s, reference = _shifts(believed, images, APART_S * max(1.0, _whole_rate(believed, lasts)))
+    # Header seconds per second of receipt over the bag, of the slowest topic: a clock that was set looks faster.
+    rates = []
+    for topic, head in believed.items():
+        (first_s, first_receipt_s), (last_s, last_receipt_s) = head.stamps[0].tolist(), lasts[topic]
+        if last_receipt_s > first_receipt_s:
+            rates.append((last_s - first_s) / (last_receipt_s - first_receipt_s))
+    shifts_s, reference = _shifts(believed, images, APART_S * max(1.0, min(rates, default=1.0)))
     lag_s = believed[reference].lag_s if reference else 0.0
     end_lag_s = lasts[reference][1] - lasts[reference][0] if reference else 0.0
     warnings = []
@@ -376,16 +382,6 @@ def _of_one_rate(believed: dict[str, _Head], heads: dict[str, _Head]) -> dict[st
             heads[topic] = _Head(head.stamps, why)
             del believed[topic]
     return believed
-
-
-def _whole_rate(believed: Mapping[str, _Head], lasts: Mapping[str, tuple[float, float]]) -> float:
-    """Header seconds per second of receipt over the bag, of the slowest topic: a clock that was set looks faster."""
-    rates = []
-    for topic, head in believed.items():
-        (first_s, first_receipt_s), (last_s, last_receipt_s) = head.stamps[0].tolist(), lasts[topic]
-        if last_receipt_s > first_receipt_s:
-            rates.append((last_s - first_s) / (last_receipt_s - first_receipt_s))
-    return min(rates, default=1.0)
 
 
 def _shifts(believed: Mapping[str, _Head], images: Sequence[str], most_s: float) -> tuple[dict[str, float], str]:

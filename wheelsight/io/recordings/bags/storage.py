@@ -207,7 +207,13 @@ class OpenBag:
             found = part.found_in(self.decode(message))
             assert found is not None  # `messages` gives no others
             return Header(found.header.stamp.sec + 1e-9 * found.header.stamp.nanosec, part.parent)
-        if self._is_headless(message.topic):
+        if message.topic not in self._headless:
+            connection = self._of_topic[message.topic]
+            self._headless[message.topic] = False
+            with suppress(Exception):  # decoding raises the error
+                fields = self._store(connection).fielddefs[connection.msgtype][1]
+                self._headless[message.topic] = bool(fields) and fields[0][1][1] not in _HEADERS
+        if self._headless[message.topic]:
             return Header(0.0, "")
         data = message.data
         order = "<" if self.is_ros1 or data[1:2] == b"\x01" else ">"
@@ -223,17 +229,6 @@ class OpenBag:
     def has_units(self, topic: str, data: bytes) -> bool:
         """Whether an Image of the RealSense SDK ends with its depth unit; see `reader.depth_units_m`."""
         return self.is_ros1 and topic.startswith("/device_") and data[12:17] == b"\x01\0\0\x001"
-
-    def _is_headless(self, topic: str) -> bool:
-        """Whether a topic's messages have no header; False for a type that cannot be read."""
-        if topic not in self._headless:
-            connection = self._of_topic[topic]
-            try:
-                fields = self._store(connection).fielddefs[connection.msgtype][1]
-                self._headless[topic] = bool(fields) and fields[0][1][1] not in _HEADERS
-            except Exception:  # decoding raises the error
-                self._headless[topic] = False
-        return self._headless[topic]
 
     def _store(self, connection: Connection) -> Any:
         type_ = connection.msgtype

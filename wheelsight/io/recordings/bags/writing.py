@@ -26,7 +26,7 @@ from wheelsight.core.checks import check_event, check_images
 from wheelsight.core.depth_errors import DepthError
 from wheelsight.core.errors import ArgumentError, CalibrationError, ConfigError, OutputError, RecordingError
 from wheelsight.core.files import StrPath, check_name, output_error
-from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera, se3, so3
+from wheelsight.core.geometry import ByteArray, FloatArray, PinholeCamera, se3, so3
 from wheelsight.core.geometry.arrays import UInt16Array
 from wheelsight.core.messages import (
     AngularVelocity,
@@ -228,7 +228,11 @@ class BagFile:
             if is_latched and self.make.is_ros1:
                 how["latching"] = 1
             elif is_latched:
-                how["offered_qos_profiles"] = [_latched()]
+                ros = needed("rosbags.interfaces")
+                forever = ros.QosTime(*_FOREVER)
+                keeps = (ros.QosHistory.KEEP_LAST, 1, ros.QosReliability.RELIABLE, ros.QosDurability.TRANSIENT_LOCAL)
+                lives = (forever, forever, ros.QosLiveliness.AUTOMATIC, forever, False)
+                how["offered_qos_profiles"] = [ros.Qos(*keeps, *lives)]
             connection = self._connections[topic] = self._writer.add_connection(
                 topic, type_, typestore=self.make.types, **how
             )
@@ -345,23 +349,6 @@ def _writer(made: Path, folder: Path) -> Any:
     return rosbag2.Writer(folder / "bag", version=9, storage_plugin=rosbag2.StoragePlugin.MCAP)
 
 
-def _latched() -> Any:
-    """The quality of service of a latched topic, such as /map and /tf_static."""
-    ros = needed("rosbags.interfaces")
-    forever = ros.QosTime(*_FOREVER)
-    return ros.Qos(
-        ros.QosHistory.KEEP_LAST,
-        1,
-        ros.QosReliability.RELIABLE,
-        ros.QosDurability.TRANSIENT_LOCAL,
-        forever,
-        forever,
-        ros.QosLiveliness.AUTOMATIC,
-        forever,
-        False,
-    )
-
-
 # Topics of a robot
 
 ImageForm = Literal["raw", "png", "jpeg"]
@@ -453,14 +440,20 @@ class RobotTopics:
             yield Sent(at_s, f"{_COLOR}/image_raw", color)
             yield Sent(late_s, f"{depth_topic}/image_raw", depth)
             return
-        format_ = f"rgb8; {self._images} compressed bgr8"
-        color = self.make.compressed(at_s, COLOR_FRAME, format_, _coded(frame.color, self._images))
-        depth = self.make.compressed(late_s, depth_frame, "16UC1; compressedDepth png", _coded_depth(frame.depth_m))
+        form, flags = ".png", FAST_PNG
+        if self._images == "jpeg":
+            form, flags = ".jpg", (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
+        data = _encoded(form, cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR), flags)
+        color = self.make.compressed(at_s, COLOR_FRAME, f"rgb8; {self._images} compressed bgr8", data)
+        mm = np.rint(_MILLIMETRES * frame.depth_m)
+        data = _encoded(".png", np.where(mm > _DEEPEST, 0, mm).astype(np.uint16), FAST_PNG)
+        data = np.concatenate([np.frombuffer(_COMPRESSED_DEPTH, np.uint8), data])
+        depth = self.make.compressed(late_s, depth_frame, "16UC1; compressedDepth png", data)
         yield Sent(at_s, f"{_COLOR}/image_raw/compressed", color)
         yield Sent(late_s, f"{depth_topic}/image_raw/compressedDepth", depth)
 
     def _of_wheels(self, event: WheelTicks | WheelSpeeds) -> Iterator[Sent]:
-        """JointState: angles of ticks; of speeds, which hold until the next ones, themselves and what they sum to."""
+        """JointState: the angles of ticks, or speeds and their integral. A speed holds until the next one."""
         if self._calibration is None or self._calibration.wheels is None:
             return
         speeds: list[float] = []
@@ -490,9 +483,9 @@ class RobotTopics:
 
 
 def mounts_of(calibration: Calibration) -> list[tuple[str, str, FloatArray]]:
-    """Parent, child and T_parent_child of the frames that stand still on a robot, named as REP 103 and drivers do.
+    """Parent, child and T_parent_child of a robot's static frames, named as in REP 103 and by drivers.
 
-    `camera_link` lies where depth is measured, x forward; optical frames hang on it.
+    `camera_link` is at the depth camera, x forward; it is the parent of the optical frames.
     """
     if calibration.color is None:
         return []
@@ -505,18 +498,6 @@ def mounts_of(calibration: Calibration) -> list[tuple[str, str, FloatArray]]:
     return joined
 
 
-def _coded(color: ByteArray, form: str) -> ByteArray:
-    flags = FAST_PNG if form == "png" else (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
-    return _encoded(".png" if form == "png" else ".jpg", cv2.cvtColor(color, cv2.COLOR_RGB2BGR), flags)
-
-
-def _coded_depth(depth_m: Float32Array) -> ByteArray:
-    """Millimetres as compressedDepth; what 16 bits cannot hold is not measured."""
-    mm = np.rint(_MILLIMETRES * depth_m)
-    code = _encoded(".png", np.where(mm > _DEEPEST, 0, mm).astype(np.uint16), FAST_PNG)
-    return np.concatenate([np.frombuffer(_COMPRESSED_DEPTH, np.uint8), code])
-
-
 def _encoded(kind: str, image: np.ndarray, flags: tuple[int, ...]) -> ByteArray:
     is_encoded, code = cv2.imencode(kind, image, flags)
     if not is_encoded:
@@ -524,13 +505,12 @@ def _encoded(kind: str, image: np.ndarray, flags: tuple[int, ...]) -> ByteArray:
     return np.asarray(code, np.uint8).ravel()
 
 
-# Messages of ROS 1 and ROS 2 from plain numbers, and their bytes.
-
+# Messages of ROS 1 and ROS 2
 
 _TF = "tf2_msgs/msg/TFMessage"
 # sensor_msgs/PointField
 _FLOAT32, _POINT_STEP = 7, 16
-# Of each ROS time: ROS 1 counts its seconds in 32 bits without a sign, ROS 2 with one.
+# The latest time: seconds have 32 bits, unsigned in ROS 1 and signed in ROS 2.
 _LAST_S = {True: 2**32 - 1, False: 2**31 - 1}
 
 
@@ -539,8 +519,8 @@ class Diagnosis:
     """One line of a DiagnosticArray.
 
     Attributes:
-        level: 0 all is well, 1 a warning, 2 an error.
-        name: of what is diagnosed.
+        level: 0 OK, 1 a warning, 2 an error.
+        name: of the component.
         message: in a few words.
         values: names and values that explain it.
     """
@@ -553,10 +533,10 @@ class Diagnosis:
 
 @cache
 def _types(is_ros1: bool) -> Any:
-    """A store of them, which makes a program for each type once."""
+    """The type store, which compiles each type once."""
     typesys = needed("rosbags.typesys")
     types = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if is_ros1 else typesys.Stores.ROS2_JAZZY)
-    if is_ros1:  # which has it in a package of its own
+    if is_ros1:  # its package tf2_msgs is not in the store
         definition = "geometry_msgs/TransformStamped[] transforms"
         types.register(typesys.get_types_from_msg(definition, _TF))
     return types
@@ -574,12 +554,12 @@ class Messages:
         self.types = _types(is_ros1)
 
     def bytes_of(self, message: Any) -> bytes:
-        """A message as it is sent."""
+        """The serialized message."""
         write = self.types.serialize_ros1 if self.is_ros1 else self.types.serialize_cdr
         return bytes(write(message, message.__msgtype__))
 
     def time(self, stamp_s: float) -> Any:
-        """Raises ArgumentError for a time that ROS cannot say."""
+        """Time. Raises ArgumentError for a time that ROS cannot represent."""
         ns = nanoseconds(stamp_s)
         if not 0 <= ns // 10**9 <= _LAST_S[self.is_ros1]:
             fix = "stamps are seconds since 1970, or since the recording began"
@@ -587,7 +567,7 @@ class Messages:
         return self._make("builtin_interfaces/msg/Time", ns // 10**9, ns % 10**9)
 
     def header(self, stamp_s: float, frame: str) -> Any:
-        """With no number of the message: ROS 1's own recorder does not keep that either."""
+        """Header. The sequence number of ROS 1 is 0, since its recorder does not keep it either."""
         return self._make("std_msgs/msg/Header", *((0,) if self.is_ros1 else ()), self.time(stamp_s), frame)
 
     def transforms(self, stamp_s: float, joined: Iterable[tuple[str, str, FloatArray]]) -> Any:
@@ -618,7 +598,7 @@ class Messages:
             frames: the parent and the child.
             T: (4, 4) T_parent_child.
             twist: (6,) v and ω of the child in its own axes.
-            covariance: (6, 6) of the pose as ROS has it; None where it is not known: zeros.
+            covariance: (6, 6) of the pose in the convention of ROS; None writes zeros.
         """
         known = np.zeros(36) if covariance is None else _flat(covariance)
         posed = self._make("geometry_msgs/msg/PoseWithCovariance", self.pose(T), known)
@@ -634,7 +614,7 @@ class Messages:
         ]
         return self._make("nav_msgs/msg/Path", self.header(stamp_s, frame), poses)
 
-    def diagnostics(self, stamp_s: float, told: Sequence[Diagnosis]) -> Any:
+    def diagnostics(self, stamp_s: float, diagnoses: Sequence[Diagnosis]) -> Any:
         """DiagnosticArray."""
         pair = self.types.types["diagnostic_msgs/msg/KeyValue"]
         status = [
@@ -646,19 +626,19 @@ class Messages:
                 "",
                 [pair(name, value) for name, value in one.values],
             )
-            for one in told
+            for one in diagnoses
         ]
         return self._make("diagnostic_msgs/msg/DiagnosticArray", self.header(stamp_s, ""), status)
 
     def occupancy(self, stamp_s: float, frame: str, cells: np.ndarray, resolution_m: float, T: FloatArray) -> Any:
-        """OccupancyGrid of cells (H, W) int8, row 0 the least y, and T (4, 4) of the corner of cell (0, 0)."""
+        """OccupancyGrid of cells (H, W) int8, row 0 at the least y, and T (4, 4) of the corner of cell (0, 0)."""
         height, width = cells.shape
         about = (self.time(stamp_s), resolution_m, width, height, self.pose(T))
         info = self._make("nav_msgs/msg/MapMetaData", *about)
         return self._make("nav_msgs/msg/OccupancyGrid", self.header(stamp_s, frame), info, cells.ravel())
 
     def points(self, stamp_s: float, frame: str, p: FloatArray, colors: ByteArray) -> Any:
-        """PointCloud2 of points (N, 3) in metres and their colours (N, 3), packed in `rgb` as PCL has it."""
+        """PointCloud2 of points (N, 3) in metres and their colours (N, 3), packed in `rgb` as in PCL."""
         table = np.zeros(len(p), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgb", "<u4")])
         for axis in range(3):
             table["xyz"[axis]] = p[:, axis]
@@ -696,11 +676,11 @@ class Messages:
         return self._make("sensor_msgs/msg/JointState", self.header(stamp_s, ""), list(names), *values)
 
     def turning(self, stamp_s: float, frame: str, yaw_rate_rad_s: float) -> Any:
-        """Imu of a rate about z alone: it says that it knows neither orientation nor acceleration."""
+        """Imu with a rate about z; orientation and acceleration are marked as unknown."""
         unknown = np.array([-1.0, *np.zeros(8)])
         still = self._make("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0)
-        felt = (self._vector(np.array([0, 0, yaw_rate_rad_s])), np.zeros(9), self._vector(np.zeros(3)), unknown)
-        return self._make("sensor_msgs/msg/Imu", self.header(stamp_s, frame), still, unknown, *felt)
+        measured = (self._vector(np.array([0, 0, yaw_rate_rad_s])), np.zeros(9), self._vector(np.zeros(3)), unknown)
+        return self._make("sensor_msgs/msg/Imu", self.header(stamp_s, frame), still, unknown, *measured)
 
     def text(self, text: str) -> Any:
         """String."""
@@ -722,7 +702,7 @@ class Messages:
 
 
 def nanoseconds(stamp_s: float) -> int:
-    """Nanoseconds of a time; seconds apart from the rest, so that the same float comes back."""
+    """Nanoseconds of a time. Seconds are converted separately, so that the same float reads back."""
     seconds = math.floor(stamp_s)
     return seconds * 10**9 + round(1e9 * (stamp_s - seconds))
 
