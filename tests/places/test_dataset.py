@@ -41,18 +41,18 @@ def test_polygons_frames_and_ranges_tell_the_same(tmp_path: Path) -> None:
     ]
     for source in sources:
         assert source.of_frames(stamps_of(recording), NAMES).tolist() == TRUE
-    told = [source.told for source in sources]
+    told = [source.description for source in sources]
     assert told == ["areas.yaml and trajectory", "labels.csv", "ranges.csv"]
 
 
 def test_its_own_labels_serve_where_polygons_or_truth_are_missing(tmp_path: Path) -> None:
     bare = open_recording(write_drive(tmp_path / "a", with_areas=False, with_labels=True))
-    assert label_source(bare).told == "labels.csv"
+    assert label_source(bare).description == "labels.csv"
     assert label_source(bare).names == NAMES
     lost = open_recording(write_drive(tmp_path / "b", with_truth=False, with_labels=True))
     assert label_source(lost).of_frames(stamps_of(lost), NAMES).tolist() == TRUE
     nothing = open_recording(write_drive(tmp_path / "c", with_areas=False))
-    assert (label_source(nothing).told, label_source(nothing).names) == ("", ())
+    assert (label_source(nothing).description, label_source(nothing).names) == ("", ())
     assert set(label_source(nothing).of_frames(stamps_of(nothing), NAMES).tolist()) == {-1}
 
 
@@ -103,7 +103,7 @@ def test_an_area_without_frames_is_named_with_its_file() -> None:
     check_every_area([np.array([0, -1]), np.array([1])], ("a", "b"), None)
     with pytest.raises(AreaError, match=r"l\.csv: area 'b' has no training frames \(drive through it, or leave"):
         check_every_area([np.array([0, -1])], ("a", "b"), Path("l.csv"))
-    with pytest.raises(AreaError, match="1 areas cannot be told apart"):
+    with pytest.raises(AreaError, match="1 areas cannot be distinguished"):
         check_every_area([np.array([0])], ("a",), None)
 
 

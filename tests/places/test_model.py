@@ -167,8 +167,8 @@ def test_an_area_without_frames_is_named(rng):
         (lambda f, y: (f, y.astype(float), NAMES), "90 frames have labels .* of float64"),
         (lambda f, y: (f, y + 1, NAMES), "label 3 is not an area index"),
         (lambda f, y: (f, y - 2, NAMES), "label -2 is not an area index"),
-        (lambda f, y: (f, y * 0, ("a",)), "1 areas cannot be told apart"),
-        (lambda f, y: (f, y, ("a", "b", "a")), "3 areas cannot be told apart"),
+        (lambda f, y: (f, y * 0, ("a",)), "1 areas cannot be distinguished"),
+        (lambda f, y: (f, y, ("a", "b", "a")), "3 areas cannot be distinguished"),
         (lambda f, y: (np.where(np.arange(90)[:, None] == 7, np.nan, f), y, NAMES), "features of frame 7 are not fin"),
     ],
 )

@@ -235,7 +235,7 @@ def test_a_keyframe_is_in_the_word_of_each_of_its_descriptors(seed):
         for row, shown in enumerate(rows):
             words.add(shown, row)
         assert len(words) > 10
-        tree = _word_kernels.Tree(**words.arrays())
+        tree = _word_kernels.WordTree(**words.arrays())
         for row, shown in enumerate(rows):
             for i in range(len(shown)):
                 word = _word_kernels.word_of(tree, shown, i)
@@ -255,7 +255,7 @@ def test_votes_are_those_counted_one_by_one(seed):
         for row, shown in enumerate(rows):
             words.add(shown, row)
         query = pool[rng.integers(0, 60, 25)]
-        tree = _word_kernels.Tree(**words.arrays())
+        tree = _word_kernels.WordTree(**words.arrays())
         asked = [int(_word_kernels.word_of(tree, query, i)) for i in range(len(query))]
         idf = {word: np.log((1 + tree.sizes[_word_kernels.POSTINGS]) / (1 + tree.postings[word])) for word in asked}
         both = [
@@ -276,7 +276,7 @@ def test_common_words_are_left_out_first(rng, monkeypatch):
         for row in range(3):
             words.add(np.concatenate([np.repeat(common, 20, axis=0), rare[row]]), row)
         votes[most_postings] = words.vote(asked, 3)
-    tree = _word_kernels.Tree(**words.arrays())
+    tree = _word_kernels.WordTree(**words.arrays())
     rarest = set(_rows_of(tree, int(_word_kernels.word_of(tree, asked, 1))))
     assert set(np.flatnonzero(votes[1]).tolist()) == rarest < {0, 1, 2}
     assert (votes[1000] > 0).all()
@@ -291,7 +291,7 @@ def test_words_stop_growing_at_the_most_nodes(rng, monkeypatch):
     assert words.vote(descriptors(rng, 50), 20).max() > 0
 
 
-def _rows_of(tree: _word_kernels.Tree, word: int) -> list[int]:
+def _rows_of(tree: _word_kernels.WordTree, word: int) -> list[int]:
     rows: list[int] = []
     block = tree.head[word]
     while len(rows) < tree.postings[word]:

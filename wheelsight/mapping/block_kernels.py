@@ -1,7 +1,7 @@
-"""Compiled inner loops of blocks: which cell of space holds which pages of surfels, and which cells are in view.
+"""Compiled inner loops of blocks: pages of surfels by cells of space, and the cells in view.
 
 Slots of surfels come in pages of PAGE. A cell of space owns a chain of pages; only the last of a chain has room.
-A surfel whose confidence is not positive is dead: it is passed over until its cell is compacted.
+A surfel without positive confidence is dead: it is skipped until its cell is compacted.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import numpy as np
 
 from wheelsight.core.compiled import kernel
 
-# Small, for few surfels are all that some cells hold, and a page is theirs alone.
+# Small, since some cells have few surfels, and cells do not share a page.
 PAGE = 32
 # Columns of a surfel's geometry.
 RADIUS, CONFIDENCE = 3, 7
-# How far a surfel may stray from the cell it was made in.
+# Largest distance of a surfel from the cell in which it was made.
 STRAY_M = 0.05
 # Entries of the counters.
 CELLS, FREE, PAGES, ALIVE = 0, 1, 2, 3
@@ -30,7 +30,7 @@ class SurfelArrays(NamedTuple):
         look: (n, 4) float32: red, green, blue, grey from 0 to 255, -1 where unknown.
         seen_s: (n, 2) float64, first and last time seen.
         variance: (n,) float32 of the position along the normal, in m².
-        keyframe: (n,) int32, that which the surfel hangs on; -1 for none.
+        keyframe: (n,) int32 keyframe of the surfel; -1 for none.
     """
 
     geometry: Any
@@ -44,10 +44,10 @@ class Pages(NamedTuple):
     """Pages of slots.
 
     Attributes:
-        next: (pages,) int32 that follows in its cell's chain, -1 at the end.
-        fill: (pages,) int32 how many slots hold a surfel, dead or alive.
-        cell: (pages,) int32 that owns it.
-        free: (pages,) int32 those that nobody owns; so many as the counters say.
+        next: (pages,) int32 next page in its cell's chain, -1 at the end.
+        fill: (pages,) int32 number of slots with a surfel, dead or alive.
+        cell: (pages,) int32 cell that owns it.
+        free: (pages,) int32 pages without an owner; the counters have their number.
     """
 
     next: Any
@@ -56,14 +56,14 @@ class Pages(NamedTuple):
     free: Any
 
 
-class Cells(NamedTuple):
+class SurfelCells(NamedTuple):
     """Cells of space.
 
     Attributes:
         block_m: edge of a cell.
-        xyz: (cells, 3) int32 where each is, in edges.
-        pages: (cells, 2) int32 first and last of its chain, -1 for none.
-        seen_s: (cells,) float64 when any of it was seen last.
+        xyz: (cells, 3) int32 position, in edges.
+        pages: (cells, 2) int32 first and last page of its chain, -1 for none.
+        seen_s: (cells,) float64 last time that any surfel of it was seen.
         table: (2^k,) int32 by hash, -1 where empty.
         counters: (4,) int64 of cells, free pages, pages ever owned, and surfels alive.
     """
@@ -77,20 +77,20 @@ class Cells(NamedTuple):
 
 
 class InView(NamedTuple):
-    """Pages that a camera may see: their numbers (n,), and how full each page of all is (pages,)."""
+    """Pages that a camera may see: their numbers (n,), and the fill of all pages (pages,)."""
 
     pages: Any
     fill: Any
 
 
 class Going(NamedTuple):
-    """Which surfels are to go.
+    """Rules for removing surfels.
 
     Attributes:
         now_s: the map's time.
-        rules: (4,) confidence of the stable, seconds after which others go, active window in seconds, and seconds for
-            which others may go unseen.
-        quota: of each bin of usefulness, how many surfels may still be dropped; or none (0,).
+        rules: (4,) confidence of stable surfels, lifetime of others in seconds, active window in seconds, and time
+            without observation of others in seconds.
+        quota: number of surfels that may still be dropped from each bin of usefulness; or none (0,).
     """
 
     now_s: Any
@@ -99,7 +99,7 @@ class Going(NamedTuple):
 
 
 class Frustum(NamedTuple):
-    """What a camera sees: T_map_camera (4, 4), fx, fy, cx, cy, its image's size, and how far."""
+    """View of a camera: T_map_camera (4, 4), fx, fy, cx, cy, the image size, and the largest distance."""
 
     T: Any
     grid: Any
@@ -117,7 +117,7 @@ def _hash(x: Any, y: Any, z: Any, size: Any) -> Any:
 
 @kernel
 def find_cell(table: Any, cell_xyz: Any, x: Any, y: Any, z: Any) -> Any:
-    """The cell at a place, or -(1 + where in the table it belongs)."""
+    """Return the cell at a position, or -(1 + its place in the table)."""
     k = _hash(x, y, z, len(table))
     while table[k] >= 0:
         cell = table[k]
@@ -136,8 +136,8 @@ def rebuild_table(table: Any, cell_xyz: Any, cells: int) -> None:
 
 
 @kernel
-def append(new: SurfelArrays, begin: Any, surfels: SurfelArrays, pages: Pages, cells: Cells) -> Any:
-    """Put new surfels, from number `begin` on, into their cells; the number of the first that found no room."""
+def append(new: SurfelArrays, begin: Any, surfels: SurfelArrays, pages: Pages, cells: SurfelCells) -> Any:
+    """Add new surfels from number `begin` on to their cells; return the number of the first one without room."""
     place, seen_s, page_fill = new.geometry, new.seen_s, pages.fill
     cell_pages, cell_seen_s, block_m = cells.pages, cells.seen_s, cells.block_m
     for i in range(begin, len(place)):
@@ -161,8 +161,8 @@ def append(new: SurfelArrays, begin: Any, surfels: SurfelArrays, pages: Pages, c
 
 
 @kernel
-def _cell_at(cells: Cells, x: Any, y: Any, z: Any) -> Any:
-    """The cell at a place, made where there is none yet; -1 where there is no room for one."""
+def _cell_at(cells: SurfelCells, x: Any, y: Any, z: Any) -> Any:
+    """Return the cell at a position, made if it does not exist; -1 without room for it."""
     cell = find_cell(cells.table, cells.xyz, x, y, z)
     if cell >= 0:
         return cell
@@ -179,7 +179,7 @@ def _cell_at(cells: Cells, x: Any, y: Any, z: Any) -> Any:
 
 @kernel(inline="always")
 def _copy(i: Any, j: Any, source: SurfelArrays, to: SurfelArrays) -> None:
-    """Copy surfel i of some arrays to place j of others, number by number: views of rows would be counted."""
+    """Copy surfel i to place j of other arrays, number by number: views of rows would be reference-counted."""
     for k in range(8):
         to.geometry[j, k] = source.geometry[i, k]
     for k in range(4):
@@ -189,8 +189,8 @@ def _copy(i: Any, j: Any, source: SurfelArrays, to: SurfelArrays) -> None:
 
 
 @kernel
-def _new_page(cell: Any, pages: Pages, cells: Cells) -> Any:
-    """A page at the end of a cell's chain; -1 where there is none left."""
+def _new_page(cell: Any, pages: Pages, cells: SurfelCells) -> Any:
+    """Return a new page at the end of a cell's chain; -1 if none is left."""
     counters, chain = cells.counters, cells.pages
     if counters[FREE] > 0:
         counters[FREE] -= 1
@@ -210,13 +210,13 @@ def _new_page(cell: Any, pages: Pages, cells: Cells) -> Any:
 
 
 @kernel
-def pages_in_view(view: Frustum, since_s: Any, page_next: Any, cells: Cells, out: Any) -> Any:
-    """Write the pages of all cells that may be seen into `out`; how many.
+def pages_in_view(view: Frustum, since_s: Any, page_next: Any, cells: SurfelCells, out: Any) -> Any:
+    """Write the pages of all cells that may be seen into `out`; return their number.
 
     Args:
-        since_s: cells of which nothing was seen since are left out.
+        since_s: cells last seen before are left out.
     """
-    # Taken out of their tuples once: each time would be counted.
+    # Read from the tuples once: each access would be reference-counted.
     T, far_m, block_m = view.T, view.far_m, cells.block_m
     cell_xyz, cell_pages, cell_seen_s, table = cells.xyz, cells.pages, cells.seen_s, cells.table
     low, high = _frustum_box(view)
@@ -244,7 +244,7 @@ def pages_in_view(view: Frustum, since_s: Any, page_next: Any, cells: Cells, out
 
 @kernel
 def _clip(first: Any, last: Any, cell_xyz: Any, count: Any) -> None:
-    """Clip a box of cells, `first` (3,) to `last` (3,), to where there are any: far views would ask of millions."""
+    """Clip a box of cells, `first` (3,) to `last` (3,), to the existing ones: a far view would have millions."""
     if count == 0 or (last[0] - first[0]) * (last[1] - first[1]) * (last[2] - first[2]) < count:
         return
     low, high = cell_xyz[0].copy(), cell_xyz[0].copy()
@@ -257,7 +257,7 @@ def _clip(first: Any, last: Any, cell_xyz: Any, count: Any) -> None:
 
 @kernel
 def _frustum_box(view: Frustum) -> Any:
-    """Lowest and highest coordinates (3,) of the camera's centre and the four far corners of its view."""
+    """Return the lowest and highest coordinates (3,) of the camera's centre and the four far corners of its view."""
     T, grid, far_m = view.T, view.grid, view.far_m
     low, high = T[:3, 3].copy(), T[:3, 3].copy()
     for u in (-0.5, view.width - 0.5):
@@ -271,7 +271,7 @@ def _frustum_box(view: Frustum) -> Any:
 
 @kernel
 def _sides(view: Frustum, reach: Any) -> Any:
-    """Slopes of the frustum's left, right, top and bottom, and how far beyond each a ball's middle may lie: (4, 2)."""
+    """Return slopes of the frustum's left, right, top and bottom, and limits of a ball's centre beyond each: (4, 2)."""
     grid, sides = view.grid, np.empty((4, 2))
     sides[0, 0], sides[1, 0] = (grid[2] + 0.5) / grid[0], (view.width - 0.5 - grid[2]) / grid[0]
     sides[2, 0], sides[3, 0] = (grid[3] + 0.5) / grid[1], (view.height - 0.5 - grid[3]) / grid[1]
@@ -282,7 +282,7 @@ def _sides(view: Frustum, reach: Any) -> Any:
 
 @kernel(inline="always")
 def _may_be_seen(T: Any, a: Any, b: Any, c: Any, far_m: Any, reach: Any, sides: Any) -> Any:
-    """Whether a ball of radius `reach` meets the frustum's planes; its middle is (a, b, c) off the camera."""
+    """Return whether a ball of radius `reach` meets the frustum; its centre is (a, b, c) from the camera."""
     depth = T[0, 2] * a + T[1, 2] * b + T[2, 2] * c
     if depth < -reach or depth > far_m + reach:
         return False
@@ -297,13 +297,13 @@ def _may_be_seen(T: Any, a: Any, b: Any, c: Any, far_m: Any, reach: Any, sides: 
 
 @kernel
 def usefulness(confidence: Any, age_s: Any, active_s: Any) -> Any:
-    """Surfels seen often and lately are of use."""
+    """Return the usefulness of a surfel: those seen often and recently are useful."""
     return confidence / (1.0 + age_s / active_s)
 
 
 @kernel
 def usefulness_bin(confidence: Any, age_s: Any, active_s: Any, bins: Any) -> Any:
-    """The bin, from the least useful up, on a logarithmic scale from 1e-4 to 1e3."""
+    """Return the bin, from the least useful up, on a logarithmic scale from 1e-4 to 1e3."""
     share = (np.log10(max(usefulness(confidence, age_s, active_s), 1e-4)) + 4.0) / 7.0
     return min(int(share * bins), bins - 1)
 
@@ -312,7 +312,7 @@ def usefulness_bin(confidence: Any, age_s: Any, active_s: Any, bins: Any) -> Any
 def count_usefulness(
     geometry: Any, seen_s: Any, page_fill: Any, pages: Any, now_s: Any, active_s: Any, out: Any
 ) -> None:
-    """Histogram of all surfels alive over `out`'s bins."""
+    """Count all live surfels by bins into `out`."""
     for page in range(pages):
         for slot in range(page * PAGE, page * PAGE + page_fill[page]):
             if geometry[slot, CONFIDENCE] > 0:
@@ -320,11 +320,13 @@ def count_usefulness(
 
 
 @kernel
-def compact(begin: Any, end: Any, budget: Any, going: Going, surfels: SurfelArrays, pages: Pages, cells: Cells) -> Any:
-    """Close the gaps that dead surfels leave in cells `begin` to `end`, and free pages.
+def compact(
+    begin: Any, end: Any, budget: Any, going: Going, surfels: SurfelArrays, pages: Pages, cells: SurfelCells
+) -> Any:
+    """Close the gaps of dead surfels in cells `begin` to `end`, and free pages.
 
-    Returns how many more died here, and the cell to go on with: that after the one in which `budget` surfels had been
-    looked at. `going.quota` counts down.
+    Returns the number of surfels removed here, and the next cell: the one after `budget` surfels were visited.
+    `going.quota` counts down.
     """
     page_next, page_fill, cell_pages = pages.next, pages.fill, cells.pages
     geometry, seen_s, now_s, rules, quota = surfels.geometry, surfels.seen_s, going.now_s, going.rules, going.quota
@@ -359,7 +361,7 @@ def compact(begin: Any, end: Any, budget: Any, going: Going, surfels: SurfelArra
 
 @kernel
 def _must_go(confidence: Any, first_s: Any, last_s: Any, now_s: Any, rules: Any, quota: Any) -> Any:
-    """Whether a surfel's time has come, or its usefulness is among what may still be dropped: `quota` counts it."""
+    """Return whether a surfel has expired, or is dropped for its usefulness: `quota` counts it."""
     if confidence < rules[0] and (now_s - first_s > rules[1] or now_s - last_s > rules[3]):
         return True
     if len(quota) == 0:
@@ -371,8 +373,8 @@ def _must_go(confidence: Any, first_s: Any, last_s: Any, now_s: Any, rules: Any,
 
 
 @kernel
-def _trim(cell: Any, last: Any, fill: Any, pages: Pages, cells: Cells) -> None:
-    """End a cell's chain at page `last`, which keeps `fill` surfels, and free what follows."""
+def _trim(cell: Any, last: Any, fill: Any, pages: Pages, cells: SurfelCells) -> None:
+    """End a cell's chain at page `last`, which keeps `fill` surfels, and free the pages after it."""
     page_next, page_fill, chain, counters = pages.next, pages.fill, cells.pages, cells.counters
     page = chain[cell, 0]
     if page < 0:

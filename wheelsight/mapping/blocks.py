@@ -21,11 +21,11 @@ from wheelsight.mapping.block_kernels import (
     FREE,
     PAGE,
     PAGES,
-    Cells,
     Frustum,
     Going,
     Pages,
     SurfelArrays,
+    SurfelCells,
 )
 from wheelsight.mapping.fusion_kernels import move
 
@@ -37,7 +37,7 @@ _SWEPT_SURFELS = 1 << 15
 # If a larger share leaves its cells in one move, as after the first loop, the cells are compacted at once. Otherwise
 # the map would soon take several times its memory.
 _LEFT_AT_ONCE = 0.25
-# Rules by which no surfel expires.
+# Rules of surfels that never expire.
 _NONE_GOES = np.array([0.0, np.inf, 1.0, np.inf])
 
 
@@ -231,9 +231,9 @@ class Blocks:
         return Pages(self.page_next, self.page_fill, self.page_cell, self._free)
 
     @property
-    def cells(self) -> Cells:
+    def cells(self) -> SurfelCells:
         """All cells, for kernels."""
-        return Cells(self.block_m, self.cell_xyz, self._cell_pages, self.cell_seen_s, self._table, self._counters)
+        return SurfelCells(self.block_m, self.cell_xyz, self._cell_pages, self.cell_seen_s, self._table, self._counters)
 
 
 # If a smaller share of the memory is free, distant surfels are moved to disk, until _ROOM_MADE is free. Chosen.
@@ -250,7 +250,7 @@ _ROW = np.dtype([("geometry", "<f4", 8), ("look", "<f4", 4), ("seen_s", "<f8", 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Piece:
+class _DiskPart:
     """Surfels of a keyframe on disk: file, number, and the keyframe's pose (4, 4) when they were written."""
 
     path: Path
@@ -275,7 +275,7 @@ class RestingSurfels:
         self.lost = 0
         self._folder, self._made = folder, 0
         self._temporary: Path | None = None
-        self._pieces: dict[int, _Piece] = {}
+        self._pieces: dict[int, _DiskPart] = {}
         self._count = 0  # requested at each reading, and there may be thousands of pieces
 
     def __len__(self) -> int:
@@ -301,7 +301,7 @@ class RestingSurfels:
         path = self._temporary / f"{self._made}.surfels"
         path.write_bytes(rows.tobytes())
         self._forget(keyframe)
-        self._pieces[keyframe] = _Piece(path, len(rows), T_map_keyframe.copy())
+        self._pieces[keyframe] = _DiskPart(path, len(rows), T_map_keyframe.copy())
         self._count += len(rows)
 
     def take(self, keyframe: int, T_map_keyframe: FloatArray) -> SurfelArrays:
@@ -435,7 +435,7 @@ def _apart_m(T_map_keyframe: FloatArray, T_map_camera: FloatArray) -> FloatArray
     return np.asarray(np.nan_to_num(apart_m, nan=0.0))
 
 
-def _moved(rows: np.ndarray, T_map_keyframe: FloatArray, piece: _Piece) -> np.ndarray:
+def _moved(rows: np.ndarray, T_map_keyframe: FloatArray, piece: _DiskPart) -> np.ndarray:
     """Return rows with positions and normals at the current keyframe pose."""
     if np.array_equal(T_map_keyframe, piece.T_map_keyframe) or not np.isfinite(T_map_keyframe).all():
         return rows

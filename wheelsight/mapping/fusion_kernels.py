@@ -7,31 +7,30 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wheelsight.core.compiled import kernel
-from wheelsight.mapping.block_kernels import CONFIDENCE, PAGE, RADIUS, STRAY_M, Cells, InView, Pages, SurfelArrays
+from wheelsight.mapping.block_kernels import CONFIDENCE, PAGE, RADIUS, STRAY_M, InView, Pages, SurfelArrays, SurfelCells
 
-# Compiled inner loops that match surfels with what a frame saw: which fit, which fits best, and what is new.
+# Data association: surfels are matched with pixels, and pixels without a surfel are new.
 #
-# Arrays are indexed in full, for views of their rows would be counted, which takes longer than the work. Images come
-# flat where one number tells a pixel. Numbers are float32: a literal beside one would make it float64, at twice the
+# Arrays are indexed in full: views of their rows would be reference-counted, which takes longer than the work. Images
+# are flat where pixels have one index. Numbers are float32: a literal beside one would make it float64, at twice the
 # time.
 
-
 _ZERO, _HALF = np.float32(0.0), np.float32(0.5)
-# Order in which surfels are preferred to each other where several fit a pixel; added to a distance in pixels².
+# Rank of surfels if several fit a pixel; added to a distance in pixels².
 _UNSTABLE, _INACTIVE = np.float32(1.0), np.float32(2.0)
 _NEAREST_M = np.float32(0.1)
-# What each entry of `since_s` is.
+# Entries of `since_s`.
 _MADE, _SHOWN, _ACTIVE = range(3)
-# Rows of the buffer of a page's surfels: where they are (3), how deep, and how far off their pixel's middle, squared.
+# Rows of the buffer of a page's surfels: position (3), depth, and squared distance from the pixel's centre.
 _PLACE, _Z, _OFF, _OUTSIDE = 5, 3, 4, np.int32(-1)
-# What each entry of `noise` is.
+# Entries of `noise`.
 CONSTANT, QUADRATIC, NEAR, FAR = range(4)
-# What a reading is, in the map: point (3), variance along the normal, normal (3), weight; weight 0 is not fused.
+# A reading in the map: point (3), variance along the normal, normal (3), weight; weight 0 is not fused.
 READING, VARIANCE, WEIGHT = 8, 3, 7
 
 
 class Camera(NamedTuple):
-    """Where a camera is and how it sees, all float32.
+    """Pose and intrinsics of a camera, all float32.
 
     Attributes:
         T: (4, 4) T_map_camera.
@@ -49,19 +48,19 @@ class Camera(NamedTuple):
     noise: Any
 
 
-class Seen(NamedTuple):
-    """What a frame saw.
+class FrameReadings(NamedTuple):
+    """Readings of a frame.
 
     Attributes:
         depth_m: (h, w).
-        reading: (h·w, READING) what each pixel says of the map.
-        radius: (h·w,) that a surfel of the pixel's reading would have.
-        color: (h·w, 3), or (0, 3) where the frame has none.
+        reading: (h·w, READING) of each pixel, in the map.
+        radius: (h·w,) radius of a surfel of the pixel's reading.
+        color: (h·w, 3), or (0, 3) without colour.
         grey: (h·w,).
         stamp_s: of the frame.
-        frames: how many it counts as.
-        since_s: (3,) unstable surfels first seen before the first of these, or last seen before the second, are gone;
-            surfels seen since the third are active.
+        frames: number of frames that it counts as.
+        since_s: (3,) unstable surfels first seen before the first, or last seen before the second, have expired; those
+            seen since the third are active.
     """
 
     depth_m: Any
@@ -74,12 +73,12 @@ class Seen(NamedTuple):
     since_s: Any
 
 
-class Rules(NamedTuple):
-    """`SurfelSettings` as kernels read them, all float32, by their names there; and what is reckoned of them.
+class FusionRules(NamedTuple):
+    """FusionRules of fusion, all float32; see `_RULES` in `surfels`.
 
     Attributes:
-        min_normal_dot, min_cosine: of normals that agree, and of the angle at which a surface is seen.
-        laid_m: how far surfels are laid.
+        min_normal_dot, min_cosine: of consistent normals, and of the viewing angle of a surface.
+        laid_m: largest distance at which surfels are added.
         least_cosine2: the square of least_cosine.
     """
 
@@ -105,13 +104,13 @@ class Rules(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Surfels that fit what is seen where they fall in the image.
+    """Surfels that fit the readings of their pixels.
 
     Attributes:
         slots, pixel: (entries,); those of page k from entry k·PAGE on. Pixels count row by row.
-        rank: (entries,) the lower, the better it fits.
-        counts: (pages, 4) how many, and how many died; of these, later, how many were chosen, and how many died then.
-        chosen: (h·w,) the best one's entry, -1 where there is none.
+        rank: (entries,) rank, lower is better.
+        counts: (pages, 4) candidates, and dead ones; later, chosen ones, and those that died then.
+        chosen: (h·w,) entry of the best one, -1 for none.
     """
 
     slots: Any
@@ -123,13 +122,20 @@ class Candidates(NamedTuple):
 
 @kernel(error_model="numpy")
 def find_candidates(
-    begin: Any, end: Any, view: InView, surfels: SurfelArrays, seen: Seen, camera: Camera, rules: Rules, out: Candidates
+    begin: Any,
+    end: Any,
+    view: InView,
+    surfels: SurfelArrays,
+    seen: FrameReadings,
+    camera: Camera,
+    rules: FusionRules,
+    out: Candidates,
 ) -> None:
-    """The surfels of pages `begin` to `end` that agree with what is seen where they fall in the image.
+    """Find the surfels of pages `begin` to `end` that agree with the readings of their pixels.
 
-    Surfels that contradict free space lose confidence here, and unstable ones die when their time has come.
+    Surfels in free space lose confidence here, and expired unstable ones die.
     """
-    # Taken out of their tuples once: each time would be counted.
+    # Read from the tuples once: each access would be reference-counted.
     pages, page_fill, slots, pixel, rank = view.pages, view.fill, out.slots, out.pixel, out.rank
     geometry, seen_s, variance = surfels.geometry, surfels.seen_s, surfels.variance
     depth_m, reading, T, grid, noise = seen.depth_m, seen.reading, camera.T, camera.grid, camera.noise
@@ -160,8 +166,8 @@ def find_candidates(
 
 @kernel(inline="always", error_model="numpy")
 def _place(geometry: Any, first: Any, fill: Any, T: Any, grid: Any, shape: Any, place: Any, where: Any) -> None:
-    """The pixels `where` a page's surfels fall, -1 outside; how deep, and how far from the pixel's middle, squared."""
-    # Read once: the compiler cannot know that they stay as they are while buffers are written.
+    """Compute the pixels `where` a page's surfels lie, -1 outside, depth, and squared distance from the centre."""
+    # Read once: the compiler cannot know that writing to buffers does not change them.
     fx, fy, cx, cy = grid[0], grid[1], grid[2] + _HALF, grid[3] + _HALF
     ax, ay, az, bx, by, bz = T[0, 0], T[1, 0], T[2, 0], T[0, 1], T[1, 1], T[2, 1]
     dx, dy, dz, tx, ty, tz = T[0, 2], T[1, 2], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
@@ -182,8 +188,8 @@ def _place(geometry: Any, first: Any, fill: Any, T: Any, grid: Any, shape: Any, 
 
 
 @kernel(inline="always", error_model="numpy")
-def _agree(geometry: Any, slot: Any, reading: Any, p: Any, variance: Any, rules: Rules) -> Any:
-    """Whether a surfel lies on the plane of pixel p's reading, and faces as it does."""
+def _agree(geometry: Any, slot: Any, reading: Any, p: Any, variance: Any, rules: FusionRules) -> Any:
+    """Return whether a surfel lies on the plane of pixel p's reading, with a consistent normal."""
     along = _ZERO
     for k in range(3):
         along += reading[p, 4 + k] * (geometry[slot, k] - reading[p, k])
@@ -192,8 +198,8 @@ def _agree(geometry: Any, slot: Any, reading: Any, p: Any, variance: Any, rules:
 
 
 @kernel(inline="always", error_model="numpy")
-def _is_free(depth_m: Any, p: Any, z: Any, aside_m: Any, noise: Any, rules: Rules) -> Any:
-    """Whether all that is seen about pixel p lies behind a depth z, clearly; `aside_m` more for what rests."""
+def _is_free(depth_m: Any, p: Any, z: Any, aside_m: Any, noise: Any, rules: FusionRules) -> Any:
+    """Return whether all depth around pixel p is clearly behind a depth z; `aside_m` is a further margin."""
     r, c, is_free = p // depth_m.shape[1], p % depth_m.shape[1], True
     sigma = deviation(noise, depth_m[r, c])
     beyond_m = z + rules.free_m + aside_m + rules.free_sigmas * sigma
@@ -205,7 +211,7 @@ def _is_free(depth_m: Any, p: Any, z: Any, aside_m: Any, noise: Any, rules: Rule
 
 @kernel(error_model="numpy")
 def choose(begin: Any, end: Any, width: Any, pixel: Any, rank: Any, counts: Any, best: Any, chosen: Any) -> None:
-    """The best candidate's entry for each pixel of rows `begin` to `end`, -1 where there is none: (h·w,)."""
+    """Choose the entry of the best candidate for each pixel of rows `begin` to `end`, -1 for none: (h·w,)."""
     low, high = begin * width, end * width
     best[low:high] = np.inf
     chosen[low:high] = -1
@@ -218,11 +224,18 @@ def choose(begin: Any, end: Any, width: Any, pixel: Any, rank: Any, counts: Any,
 
 @kernel(error_model="numpy")
 def find_new(
-    begin: Any, end: Any, found: Candidates, surfels: SurfelArrays, seen: Seen, pitch: Any, rules: Rules, is_new: Any
+    begin: Any,
+    end: Any,
+    found: Candidates,
+    surfels: SurfelArrays,
+    seen: FrameReadings,
+    pitch: Any,
+    rules: FusionRules,
+    is_new: Any,
 ) -> None:
-    """Which pixels of rows `begin` to `end` saw something that no surfel stands for: (h, w) of bool.
+    """Mark the pixels of rows `begin` to `end` whose reading no surfel covers: (h, w) of bool.
 
-    Others are looked for as far about a pixel as a surfel of its reading would reach.
+    Surfels are searched within the radius of a surfel of the reading.
     """
     depth_m, reading, radius, chosen = seen.depth_m, seen.reading, seen.radius, found.chosen
     width = depth_m.shape[1]
@@ -239,9 +252,9 @@ def find_new(
 
 @kernel(error_model="numpy")
 def _is_covered(
-    near: Any, found: Candidates, surfels: SurfelArrays, reading: Any, size_m: Any, shape: Any, rules: Rules
+    near: Any, found: Candidates, surfels: SurfelArrays, reading: Any, size_m: Any, shape: Any, rules: FusionRules
 ) -> Any:
-    """Whether one of the surfels chosen for pixels near a reading's makes another one needless there."""
+    """Return whether a surfel chosen for a pixel nearby covers a reading."""
     (r, c, reach), (radius_m, wide_m), (height, width) = near, size_m, shape
     slots, chosen, geometry, variance = found.slots, found.chosen, surfels.geometry, surfels.variance
     for i in range(max(r - reach, 0), min(r + reach + 1, height)):
@@ -256,12 +269,12 @@ def _is_covered(
 
 @kernel(inline="always", error_model="numpy")
 def _covers(
-    geometry: Any, slot: Any, variance: Any, reading: Any, p: Any, radius_m: Any, wide_m: Any, rules: Rules
+    geometry: Any, slot: Any, variance: Any, reading: Any, p: Any, radius_m: Any, wide_m: Any, rules: FusionRules
 ) -> Any:
-    """Whether a surfel agrees with a reading and has it on its disk, so near its middle that no other is needed.
+    """Return whether a surfel agrees with a reading near the centre of its disk, so that no other one is needed.
 
-    Near is a pixel's width, and the gap that may stay if the surfel is stable and hardly coarser than what the
-    reading's would be: what one lap leaves between disks, laps of the same place would else fill for ever.
+    Near is a pixel's width, and `gap_m` if the surfel is stable and hardly coarser than that of the reading. Otherwise
+    each lap of the same place would fill gaps between disks of earlier laps.
     """
     radius = geometry[slot, RADIUS]
     is_settled = (geometry[slot, CONFIDENCE] >= rules.stable_confidence) & (radius <= rules.fine_enough * radius_m)
@@ -272,20 +285,20 @@ def _covers(
 
 
 @kernel(inline="always", error_model="numpy")
-def _gate(reading: Any, p: Any, variance: Any, slot: Any, rules: Rules) -> Any:
-    """How far from a surfel, along the normal, a reading still agrees with it."""
+def _gate(reading: Any, p: Any, variance: Any, slot: Any, rules: FusionRules) -> Any:
+    """Return the largest distance, along the normal, of a reading consistent with a surfel."""
     return rules.gate_sigmas * np.sqrt(reading[p, VARIANCE] + variance[slot]) + rules.gate_m
 
 
 @kernel(inline="always", error_model="numpy")
 def deviation(noise: Any, z: Any) -> Any:
-    """The standard deviation of a depth z."""
+    """Return the standard deviation of a depth z."""
     return noise[CONSTANT] + noise[QUADRATIC] * z * z
 
 
 @kernel(inline="always", error_model="numpy")
-def faces(geometry: Any, slot: Any, others: Any, other: Any, rules: Rules) -> Any:
-    """Whether the normals of a surfel and of another surfel or reading agree."""
+def faces(geometry: Any, slot: Any, others: Any, other: Any, rules: FusionRules) -> Any:
+    """Return whether the normals of a surfel and of another surfel or reading are consistent."""
     cosine = _ZERO
     for k in range(4, 7):
         cosine += geometry[slot, k] * others[other, k]
@@ -294,7 +307,7 @@ def faces(geometry: Any, slot: Any, others: Any, other: Any, rules: Rules) -> An
 
 @kernel(inline="always", error_model="numpy")
 def apart(geometry: Any, slot: Any, others: Any, other: Any) -> Any:
-    """How far a surfel is from another surfel or reading, along the other's normal, and squared, across it."""
+    """Return the distance of a surfel from another one or a reading along the other's normal, and squared across it."""
     along = distance2 = _ZERO
     for k in range(3):
         off = geometry[slot, k] - others[other, k]
@@ -303,20 +316,18 @@ def apart(geometry: Any, slot: Any, others: Any, other: Any) -> Any:
     return along, distance2 - along * along
 
 
-# Compiled inner loops of fusion: what pixels say, what that teaches the surfels they saw, and which begin.
+# Fusion: readings of pixels, updates of surfels, and new surfels.
 #
-# After Keller et al. 2013, "Real-time 3D reconstruction in dynamic scenes using point-based fusion", section 4. Every
-# pass, and those of matching, goes either over pages of surfels in view or over rows of the image, each by one
-# thread, reads only what earlier passes wrote, and takes surfels in their order, so that nothing depends on how many
-# threads share the work. Arrays are indexed and numbers kept as in matching.
-
+# After Keller et al. 2013, "Real-time 3D reconstruction in dynamic scenes using point-based fusion", section 4. Each
+# pass visits pages of surfels in view or rows of the image, each by one thread. It reads only what earlier passes
+# wrote, and visits surfels in order, so that results do not depend on the number of threads.
 
 _ONE = np.float32(1.0)
 _LEAST_VARIANCE = np.float32(1e-8)
 
 
 class Home(NamedTuple):
-    """The cells that pages belong to: (pages,) which, (cells, 3) where in edges, (cells,) seen last, and their edge."""
+    """Cells of pages: number (pages,), position in edges (cells, 3), last time seen (cells,), and the edge."""
 
     page_cell: Any
     xyz: Any
@@ -325,17 +336,19 @@ class Home(NamedTuple):
 
 
 @kernel(error_model="numpy")
-def read(begin: Any, end: Any, seen: Seen, normal: Any, weight: Any, camera: Camera, rules: Rules) -> None:
-    """Readings (h·w, READING) of rows `begin` to `end` in the map, and the radius (h·w,) a surfel would have.
+def read(
+    begin: Any, end: Any, seen: FrameReadings, normal: Any, weight: Any, camera: Camera, rules: FusionRules
+) -> None:
+    """Compute readings (h·w, READING) of rows `begin` to `end` in the map, and the radius (h·w,) of a surfel of each.
 
-    Depth errs along the ray; what of it counts is its share along the normal, bounded where planes are grazed. The
-    radius is that of a disk that covers a pixel on its plane: z / (f·|cos|), after Whelan et al. 2015, III.A.
+    The depth error is along the ray. It is projected on the normal, bounded for grazed planes. The radius is that of a
+    disk that covers a pixel on its plane: z / (f·|cos|), after Whelan et al. 2015, III.A.
 
     Args:
         seen: to be filled in.
-        weight: (h, w) of a reading by its place in the image.
+        weight: (h, w) of a reading by its position in the image.
     """
-    # Taken out of their tuples once: each time would be counted.
+    # Read from the tuples once: each access would be reference-counted.
     depth_m, reading, radius, T = seen.depth_m, seen.reading, seen.radius, camera.T
     ray_x, ray_y, pitch, noise = camera.ray_x, camera.ray_y, camera.pitch, camera.noise
     far_m = min(noise[FAR], rules.laid_m + rules.averaged_sigmas * deviation(noise, rules.laid_m))
@@ -360,7 +373,7 @@ def read(begin: Any, end: Any, seen: Seen, normal: Any, weight: Any, camera: Cam
 
 @kernel(inline="always", error_model="numpy")
 def _paint(look: Any, slot: Any, share: Any, color: Any, grey: Any, p: Any) -> None:
-    """Average a share of what a pixel saw of colour and grey into a surfel's, or all of it where that has none."""
+    """Average a share of a pixel's colour and grey into a surfel's, or copy it if that has none."""
     if len(color) > 0 and color[p, 0] >= 0:
         for i in range(3):
             before = look[slot, i]
@@ -372,15 +385,21 @@ def _paint(look: Any, slot: Any, share: Any, color: Any, grey: Any, p: Any) -> N
 
 @kernel(error_model="numpy")
 def update(
-    begin: Any, end: Any, found: Candidates, surfels: SurfelArrays, home: Home, camera: Camera, seen: Seen, rules: Rules
+    begin: Any,
+    end: Any,
+    found: Candidates,
+    surfels: SurfelArrays,
+    home: Home,
+    camera: Camera,
+    seen: FrameReadings,
+    rules: FusionRules,
 ) -> None:
-    """Average into the chosen among the candidates of pages `begin` to `end` what their pixels saw.
+    """Average readings into the chosen candidates of pages `begin` to `end`.
 
-    A surfel moves along the reading's normal only: across it, it would be drawn to pixels' centres. Both are weighted
-    by what is known of them, 1/variance. Surfels are taken in their order in memory, for pixels are fewer.
+    A surfel moves along the reading's normal only: across it, it would be drawn to the centres of pixels. Both are
+    weighted by 1/variance. Surfels are visited in their order in memory.
 
-    Confidence counts frames, wherever in the image they saw a surfel: by weights, as Keller et al. add them up, what
-    passes along the rim would need four times as many.
+    Confidence counts frames, not weights as in Keller et al.: surfels at the edge would need four times as many.
     """
     slots, pixel, chosen, counts = found.slots, found.pixel, found.chosen, found.counts
     geometry, look, seen_s, variance = surfels.geometry, surfels.look, surfels.seen_s, surfels.variance
@@ -409,10 +428,10 @@ def update(
 
 @kernel(inline="always", error_model="numpy")
 def _learn(geometry: Any, slot: Any, variance: Any, reading: Any, p: Any, T: Any, noise: Any, most: Any) -> Any:
-    """Move and turn a surfel by the reading of pixel p; the share by which.
+    """Move and turn a surfel by the reading of pixel p; return the share of the reading.
 
-    The reading weighs as is usual at the surfel's depth: by its own, what errs towards the camera would weigh more. No
-    more than the `most` readings count.
+    The reading has the weight of the surfel's depth: by its own depth, readings that err towards the camera would weigh
+    more. At most `most` readings count.
     """
     there = here = _ZERO
     for i in range(3):
@@ -438,7 +457,7 @@ def _learn(geometry: Any, slot: Any, variance: Any, reading: Any, p: Any, T: Any
 
 @kernel(inline="always")
 def _has_left(geometry: Any, slot: Any, cell_xyz: Any, cell: Any, block_m: Any) -> Any:
-    """Whether a surfel strayed too far from its block to be found there."""
+    """Return whether a surfel is too far from its block to be found there."""
     has_left, reach = False, 0.5 * block_m + STRAY_M
     for k in range(3):
         has_left |= abs(geometry[slot, k] - (cell_xyz[cell, k] + 0.5) * block_m) > reach
@@ -447,11 +466,11 @@ def _has_left(geometry: Any, slot: Any, cell_xyz: Any, cell: Any, block_m: Any) 
 
 @kernel(error_model="numpy")
 def merge(
-    begin: Any, end: Any, width: Any, found: Candidates, surfels: SurfelArrays, rules: Rules, merged: Any
+    begin: Any, end: Any, width: Any, found: Candidates, surfels: SurfelArrays, rules: FusionRules, merged: Any
 ) -> None:
-    """Merge into each chosen surfel of rows `begin` to `end` the candidates of its pixel that are its like.
+    """Merge duplicates, which are other candidates of a pixel, into the chosen surfels of rows `begin` to `end`.
 
-    `merged`: (h,) how many; of all these rows at the first.
+    `merged`: (h,) their number; that of all these rows is at the first.
     """
     slots, pixel, counts, chosen = found.slots, found.pixel, found.counts, found.chosen
     geometry, seen_s, variance = surfels.geometry, surfels.seen_s, surfels.variance
@@ -474,8 +493,8 @@ def merge(
 
 
 @kernel(inline="always", error_model="numpy")
-def _are_alike(geometry: Any, slot: Any, kept: Any, variance: Any, rules: Rules) -> Any:
-    """Whether two surfels stand for one spot of one surface: closer than half the smaller one's radius across it."""
+def _are_alike(geometry: Any, slot: Any, kept: Any, variance: Any, rules: FusionRules) -> Any:
+    """Return whether two surfels are duplicates: on one surface, closer than half the smaller radius across it."""
     along, across2 = apart(geometry, slot, geometry, kept)
     reach = _HALF * min(geometry[slot, RADIUS], geometry[kept, RADIUS])
     gate = rules.gate_sigmas * np.sqrt(variance[slot] + variance[kept]) + rules.gate_m
@@ -484,8 +503,8 @@ def _are_alike(geometry: Any, slot: Any, kept: Any, variance: Any, rules: Rules)
 
 
 @kernel(error_model="numpy")
-def make_new(is_new: Any, seen: Seen, new: SurfelArrays) -> None:
-    """Surfels of the pixels (h·w,) marked, row by row; who calls knows their keyframe."""
+def make_new(is_new: Any, seen: FrameReadings, new: SurfelArrays) -> None:
+    """Make surfels of the marked pixels (h·w,), row by row; the caller sets their keyframe."""
     reading, radius, color, grey = seen.reading, seen.radius, seen.color, seen.grey
     geometry, look, seen_s, variance, i = new.geometry, new.look, new.seen_s, new.variance, 0
     for p in range(len(is_new)):
@@ -502,21 +521,25 @@ def make_new(is_new: Any, seen: Seen, new: SurfelArrays) -> None:
         i += 1
 
 
-# Compiled inner loop that moves surfels with their keyframes.
-
-
 @kernel
 def move(
-    begin: Any, end: Any, T_new_old: Any, has_moved: Any, surfels: SurfelArrays, pages: Pages, cells: Cells, left: Any
+    begin: Any,
+    end: Any,
+    T_new_old: Any,
+    has_moved: Any,
+    surfels: SurfelArrays,
+    pages: Pages,
+    cells: SurfelCells,
+    left: Any,
 ) -> None:
     """Move the surfels of pages `begin` to `end` with their keyframes, and mark in `left` those that left their cell.
 
     Args:
-        T_new_old: (K + 1, 4, 4) by keyframe; the last is of surfels that name none of these.
+        T_new_old: (K + 1, 4, 4) by keyframe; the last is for surfels without one of these.
         has_moved: (K + 1,).
         left: (slots,) bool, all False.
     """
-    # Taken out of their tuples once: each time would be counted.
+    # Read from the tuples once: each access would be reference-counted.
     geometry, keyframe, block_m, cell_xyz = surfels.geometry, surfels.keyframe, cells.block_m, cells.xyz
     fill, page_cell, known = pages.fill, pages.cell, len(has_moved) - 1
     for page in range(begin, end):
@@ -531,5 +554,5 @@ def move(
                 r, s, t = T_new_old[k, i, 0], T_new_old[k, i, 1], T_new_old[k, i, 2]
                 geometry[slot, i] = T_new_old[k, i, 3] + r * x + s * y + t * z
                 geometry[slot, 4 + i] = r * a + s * b + t * c
-            # Not at once: a floor between two blocks would go over and back at each loop.
+            # With a margin: a floor between two blocks would change between them at each loop.
             left[slot] = _has_left(geometry, slot, cell_xyz, cell, block_m)

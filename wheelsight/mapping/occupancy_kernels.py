@@ -1,8 +1,8 @@
-"""Compiled inner loops of occupancy: what a keyframe's rays pass and meet, and what that says of each cell.
+"""Compiled inner loops of occupancy: cells that the rays of a keyframe pass and hit, and their log-odds.
 
-Of each cell a keyframe tells one thing a channel. Channel 0 is the ground, the last one what hangs above the robot, and
-those between are layers of height. A ray is straight in the map and its height over the base's floor is linear along
-it, so that one matrix (3, 4) takes points of the camera to column and row in cells, and height in metres.
+A keyframe has one observation of each cell and channel. Channel 0 is the ground, the last one is above the robot, and
+those between are layers of height. A ray is straight in the map, and its height over the base's floor is linear along
+it. So one matrix (3, 4) maps points of the camera to column and row in cells, and height in metres.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class DepthRays(NamedTuple):
 
 
 class Bands(NamedTuple):
-    """Heights over the floor by which things are told apart, and what else rays go by; see `OccupancySettings`."""
+    """Heights over the floor that separate channels, and limits of rays; see `OccupancySettings`."""
 
     resolution_m: float
     floor_m: float
@@ -41,8 +41,8 @@ class Bands(NamedTuple):
     hidden_m: float
 
 
-class Noise(NamedTuple):
-    """Standard deviation of a depth z: constant_m + quadratic_per_m · z²; and before how many a ray frees nothing."""
+class RayNoise(NamedTuple):
+    """Standard deviation of a depth z, constant_m + quadratic_per_m · z², and the number of them that a ray leaves."""
 
     constant_m: float
     quadratic_per_m: float
@@ -50,11 +50,11 @@ class Noise(NamedTuple):
 
 
 class Window(NamedTuple):
-    """What one keyframe sees of the cells about it.
+    """Observations of one keyframe in the cells around it.
 
     `seen` is (rows, columns, channels) uint8: FLOOR or DROP on the ground, HIDDEN, PASSED or MET elsewhere, or 0.
-    `is_touched` (rows, columns) uint8 tells where any is, and `touched` (rows · columns, 2) lists these cells; `count`
-    (1,) of them.
+    `is_touched` (rows, columns) uint8 marks cells with any, `touched` (rows · columns, 2) lists them, and `count` (1,)
+    is their number.
     """
 
     seen: Any
@@ -64,9 +64,9 @@ class Window(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """By what log-odds change, and between what they stay; in steps of the table, all of them even.
+    """Changes of log-odds and their limits, in steps of the table, all even.
 
-    So 1 is nothing but a layer of which nothing was ever seen since something hid it.
+    So 1 can only be a layer that was hidden and never observed.
     """
 
     met: int
@@ -76,17 +76,17 @@ class Steps(NamedTuple):
 
 
 @kernel(error_model="numpy")
-def trace(rays: DepthRays, M: Any, bands: Bands, noise: Noise, window: Window) -> None:
-    """Mark in a window what one keyframe sees.
+def trace(rays: DepthRays, M: Any, bands: Bands, noise: RayNoise, window: Window) -> None:
+    """Mark the observations of one keyframe in a window.
 
     Args:
         rays: of the keyframe.
-        M: (3, 4) that takes points of the camera to column and row in the window, in cells, and height in metres.
+        M: (3, 4) maps points of the camera to column and row in the window, in cells, and height in metres.
         bands, noise: as in settings.
-        window: of nothing.
+        window: an empty window.
     """
     begin, end = M[:, 3].copy(), np.empty(3)
-    # What the ray of the row above says, where, and how high that is.
+    # Observation of the ray of the row above, its position, and its height.
     above = np.zeros(4)
     height, width = rays.depth_m.shape
     angle = abs(rays.slope_x[1] - rays.slope_x[0]) if width > 1 else 1.0
@@ -106,7 +106,7 @@ def trace(rays: DepthRays, M: Any, bands: Bands, noise: Noise, window: Window) -
 
 @kernel(error_model="numpy")
 def _follow(window: Window, begin: Any, end: Any, needed: float, margin_m: float, bands: Bands, above: Any) -> None:
-    """Mark what a ray passes from a share of its way on, and what it ends at, which `above` is for the next one."""
+    """Mark the cells that a ray passes from a share of its length on, and its end, which is `above` of the next one."""
     way_m = bands.resolution_m * np.sqrt((end[0] - begin[0]) ** 2 + (end[1] - begin[1]) ** 2)
     tilt_m = bands.tilt_rad * min(way_m, bands.far_m)
     reach = 1.0 if way_m <= bands.far_m else bands.far_m / way_m
@@ -138,10 +138,10 @@ def _follow(window: Window, begin: Any, end: Any, needed: float, margin_m: float
 
 @kernel(error_model="numpy")
 def _needed_from(u: int, v: int, angle: float, bands: Bands) -> float:
-    """The depth from which on a ray passes what its neighbours do not pass.
+    """Return the depth from which on a ray passes cells that its neighbours do not pass.
 
-    Every second column does up to where these lie a cell apart, every fourth up to half of that; of rows, where they
-    lie a layer apart.
+    Every second column is needed up to where columns are a cell apart, every fourth up to half of that. For rows,
+    layers replace cells.
     """
     every_u, every_v = 2, 2
     while every_u < 16 and u % every_u == 0:
@@ -164,7 +164,7 @@ def _touch(window: Window, row: int, column: int) -> None:
 
 @kernel(error_model="numpy")
 def _mark(window: Window, x: float, y: float, channel: int, what: int) -> None:
-    """What says more counts: a drop stays one, and so does what was met."""
+    """Mark a cell; the observation with the higher number stays: a drop, or a hit."""
     row, column, seen = int(np.floor(y)), int(np.floor(x)), window.seen
     if 0 <= row < seen.shape[0] and 0 <= column < seen.shape[1] and seen[row, column, channel] < what:
         _touch(window, row, column)
@@ -173,9 +173,9 @@ def _mark(window: Window, x: float, y: float, channel: int, what: int) -> None:
 
 @kernel(error_model="numpy")
 def _fill(window: Window, x: float, y: float, to_x: float, to_y: float, channel: int, what: int) -> None:
-    """Between two neighbouring rays that meet the floor there is floor: what stands there would hide the farther.
+    """Mark the cells between two neighbouring rays: an object there would hide the farther end.
 
-    Likewise there is none where both go on below it, and one thing where both meet the same height near to each other.
+    Between two hits of the floor is floor, between two rays below it none, and between close hits one object.
     """
     steps = int(np.ceil(2 * max(abs(to_x - x), abs(to_y - y))))
     for step in range(1, steps):
@@ -185,20 +185,20 @@ def _fill(window: Window, x: float, y: float, to_x: float, to_y: float, channel:
 
 @kernel(error_model="numpy")
 def _channel_at(h_m: float, bands: Bands, channels: int) -> int:
-    """Of a height over the floor; what is below `floor_m`, and yet no floor, is in the lowest layer."""
+    """Return the channel of a height over the floor; heights below `floor_m` are in the lowest layer."""
     top = (bands.height_m - bands.floor_m) / bands.layer_m
     return _channel(max((h_m - bands.floor_m) / bands.layer_m, 0.0), top, channels)
 
 
 @kernel(error_model="numpy")
 def _channel(layer: float, top: float, channels: int) -> int:
-    """Of a height in layers over `floor_m`, where the robot is `top` layers high."""
+    """Return the channel of a height in layers over `floor_m`; the robot is `top` layers high."""
     return channels - 1 if layer >= top else min(1 + int(layer), channels - 2)
 
 
 @kernel(error_model="numpy")
 def _pass(window: Window, begin: Any, end: Any, at: float, until: float, bands: Bands, what: int) -> None:
-    """Mark what lies on a ray from one share of its way to another, cell by cell (Amanatides & Woo 1987)."""
+    """Mark the cells on a ray from one share of its length to another (Amanatides & Woo 1987)."""
     dx, dy, dh = end[0] - begin[0], end[1] - begin[1], end[2] - begin[2]
     # Only where it is within the bands.
     if dh > 0:
@@ -239,7 +239,7 @@ def _pass(window: Window, begin: Any, end: Any, at: float, until: float, bands: 
 
 @kernel(error_model="numpy")
 def _see(seen: Any, row: int, column: int, channel: int, last: int, what: int) -> None:
-    """From a channel of a cell to another."""
+    """Mark the channels of a cell from one to another."""
     seen[row, column, channel] = max(seen[row, column, channel], what)
     while channel != last:
         channel += 1 if channel < last else -1
@@ -248,7 +248,7 @@ def _see(seen: Any, row: int, column: int, channel: int, last: int, what: int) -
 
 @kernel(error_model="numpy")
 def stand(window: Window, x: float, y: float, radius: float) -> None:
-    """Mark floor, and nothing above it, about where the robot stands; all in cells."""
+    """Mark floor, with free space above it, around the robot; all in cells."""
     seen = window.seen
     for row in range(max(int(y - radius), 0), min(int(y + radius) + 2, seen.shape[0])):
         for column in range(max(int(x - radius), 0), min(int(x + radius) + 2, seen.shape[1])):
@@ -260,13 +260,13 @@ def stand(window: Window, x: float, y: float, radius: float) -> None:
 
 @kernel(error_model="numpy")
 def add(window: Window, log_odds: Any, row: int, column: int, steps: Steps) -> None:
-    """Add what one keyframe saw to a table, and clear the window.
+    """Add the observations of one keyframe to a table, and clear the window.
 
     Args:
         window: as `trace` and `stand` leave it.
-        log_odds: (R, C, channels) int8; on the ground, of a floor that is there.
+        log_odds: (R, C, channels) int8; on the ground, of existing floor.
         row, column: in the table of the window's first cell; the window lies within.
-        steps: of a layer that is met or passed.
+        steps: changes for a layer that is hit or passed.
     """
     channels = window.seen.shape[2]
     for n in range(window.count[0]):
@@ -279,7 +279,7 @@ def add(window: Window, log_odds: Any, row: int, column: int, steps: Steps) -> N
             window.seen[i, j, channel] = 0
             value = int(log_odds[row + i, column + j, channel])
             if channel == 0:
-                # That the floor is missing is as surely seen as that it is there.
+                # Missing floor is observed as reliably as existing floor.
                 value += steps.met if what == FLOOR else -steps.met
                 value = min(max(value, -steps.most), steps.most)
             elif what == HIDDEN:

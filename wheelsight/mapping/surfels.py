@@ -26,8 +26,8 @@ from wheelsight.mapping.fusion_kernels import (
     READING,
     Camera,
     Candidates,
-    Rules,
-    Seen,
+    FrameReadings,
+    FusionRules,
     choose,
     find_candidates,
     find_new,
@@ -53,8 +53,8 @@ _VAGUE_M = 0.035
 # the largest, drawing takes long), the least cosine of the viewing angle, and the distance of disks of one surface, per
 # metre of depth and at any depth, metres.
 _SMALLEST_PX, _LARGEST_PX, _SHOWN_COSINE, _BLEND, _BLEND_M = 0.75, 24.0, 0.05, 0.012, 0.006
-# Rules of fusion; see `Rules`. Without a source they were chosen. `SurfelMap` sets those that are 0 here.
-_RULES = Rules(
+# Rules of fusion; see `FusionRules`. Without a source they were chosen. `SurfelMap` sets those that are 0 here.
+_RULES = FusionRules(
     stable_confidence=0.0,
     most_confidence=100.0,  # frames: a surface seen for long can still change
     gone_confidence=0.4,  # a surfel in free space loses half of its confidence per frame, and is removed below this
@@ -207,14 +207,14 @@ class SurfelMap:
         removed += self.blocks.sweep(self.stamp_s, self._rules)
         return FusedFrame(matched, added, removed, merged, self.blocks.dropped - dropped)
 
-    def _readings(self, frame: Frame, camera: Camera, grid: FloatArray, frames: int) -> Seen:
+    def _readings(self, frame: Frame, camera: Camera, grid: FloatArray, frames: int) -> FrameReadings:
         """Return the depth, colour and weight of each pixel, and the radius of a surfel there."""
         height, width = frame.depth_m.shape
         reading = self._room("reading", (frame.depth_m.size, READING), np.float32)
         radius = self._room("radius", (frame.depth_m.size,), np.float32)
         looks = (frame.color.reshape(-1, 3), frame.grey.reshape(-1))
         since_s = self.stamp_s - np.array([*self._lifetime_s, self.settings.active_s])
-        seen = Seen(frame.depth_m, reading, radius, *looks, self.stamp_s, np.float32(frames), since_s)
+        seen = FrameReadings(frame.depth_m, reading, radius, *looks, self.stamp_s, np.float32(frames), since_s)
         given = (seen, frame.normal, self._weight(grid, (height, width)), camera, self._rules_for(camera.noise))
         self._rows.share(height, lambda a, b: fusion.read(a, b, *given))
         return seen
@@ -230,7 +230,7 @@ class SurfelMap:
             self._scratch["weight"] = np.exp(-share2 / (2 * _RADIAL_SIGMA**2)).astype(np.float32)
         return self._scratch["weight"]
 
-    def _average(self, seen: Seen, camera: Camera, pose: Pose) -> tuple[int, int, int, np.ndarray]:
+    def _average(self, seen: FrameReadings, camera: Camera, pose: Pose) -> tuple[int, int, int, np.ndarray]:
         """Match, average and merge; return the numbers of matched, removed and merged surfels, and which pixels are new
         (h, w).
         """
@@ -308,13 +308,13 @@ class SurfelMap:
         )
         sizes = (_SMALLEST_PX, _LARGEST_PX, _SHOWN_COSINE)
         numbers = (far_m, self.settings.stable_confidence, least, vague_m2, *sizes)
-        shown = view.Limits._make((*map(np.float32, numbers), since_s))
-        lens = view.Lens(pose.T32, pose.grid32, width, height)
+        shown = view.RenderLimits._make((*map(np.float32, numbers), since_s))
+        lens = view.RenderCamera(pose.T32, pose.grid32, width, height)
         given = (InView(pages, blocks.page_fill), blocks.surfels, lens, shown, disks)
         share(len(pages), lambda a, b: view.project_disks(a, b, *given))
         near = self._room("near", (*shape, view.NEAR), np.float32)
         sums = self._room("sums", (*shape, view.SUMS), np.float32)
-        image = view.Image(*rays_of(pose.grid, shape), near, sums, np.float32(_BLEND), np.float32(_BLEND_M))
+        image = view.RenderImage(*rays_of(pose.grid, shape), near, sums, np.float32(_BLEND), np.float32(_BLEND_M))
         share(height, lambda a, b: view.blend(a, b, disks, image))
         share(height, lambda a, b: view.fill_in(a, b, disks, image))
         color = np.empty((*shape, 3) if with_color else (0, 0, 3), np.float32)
@@ -453,10 +453,12 @@ class SurfelMap:
         unstable_s, unseen_s = self._lifetime_s
         return np.array([self.settings.stable_confidence, unstable_s, self.settings.active_s, unseen_s])
 
-    def _rules_for(self, sensor: Float32Array) -> Rules:
+    def _rules_for(self, sensor: Float32Array) -> FusionRules:
         """Return the rules of fusion for a sensor's depth noise."""
         far_m = {"far_m": self.settings.far_m, "laid_m": self._surfels_far_m(sensor)}
-        return Rules(*map(np.float32, _RULES._replace(stable_confidence=self.settings.stable_confidence, **far_m)))
+        return FusionRules(
+            *map(np.float32, _RULES._replace(stable_confidence=self.settings.stable_confidence, **far_m))
+        )
 
     def _surfels_far_m(self, sensor: Float32Array) -> float:
         """Return the largest distance of surfels, with a margin for depth noise."""

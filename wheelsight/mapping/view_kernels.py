@@ -9,30 +9,27 @@ import numpy as np
 from wheelsight.core.compiled import kernel
 from wheelsight.mapping.block_kernels import CONFIDENCE, PAGE, RADIUS, InView, SurfelArrays
 
-# Compiled inner loops that show surfels from a pose: oriented disks, those of the nearest surface blended.
-#
-# Rows are shared among threads, and each takes the disks in their order, so that no pixel depends on how many there
-# are.
-
+# Rendering: oriented disks, with those of the nearest surface blended. Rows are shared among threads. Each thread
+# visits the disks in order, so that no pixel depends on the number of threads.
 
 _ZERO, _QUARTER, _ONE = np.float32(0.0), np.float32(0.25), np.float32(1.0)
-# Unstable surfels show only where no stable one does: they rank as if so far away.
+# Unstable surfels are shown only where no stable one is: they rank as if this far away.
 BEHIND_M = np.float32(1000.0)
 _NEAREST_M = np.float32(0.1)
 _RIM = np.float32(1.001)
-# What a disk is in the camera's frame: slopes x/z, y/z of its middle, the quadratic form (3) of slopes that is 1 at its
-# rim, n·p, weight; then what a pixel averages: normal (3), whether grey is known, grey, red, green, blue (0 if not).
+# A disk in the camera frame: slopes x/z, y/z of its centre, the quadratic form (3) of slopes that is 1 at its rim, n·p,
+# weight; then the values that a pixel averages: normal (3), whether grey is known, grey, red, green, blue (0 if not).
 DISK, _FORM, _PLANE, _WEIGHT = 16, 2, 5, 6
 _NORMAL, _PAINTED, _GREY, _RED = 8, 11, 12, 13
-# Rows of the buffers of a page's surfels, as geometry has them, and of what is shown of them: a disk's first entries up
-# to its normal, and first and last row and column of the box about it.
+# Rows of the buffers of a page's surfels, as in geometry, and of their disks: the first entries up to the normal, and
+# the first and last row and column of its bounding box.
 _SURFEL, _BOUND, _SHOWN = 8, 11, 15
-# Of a pixel: rank of the nearest disk, weight, weighted depth; and apart, weighted, the last half of a disk.
+# Of a pixel: rank of the nearest disk, weight, weighted depth; and in another array, weighted, a disk's last half.
 NEAR, _RANK, _TOTAL, _DEPTH = 3, 0, 1, 2
 SUMS = 8
 
 
-class Lens(NamedTuple):
+class RenderCamera(NamedTuple):
     """T_map_camera (4, 4) and fx, fy, cx, cy (4,), float32, and the image's size in pixels."""
 
     T: Any
@@ -41,17 +38,17 @@ class Lens(NamedTuple):
     height: Any
 
 
-class Limits(NamedTuple):
-    """Which surfels are shown.
+class RenderLimits(NamedTuple):
+    """RenderLimits of the surfels that are shown.
 
     Attributes:
-        far_m: no farther.
-        stable: confidence from which surfels are stable.
-        least: confidence from which they are shown.
+        far_m: largest distance.
+        stable: least confidence of stable surfels.
+        least: least confidence of shown ones.
         vague_m2: unstable surfels with a larger variance are left out.
         smallest_px, largest_px: radii of their disks in the image.
-        cosine: of the angle at which they are seen, at least.
-        since_s: surfels not seen since are left out.
+        cosine: least cosine of the viewing angle.
+        since_s: surfels last seen before are left out.
     """
 
     far_m: Any
@@ -65,12 +62,12 @@ class Limits(NamedTuple):
 
 
 class Disks(NamedTuple):
-    """Surfels as a camera sees them.
+    """Surfels in a camera's image.
 
     Attributes:
         disk: (entries, DISK) float32.
         bound: (entries, 4) int16 first and last row, first and last column.
-        count: (pages, 2) of stable and unstable disks.
+        count: (pages, 2) number of stable and unstable disks.
     """
 
     disk: Any
@@ -78,10 +75,10 @@ class Disks(NamedTuple):
     count: Any
 
 
-class Image(NamedTuple):
-    """What is summed up for pixels: slopes of columns (w,) and rows (h,), `near` (h, w, NEAR), `sums` (h, w, SUMS).
+class RenderImage(NamedTuple):
+    """Sums of pixels: slopes of columns (w,) and rows (h,), `near` (h, w, NEAR), `sums` (h, w, SUMS).
 
-    Disks no farther apart than `blend` a metre of depth, and `blend_m`, are of one surface.
+    Disks within `blend` per metre of depth, plus `blend_m`, are of one surface.
     """
 
     ray_x: Any
@@ -94,13 +91,13 @@ class Image(NamedTuple):
 
 @kernel(error_model="numpy", fastmath={"contract"})
 def project_disks(
-    begin: Any, end: Any, in_view: InView, surfels: SurfelArrays, lens: Lens, limits: Limits, out: Disks
+    begin: Any, end: Any, in_view: InView, surfels: SurfelArrays, lens: RenderCamera, limits: RenderLimits, out: Disks
 ) -> None:
-    """The surfels of pages `begin` to `end` that face the camera, as disks.
+    """Compute the disks of surfels of pages `begin` to `end` that face the camera.
 
-    Page k's stable ones are from entry k·PAGE on, and its unstable ones before entry (k + 1)·PAGE.
+    The stable ones of page k begin at entry k·PAGE, and its unstable ones end before entry (k + 1)·PAGE.
     """
-    # Taken out of their tuples once: each time would be counted.
+    # Read from the tuples once: each access would be reference-counted.
     pages, page_fill, T, grid = in_view.pages, in_view.fill, lens.T, lens.grid
     geometry, look, seen_s, variance = surfels.geometry, surfels.look, surfels.seen_s, surfels.variance
     stable, least, vague_m2, since_s = limits.stable, limits.least, limits.vague_m2, limits.since_s
@@ -127,7 +124,7 @@ def project_disks(
 
 @kernel(error_model="numpy", inline="always")
 def _draw(disk: Any, bound: Any, entry: Any, shown: Any, look: Any, slot: Any, i: Any) -> None:
-    """Write what is shown of a page's surfel i, and what it looks like, as a disk."""
+    """Write the disk of a page's surfel i, with its look."""
     for j in range(_PAINTED):
         disk[entry, j] = shown[j, i]
     for j in range(4):
@@ -141,10 +138,10 @@ def _draw(disk: Any, bound: Any, entry: Any, shown: Any, look: Any, slot: Any, i
 
 @kernel(error_model="numpy", inline="always")
 def _project(
-    surfel: Any, fill: Any, T: Any, grid: Any, last_column: Any, last_row: Any, limits: Limits, shown: Any
+    surfel: Any, fill: Any, T: Any, grid: Any, last_column: Any, last_row: Any, limits: RenderLimits, shown: Any
 ) -> None:
-    """The first entries of disks and their boxes, of a page's surfels (_SHOWN, PAGE); weight 0 if out of sight."""
-    # Read once: the compiler cannot know that they stay as they are while buffers are written.
+    """Compute the first entries of disks and their boxes (_SHOWN, PAGE) of a page's surfels; weight 0 if invisible."""
+    # Read once: the compiler cannot know that writing to buffers does not change them.
     fx, fy, cx, cy = grid[0], grid[1], grid[2], grid[3]
     ax, ay, az, bx, by, bz = T[0, 0], T[1, 0], T[2, 0], T[0, 1], T[1, 1], T[2, 1]
     dx, dy, dz, tx, ty, tz = T[0, 2], T[1, 2], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
@@ -176,7 +173,7 @@ def _project(
 
 @kernel(error_model="numpy", inline="always")
 def _form(x: Any, y: Any, nx: Any, ny: Any, plane: Any, z: Any, radius: Any) -> Any:
-    """The squared distance on the plane, over radius², of slopes (dx, dy) beside the middle's: of dx², dx·dy, dy².
+    """Return coefficients of dx², dx·dy, dy² of the squared distance from the centre on the plane, over radius².
 
     To first order the plane's depth changes by dz = g·dx + h·dy, and a point by (z·dx + x·dz, z·dy + y·dz, dz).
     """
@@ -188,10 +185,10 @@ def _form(x: Any, y: Any, nx: Any, ny: Any, plane: Any, z: Any, radius: Any) -> 
 
 
 @kernel(error_model="numpy")
-def blend(begin: Any, end: Any, disks: Disks, image: Image) -> None:
-    """Weighted sums of the stable disks on the surface nearest to each pixel of rows `begin` to `end`.
+def blend(begin: Any, end: Any, disks: Disks, image: RenderImage) -> None:
+    """Sum up the stable disks, weighted, of the nearest surface at each pixel of rows `begin` to `end`.
 
-    A disk that is clearly nearer than what was summed so far begins the sum anew; one clearly farther is left out.
+    A disk that is clearly nearer than the sum so far restarts the sum; one clearly farther is left out.
     """
     bound, count = disks.bound, disks.count
     image.sums[begin:end], image.near[begin:end] = 0, 0
@@ -203,10 +200,10 @@ def blend(begin: Any, end: Any, disks: Disks, image: Image) -> None:
 
 
 @kernel(error_model="numpy")
-def fill_in(begin: Any, end: Any, disks: Disks, image: Image) -> None:
-    """Once all rows are blended, add the unstable disks where no stable one is, but for those in whose middle one is.
+def fill_in(begin: Any, end: Any, disks: Disks, image: RenderImage) -> None:
+    """After blending, add the unstable disks where no stable one is, except those with a stable one at their centre.
 
-    They are noisy, and the nearest of some is too near: summed up once, they are again about the mean that comes out.
+    They are noisy, and the nearest one is too near: they are summed once, and again around the resulting mean.
     """
     near, sums = image.near, image.sums
     _add_unstable(False, begin, end, disks, image)
@@ -221,7 +218,7 @@ def fill_in(begin: Any, end: Any, disks: Disks, image: Image) -> None:
 
 
 @kernel(error_model="numpy", inline="always")
-def _add_unstable(is_known: Any, begin: Any, end: Any, disks: Disks, image: Image) -> None:
+def _add_unstable(is_known: Any, begin: Any, end: Any, disks: Disks, image: RenderImage) -> None:
     bound, count, near = disks.bound, disks.count, image.near
     for k in range(len(count)):
         for entry in range((k + 1) * PAGE - count[k, 1], (k + 1) * PAGE):
@@ -231,17 +228,17 @@ def _add_unstable(is_known: Any, begin: Any, end: Any, disks: Disks, image: Imag
 
 
 @kernel(error_model="numpy", inline="always")
-def _add_disk(entry: Any, behind_m: Any, is_known: Any, begin: Any, end: Any, disks: Disks, image: Image) -> None:
-    """Add a disk to its pixels' sums, unless they have what ranks before all that are so far behind.
+def _add_disk(entry: Any, behind_m: Any, is_known: Any, begin: Any, end: Any, disks: Disks, image: RenderImage) -> None:
+    """Add a disk to the sums of its pixels, except those with a nearer rank than `behind_m`.
 
-    Pixels take the nearest surface, or where that is known those disks that are about it.
+    Pixels take the nearest surface, or with `is_known` the disks around the known one.
     """
     disk, bound, ray_x, ray_y, near, sums = disks.disk, disks.bound, image.ray_x, image.ray_y, image.near, image.sums
     low, high = max(bound[entry, 0], begin), min(bound[entry, 1] + 1, end)
     left, right = max(bound[entry, 2], 0), bound[entry, 3] + 1
     middle_x, middle_y, plane, confidence = disk[entry, 0], disk[entry, 1], disk[entry, _PLANE], disk[entry, _WEIGHT]
     xx, xy, yy = disk[entry, _FORM], disk[entry, _FORM + 1], disk[entry, _FORM + 2]
-    # All at hand before the first is written, so that they are added at once.
+    # Read before the first write, so that the compiler can vectorise the sums.
     nx, ny, nz, known = disk[entry, 8], disk[entry, 9], disk[entry, 10], disk[entry, 11]
     grey, red, green, blue = disk[entry, 12], disk[entry, 13], disk[entry, 14], disk[entry, 15]
     for r in range(low, high):
@@ -272,9 +269,9 @@ def _add_disk(entry: Any, behind_m: Any, is_known: Any, begin: Any, end: Any, di
 
 @kernel(error_model="numpy")
 def divide(begin: Any, end: Any, near: Any, sums: Any, depth_m: Any, normal: Any, grey: Any, colors: Any) -> None:
-    """The means of rows `begin` to `end`: depth, normal, grey, and colour; 0, 0, -1, -1 where nothing is.
+    """Compute the means of rows `begin` to `end`: depth, normal, grey, and colour; 0, 0, -1, -1 where nothing is.
 
-    `colors`: (h, w, 3), or of another shape where none is asked for.
+    `colors`: (h, w, 3), or another shape if colour is not needed.
     """
     with_color = colors.shape[:2] == grey.shape
     for r in range(begin, end):
@@ -293,20 +290,18 @@ def divide(begin: Any, end: Any, near: Any, sums: Any, depth_m: Any, normal: Any
                     colors[r, c, i] = sums[r, c, _RED - _NORMAL + i] / painted if painted > 0 else -_ONE
 
 
-# Compiled inner loop of meshing: signed distances to a surface that surfels describe.
-
-
 @kernel
 def add_distances(
     position: Any, normal: Any, confidence: Any, origin: Any, voxel_m: float, reach: int, distance: Any, weight: Any
 ) -> None:
-    """Add to each voxel about surfels its distance to their planes, positive on the side their normals point to.
+    """Add to each voxel near surfels its distance to their planes, positive on the side of their normals.
 
     The mean of plane distances, weighted by nearness, is the implicit moving-least-squares surface of Kolluri 2008.
 
     Args:
         position, normal, confidence: (n, 3), (n, 3), (n,).
-        origin: (3,) of voxel 0's middle. reach: in voxels, beyond which a surfel says nothing.
+        origin: (3,) centre of voxel 0.
+        reach: range of a surfel, voxels.
         distance, weight: (x, y, z) sums.
     """
     size = distance.shape

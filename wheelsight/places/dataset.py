@@ -239,7 +239,7 @@ class LabelSource:
         return self.file.path if self.file is not None else self.areas_path
 
     @property
-    def told(self) -> str:
+    def description(self) -> str:
         """Short description of the source; "" if there is none."""
         if self.file is not None:
             return self.file.path.name
@@ -398,7 +398,7 @@ def check_every_area(labels: Sequence[IntArray], names: Sequence[str], path: Str
             fix = "drive through it, or leave the area out"
             raise AreaError(f"area {name!r} has no training frames", path=path, fix=fix)
     if len(names) < 2:
-        raise AreaError(f"{len(names)} areas cannot be told apart", path=path, fix="label at least two")
+        raise AreaError(f"{len(names)} areas cannot be distinguished", path=path, fix="label at least two")
 
 
 _WIDTH_PX = 240
@@ -473,7 +473,7 @@ def make_sheet(
         thumbnail = np.asarray(cv2.resize(frame.color, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
         kept.append((frame.index, thumbnail))
     if not kept:
-        raise PlaceError(f"{recording.name} has no usable frames", fix="wheelsight info tells why")
+        raise PlaceError(f"{recording.name} has no usable frames", fix="see wheelsight info")
     indices = np.array([index for index, _ in kept])
     xy_m: FloatArray = np.full((len(kept), 2), np.nan)
     if source.trajectory is not None and source.areas is not None:

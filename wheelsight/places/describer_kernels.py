@@ -74,8 +74,7 @@ def means_of_leaves(features: Any, roots: Any, left: Any, right: Any, feature: A
     return means
 
 
-# Compiled inner loops of LayoutDescriber: a frame sampled on a grid, then told cell by cell.
-
+# LayoutDescriber: a frame sampled on a grid, then described cell by cell.
 
 QUANTILES = (0.2, 0.5, 0.8)
 OF_COLOR, OF_DEPTH = 6, 6

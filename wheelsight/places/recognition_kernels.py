@@ -10,8 +10,7 @@ from wheelsight.core.compiled import kernel
 from wheelsight.core.geometry.arrays import Float32Array, Int32Array, IntArray, UInt64Array
 from wheelsight.core.geometry.hamming_kernels import count_bits
 
-# Compiled comparison of fern codes, 16 ferns of 4 bits a word, and the choice of the best rows.
-
+# Comparison of fern codes, 16 ferns of 4 bits per word, and the best rows.
 
 _ONE, _TWO = np.uint64(1), np.uint64(2)
 _LOWEST_OF_FOUR = np.uint64(0x1111111111111111)
@@ -19,7 +18,7 @@ _LOWEST_OF_FOUR = np.uint64(0x1111111111111111)
 
 @kernel
 def likeness_kernel(codes: UInt64Array, code: UInt64Array, out: Float32Array) -> Any:
-    """Share (N,) of the ferns in which a code (W,) is the same as each of (N, W): 1 less the block Hamming distance."""
+    """Compute the share (N,) of equal ferns of a code (W,) and (N, W) others: 1 - the block Hamming distance."""
     words = len(code)
     for i in range(len(out)):
         differing = np.uint64(0)
@@ -33,7 +32,7 @@ def likeness_kernel(codes: UInt64Array, code: UInt64Array, out: Float32Array) ->
 
 @kernel
 def best(scores: Float32Array, chosen: IntArray) -> Any:
-    """Write the rows of the largest scores (N,) above 0, the largest first, to (K,); how many there are.
+    """Write the rows of the largest scores (N,) above 0, the largest first, to (K,); return their number.
 
     Of equal ones the earlier comes first.
     """
@@ -51,8 +50,7 @@ def best(scores: Float32Array, chosen: IntArray) -> Any:
     return found
 
 
-# Compiled vocabulary tree of binary words: it grows by splitting, and holds which keyframes have which word.
-
+# Vocabulary tree of binary words, with the keyframes of each word.
 
 BLOCK = 16
 NODES, BLOCKS, FREE, POSTINGS = range(4)
@@ -60,8 +58,8 @@ _BITS = 64
 _FAR = 1000
 
 
-class Rules(NamedTuple):
-    """How a tree grows; see `WordSettings`."""
+class TreeRules(NamedTuple):
+    """Rules of growth: children of a split word, its postings, rounds of clustering, and limits of depth and nodes."""
 
     branching: int
     split_at: int
@@ -70,13 +68,13 @@ class Rules(NamedTuple):
     most_nodes: int
 
 
-class Tree(NamedTuple):
-    """A tree of M nodes, and K blocks of postings, some of them in use: `sizes` (4,) tells how many.
+class WordTree(NamedTuple):
+    """A tree with room for M nodes and K blocks of postings.
 
-    `sizes` are the nodes and blocks in use, the first free block among these or -1, and all postings. A node has a
-    centre (4,); `first` child and how many `children`, or it is a word. A word has so many `postings` in blocks
-    linked from `head` to `tail` by `following`, `used` of the tail's; at `limit` it is split. A posting is the row of a
-    keyframe and the descriptor (4,).
+    `sizes` (4,) are nodes and blocks in use, the first free block or -1, and all postings. A node has a centre (4,),
+    its `first` child, and the number of `children`; without children it is a word. A word has a number of `postings` in
+    blocks, linked from `head` to `tail` by `following`, with `used` postings in the tail. At `limit` it is split. A
+    posting is the row of a keyframe and the descriptor (4,).
     """
 
     sizes: IntArray
@@ -95,8 +93,8 @@ class Tree(NamedTuple):
 
 
 @kernel
-def word_of(tree: Tree, descriptors: UInt64Array, i: int) -> Any:
-    """The word that a descriptor, row i of (N, 4), is: from the root on, the child with the nearest centre."""
+def word_of(tree: WordTree, descriptors: UInt64Array, i: int) -> Any:
+    """Return the word of a descriptor, row i of (N, 4): from the root on, the child with the nearest centre."""
     node = 0
     while tree.children[node] > 0:
         best, nearest = 0, _FAR
@@ -110,14 +108,14 @@ def word_of(tree: Tree, descriptors: UInt64Array, i: int) -> Any:
 
 @kernel
 def _apart(first: UInt64Array, i: int, second: UInt64Array, j: int) -> Any:
-    """Bits in which row i of (N, 4) differs from row j of (M, 4); rows taken out of arrays take twice as long."""
+    """Return the number of bits in which row i of (N, 4) differs from row j of (M, 4); views of rows would be slow."""
     bits = count_bits(first[i, 0] ^ second[j, 0]) + count_bits(first[i, 1] ^ second[j, 1])
     return np.int64(bits + count_bits(first[i, 2] ^ second[j, 2]) + count_bits(first[i, 3] ^ second[j, 3]))
 
 
 @kernel
-def insert(tree: Tree, descriptors: UInt64Array, row: int, rules: Rules) -> None:
-    """Note that a keyframe shows (N, 4); words that become full are split."""
+def insert(tree: WordTree, descriptors: UInt64Array, row: int, rules: TreeRules) -> None:
+    """Add the descriptors (N, 4) of a keyframe; full words are split."""
     for i in range(len(descriptors)):
         word = word_of(tree, descriptors, i)
         _append(tree, word, row, descriptors[i])
@@ -128,11 +126,11 @@ def insert(tree: Tree, descriptors: UInt64Array, row: int, rules: Rules) -> None
 
 
 @kernel
-def vote(tree: Tree, descriptors: UInt64Array, most_postings: int, out: Float32Array) -> None:
-    """Share (R,) of a view's words (N, 4) that each keyframe has too, rare words counting by their idf.
+def vote(tree: WordTree, descriptors: UInt64Array, most_postings: int, out: Float32Array) -> None:
+    """Compute the share (R,) of a view's words (N, 4), weighted by idf, that each keyframe has.
 
-    A word that a view shows several times counts as often as both show it. Rare words come first: once so many postings
-    have been looked at, the common ones that are left count for nobody.
+    A word counts as often as both show it. Rare words come first: after `most_postings`, the remaining common words are
+    ignored.
     """
     out[:] = 0.0
     n, words = len(descriptors), np.empty(len(descriptors), np.int64)
@@ -155,7 +153,7 @@ def vote(tree: Tree, descriptors: UInt64Array, most_postings: int, out: Float32A
 
 
 @kernel
-def _count(tree: Tree, word: int, shown: int, idf: np.float32, out: Float32Array) -> None:
+def _count(tree: WordTree, word: int, shown: int, idf: np.float32, out: Float32Array) -> None:
     """Add a word's idf to each keyframe that has it, as often as it has it but not more often than it is `shown`.
 
     A keyframe's postings follow each other.
@@ -173,7 +171,7 @@ def _count(tree: Tree, word: int, shown: int, idf: np.float32, out: Float32Array
 
 
 @kernel
-def _append(tree: Tree, word: int, row: int, descriptor: UInt64Array) -> None:
+def _append(tree: WordTree, word: int, row: int, descriptor: UInt64Array) -> None:
     if tree.head[word] < 0 or tree.used[word] == BLOCK:
         block = tree.sizes[FREE]
         if block >= 0:
@@ -195,7 +193,7 @@ def _append(tree: Tree, word: int, row: int, descriptor: UInt64Array) -> None:
 
 
 @kernel
-def _split(tree: Tree, word: int, rules: Rules) -> None:
+def _split(tree: WordTree, word: int, rules: TreeRules) -> None:
     """Share a word's postings among new words about centres found among its descriptors; alike ones stay together."""
     n = int(tree.postings[word])
     rows, descriptors = np.empty(n, np.int32), np.empty((n, 4), np.uint64)
@@ -230,7 +228,7 @@ def _split(tree: Tree, word: int, rules: Rules) -> None:
 
 
 @kernel
-def _begin(tree: Tree, node: int, centre: UInt64Array, level: int, limit: int) -> None:
+def _begin(tree: WordTree, node: int, centre: UInt64Array, level: int, limit: int) -> None:
     tree.centre[node] = centre
     tree.first[node], tree.children[node], tree.level[node] = -1, 0, level
     tree.postings[node], tree.limit[node] = 0, limit
@@ -238,7 +236,7 @@ def _begin(tree: Tree, node: int, centre: UInt64Array, level: int, limit: int) -
 
 
 @kernel
-def _free(tree: Tree, word: int) -> None:
+def _free(tree: WordTree, word: int) -> None:
     tree.following[tree.tail[word]] = tree.sizes[FREE]
     tree.sizes[FREE] = tree.head[word]
     tree.postings[word], tree.head[word], tree.tail[word], tree.used[word] = 0, -1, -1, 0
@@ -246,7 +244,7 @@ def _free(tree: Tree, word: int) -> None:
 
 @kernel
 def _spread_centres(descriptors: UInt64Array, wanted: int) -> Any:
-    """Of (N, 4) at most so many: the first, and each time the one that is farthest from all before it."""
+    """Return at most `wanted` of (N, 4): the first, and each time the one farthest from all before it."""
     n = len(descriptors)
     centres, found = np.empty((wanted, 4), np.uint64), 1
     centres[0] = descriptors[0]

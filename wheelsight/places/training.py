@@ -120,7 +120,7 @@ def train_places(
 def _check_training(features: Float32Array, labels: IntArray, names: Sequence[str], describer: Describer) -> None:
     if features.ndim != 2 or features.shape[1] != describer.size:
         raise PlaceError(
-            f"features are {features.shape}", fix=f"{describer.kind} tells {describer.size} numbers a frame"
+            f"features are {features.shape}", fix=f"{describer.kind} gives {describer.size} numbers per frame"
         )
     if labels.shape != (len(features),) or labels.dtype.kind not in "iu":
         raise PlaceError(
@@ -129,7 +129,7 @@ def _check_training(features: Float32Array, labels: IntArray, names: Sequence[st
     if not np.isfinite(features).all():
         raise PlaceError(f"features of frame {int(np.argmin(np.isfinite(features).all(axis=1)))} are not finite")
     if len(names) < 2 or len(set(names)) < len(names):
-        raise PlaceError(f"{len(names)} areas cannot be told apart", fix="give at least two, each with its own name")
+        raise PlaceError(f"{len(names)} areas cannot be distinguished", fix="give at least two, each with its own name")
     if len(labels) and not -1 <= labels.min() <= labels.max() < len(names):
         wrong = int(labels.min() if labels.min() < -1 else labels.max())
         raise PlaceError(f"label {wrong} is not an area index", fix=f"0 to {len(names) - 1}, or -1 for none")

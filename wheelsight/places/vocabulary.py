@@ -22,14 +22,14 @@ from wheelsight.core.errors import MapError
 from wheelsight.core.geometry import Float32Array, IntArray
 from wheelsight.core.geometry.arrays import UInt64Array
 from wheelsight.core.keyframes import KeyframeId
-from wheelsight.places.recognition_kernels import BLOCK, BLOCKS, FREE, NODES, Rules, Tree, insert, vote
+from wheelsight.places.recognition_kernels import BLOCK, BLOCKS, FREE, NODES, TreeRules, WordTree, insert, vote
 
 _OF_NODES = ("centre", "first", "children", "level", "postings", "limit", "head", "tail", "used")
 _OF_BLOCKS = ("following", "row", "descriptor")
 _FIRST_ROOM = 256
 # How the tree grows: a word of 64 descriptors is split in eight, whose centres three rounds improve; up to eight levels
 # and 32 000 nodes. Chosen.
-RULES = Rules(branching=8, split_at=64, steps=3, depth=8, most_nodes=32_000)
+RULES = TreeRules(branching=8, split_at=64, steps=3, depth=8, most_nodes=32_000)
 DESCRIPTORS = 300
 """Descriptors of a keyframe that become words, 36 bytes each. Chosen."""
 # Keyframes that are counted for the words of one view, those of rare words first: it bounds the time to 0.2 ms.
@@ -81,7 +81,7 @@ class Vocabulary:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], rows: int) -> Self:
         """Return a vocabulary from `arrays`, with `rows` keyframes. Raises MapError for inconsistent arrays."""
-        kept = _checked(Tree(**{name: np.array(arrays[name]) for name in Tree._fields}), rows)
+        kept = _checked(WordTree(**{name: np.array(arrays[name]) for name in WordTree._fields}), rows)
         made = cls()
         made._tree = kept
         return made
@@ -92,7 +92,7 @@ def _evenly(count: int, wanted: int) -> NDArray[np.int64]:
     return np.arange(count) if count <= wanted else np.linspace(0, count - 1, wanted).astype(np.int64)
 
 
-def _empty(room: int) -> Tree:
+def _empty(room: int) -> WordTree:
     numbers = [np.full(room, -1, np.int32) for _ in range(3)]
     counts = [np.zeros(room, np.int32) for _ in range(5)]
     first, head, tail = numbers
@@ -100,17 +100,17 @@ def _empty(room: int) -> Tree:
     blocks = np.zeros((room, BLOCK), np.int32), np.zeros((room, BLOCK, 4), np.uint64)
     following, sizes = np.full(room, -1, np.int32), np.array([0, 0, -1, 0])
     centre = np.zeros((room, 4), np.uint64)
-    return Tree(sizes, centre, first, children, level, words, limit, head, tail, used, following, *blocks)
+    return WordTree(sizes, centre, first, children, level, words, limit, head, tail, used, following, *blocks)
 
 
-def _checked(tree: Tree, rows: int) -> Tree:
+def _checked(tree: WordTree, rows: int) -> WordTree:
     """Return the tree if its indices are within it, as kernels need, and its depth and width follow `RULES`.
 
     Raises MapError otherwise.
     """
     expected = _empty(1)
     nodes, blocks = len(tree.centre), len(tree.row)
-    for name in Tree._fields:
+    for name in WordTree._fields:
         array, like = getattr(tree, name), getattr(expected, name)
         length = {**dict.fromkeys(_OF_NODES, nodes), **dict.fromkeys(_OF_BLOCKS, blocks)}.get(name, 4)
         if array.dtype != like.dtype or array.shape != (length, *like.shape[1:]):

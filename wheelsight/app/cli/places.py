@@ -126,7 +126,7 @@ def label(
     source = source_of(opened, labels, areas, trajectory)
     with show_progress("reading", None) as advance:
         sheet = make_sheet(opened, source, every, advance)
-    write_sheet(sheet, out, source.told)
+    write_sheet(sheet, out, source.description)
     shown = f"{len(sheet.pictures)} thumbnails, {int((sheet.labels >= 0).sum())} of them with an area proposed"
     print_note(f"{shown}, are in {out}; open it in a browser, and hand what it saves to places train --labels")
 
@@ -278,7 +278,7 @@ def source_of(
     if trajectory is not None:
         way = express_for(recording.body, read_tum(trajectory, recording.body), recording.calibration)
     source = label_source(recording, file, areas, way)
-    if needed and not source.told:
+    if needed and not source.description:
         missing = "no ground truth to go with areas" if source.areas is not None else "no labels"
         fix = "give --labels FILE; wheelsight places label makes a page to write one"
         raise AreaError(f"has {missing}", path=recording.path, fix=fix)
