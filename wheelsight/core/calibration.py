@@ -105,7 +105,7 @@ class Calibration:
         source: origin of the numbers, for reports.
         depth_late_s: delay of depth behind colour beyond their stamps; negative if depth is earlier.
         frame_sigma_m, frame_sigma_rad: standard deviations of a frame's pose by errors common to all pixels: bent
-            depth, registration, timing of the shutter. See docs/decisions/dense-alignment.md.
+            depth, registration, timing of the shutter. See docs/decisions/filter.md.
         depth_error: systematic error of depth images; recordings correct it.
         point_errors: errors of points after that correction, by a calibration with a board; None if unknown, as for
             nominal values.
@@ -295,12 +295,13 @@ def laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, A
     """
     kept = {name: value for name, value in below.items() if "color" not in above or name not in _LENSES}
     merged = {**kept, **above}
-    usual = {"kind": "differential", "layout": None}
     for name in _FIELD_BY_FIELD:
         old, new = below.get(name), above.get(name)
+        if not (isinstance(old, Mapping) and isinstance(new, Mapping)):
+            continue
         # Wheels of another kind or layout share no field.
-        are_parts = isinstance(old, Mapping) and isinstance(new, Mapping)
-        if are_parts and all(key not in new or new[key] == old.get(key, usual[key]) for key in usual):
+        kinds = (("kind", "differential"), ("layout", None))
+        if all(key not in new or new[key] == old.get(key, usual) for key, usual in kinds):
             merged[name] = {**old, **new}
     entries = [entry for part in (below, above) for entry in part.get(HISTORY) or ()]
     if entries:

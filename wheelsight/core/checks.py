@@ -111,10 +111,10 @@ def check_images(frame: Any, calibration: Calibration, *, of_any_size: bool = Fa
         fix = "of 16 bits, (color >> 8).astype(np.uint8)" if dtype == np.uint16 else fix
         raise ArgumentError(f"color is of {dtype}, not uint8", fix=fix)
     _check_shape("depth_m", frame.depth_m, depth)
-    if (dtype := frame.depth_m.dtype) != np.float32:
+    if frame.depth_m.dtype != np.float32:
         raw = "divide raw depth by its units a metre: of millimetres, (depth / 1000).astype(np.float32)"
-        fix = raw if dtype.kind in "ui" else "depth_m.astype(np.float32)"
-        raise ArgumentError(f"depth_m is of {dtype}, not float32", fix=fix)
+        fix = raw if frame.depth_m.dtype.kind in "ui" else "depth_m.astype(np.float32)"
+        raise ArgumentError(f"depth_m is of {frame.depth_m.dtype}, not float32", fix=fix)
     if wrong := why_no_depth(frame.depth_m, calibration.depth_noise.far_m):
         raise ArgumentError(f"depth_m {wrong[0]}", fix=wrong[1])
 

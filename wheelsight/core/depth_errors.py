@@ -152,11 +152,14 @@ class DepthError:
     def of_readings(self, depth_m: ArrayLike, px: ArrayLike, camera: PinholeCamera) -> FloatArray:
         """Return true depths (N,) of readings (N,) in metres at pixels (N, 2)."""
         px = np.asarray(px, float)
-        at_px = []
-        for rows in (self.pattern_per_m, self.lasting_per_m):
-            weights = pattern_weights(px, camera, (len(rows), len(rows[0]))) if rows else None
-            at_px.append(0.0 if weights is None else np.asarray(weights @ np.array(rows).ravel(), float))
-        maps = _Maps(*at_px, (camera.normalise(px) ** 2).sum(axis=-1))
+
+        def at_px(rows: tuple[tuple[float, ...], ...]) -> FloatArray | float:
+            if not rows:
+                return 0.0
+            return np.asarray(pattern_weights(px, camera, (len(rows), len(rows[0]))) @ np.array(rows).ravel(), float)
+
+        radius2 = (camera.normalise(px) ** 2).sum(axis=-1)
+        maps = _Maps(at_px(self.pattern_per_m), at_px(self.lasting_per_m), radius2)
         return np.asarray(self._of_inverse(1 / np.asarray(depth_m, float), maps), float)
 
     def _of_inverse(self, inverse: Any, maps: _Maps) -> Any:

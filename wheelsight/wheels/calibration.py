@@ -97,8 +97,18 @@ def fit_wheels(
     Raises:
         CalibrationError: a drive that is too short or does not determine all, or a reference of another drive or body.
     """
-    segments = _segments(wheels, drive, reference, segment_m)
-    problem = _Problem(drive, segments, wheels, with_delay)
+    if reference.body != "base":
+        raise CalibrationError(
+            f"the reference is of the {reference.body}, but wheels move the base", fix="give T_base_camera to join them"
+        )
+    segments = cut(drive, reference, wheels, segment_m, LARGEST_DELAY_S + abs(wheels.delay_s))
+    if len(segments) < _FEWEST_SEGMENTS:
+        raise CalibrationError(
+            f"the drive holds {len(segments)} pieces of {segment_m:g} m or a radian with readings and reference, "
+            f"{_FEWEST_SEGMENTS} are needed",
+            fix="drive further, turning both ways, or choose a larger part of the recording",
+        )
+    problem = _WheelProblem(drive, segments, wheels, with_delay)
     on_step("searching the delay")
     start = problem.coarse()
     on_step("fitting")
@@ -118,23 +128,7 @@ def fit_wheels(
     return WheelFit(wheels, known, sigmas, ratio_sigma, problem.mount(values), segments, *explained)
 
 
-def _segments(wheels: Wheels, drive: Drive, reference: Trajectory, segment_m: float) -> Segments:
-    """Return the segments of the reference. Raises CalibrationError if there are too few."""
-    if reference.body != "base":
-        raise CalibrationError(
-            f"the reference is of the {reference.body}, but wheels move the base", fix="give T_base_camera to join them"
-        )
-    segments = cut(drive, reference, wheels, segment_m, LARGEST_DELAY_S + abs(wheels.delay_s))
-    if len(segments) < _FEWEST_SEGMENTS:
-        raise CalibrationError(
-            f"the drive holds {len(segments)} pieces of {segment_m:g} m or a radian with readings and reference, "
-            f"{_FEWEST_SEGMENTS} are needed",
-            fix="drive further, turning both ways, or choose a larger part of the recording",
-        )
-    return segments
-
-
-class _Problem:
+class _WheelProblem:
     """Residuals by the unknowns: logarithms of sizes over nominal ones, mount, change of delay."""
 
     def __init__(self, drive: Drive, segments: Segments, nominal: Wheels, with_delay: bool) -> None:
@@ -162,25 +156,24 @@ class _Problem:
     def coarse(self) -> FloatArray:
         """Return nominal sizes with the delay for which wheel angles fit the reference best, in a linear model."""
         values = np.zeros(len(self.bounds))
-        if self.with_delay:
-            steps = round(LARGEST_DELAY_S / _COARSE_STEP_S)
-            delays_s = _COARSE_STEP_S * np.arange(-steps, steps + 1)
-            values[6] = delays_s[np.argmin([self._linear_misfit(delay_s) for delay_s in delays_s])]
-        return values
-
-    def _linear_misfit(self, delay_s: float) -> float:
-        """Return the misfit of the best radii and track width to chords and turns at a change of delay."""
-        clock_s = self.nominal.delay_s + delay_s
-        start, end = (self.drive.angles_at(s + clock_s) for s in (self.segments.start_s, self.segments.end_s))
-        turned = np.stack([end[0] - start[0], end[1] - start[1]], axis=-1)
+        if not self.with_delay:
+            return values
         yaw_rad = self.segments.motions[:, 2]
         along_m = chords_m(self.segments) / np.sinc(yaw_rad / (2 * np.pi))
-        misfits = []  # logarithms of the mean squared residuals of linear fits, with residuals limited to three spreads
-        for wanted in (along_m, yaw_rad):
-            off = wanted - turned @ np.linalg.lstsq(turned, wanted)[0]
-            limit = 3 * max(float(spread(off[:, None])[0]), 1e-9)
-            misfits.append(float(np.log(np.mean(np.minimum(off**2, limit**2)) + 1e-12)))
-        return sum(misfits)
+        steps = round(LARGEST_DELAY_S / _COARSE_STEP_S)
+        delays_s = _COARSE_STEP_S * np.arange(-steps, steps + 1)
+        misfits = np.zeros(len(delays_s))
+        for i, delay_s in enumerate(delays_s):
+            clock_s = self.nominal.delay_s + delay_s
+            start, end = (self.drive.angles_at(s + clock_s) for s in (self.segments.start_s, self.segments.end_s))
+            turned = np.stack([end[0] - start[0], end[1] - start[1]], axis=-1)
+            for wanted in (along_m, yaw_rad):
+                # Logarithm of the mean squared residual, with residuals limited to three spreads.
+                off = wanted - turned @ np.linalg.lstsq(turned, wanted)[0]
+                limit = 3 * max(float(spread(off[:, None])[0]), 1e-9)
+                misfits[i] += float(np.log(np.mean(np.minimum(off**2, limit**2)) + 1e-12))
+        values[6] = delays_s[np.argmin(misfits)]
+        return values
 
     def fitted(self, values: FloatArray) -> Wheels:
         left_m, right_m, track_m = (float(size) for size in self.sizes(values))
@@ -211,6 +204,22 @@ class Attempt:
     path: Trajectory
     evaluation: Evaluation
     end_error_m: float
+
+    @classmethod
+    def of(cls, drive: Drive, wheels: Wheels, held_out: Trajectory) -> Attempt:
+        """Evaluate wheels on a part of the reference. Raises CalibrationError if it is too short."""
+        path = drive_path(drive, wheels, held_out.stamps_s)
+        if len(path):
+            T_there_here = held_out.T_frame_body[0] @ se3.invert(path.T_frame_body[0])
+            path = Trajectory(path.stamps_s, T_there_here @ path.T_frame_body, body="base", frame=held_out.frame)
+        try:
+            evaluation = evaluate(path, held_out)
+        except EvaluationError as error:
+            raise CalibrationError(
+                f"too little is left to try the wheels on: {error}", fix="calibrate on a smaller share"
+            ) from error
+        end_error_m = float(np.linalg.norm(path.positions_m[-1] - held_out.positions_m[-1]))
+        return cls(path, evaluation, end_error_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,23 +297,8 @@ def try_calibration(
     rest, T_body_axle = common.between(split_s, np.inf), se3.invert(se3.from_plane(*fit.mount))
     held_out = Trajectory(rest.stamps_s, rest.T_frame_body @ T_body_axle, body="base", frame=rest.frame)
     on_step("trying on the rest")
-    before, after = (_attempt(drive, wheels, held_out) for wheels in (nominal, fit.wheels))
+    before, after = (Attempt.of(drive, wheels, held_out) for wheels in (nominal, fit.wheels))
     return WheelTrial(recording.name, fit, reference, split_s, held_out, before, after, recording.warnings)
-
-
-def _attempt(drive: Drive, wheels: Wheels, held_out: Trajectory) -> Attempt:
-    path = drive_path(drive, wheels, held_out.stamps_s)
-    if len(path):
-        T_there_here = held_out.T_frame_body[0] @ se3.invert(path.T_frame_body[0])
-        path = Trajectory(path.stamps_s, T_there_here @ path.T_frame_body, body="base", frame=held_out.frame)
-    try:
-        evaluation = evaluate(path, held_out)
-    except EvaluationError as error:
-        raise CalibrationError(
-            f"too little is left to try the wheels on: {error}", fix="calibrate on a smaller share"
-        ) from error
-    end_error_m = float(np.linalg.norm(path.positions_m[-1] - held_out.positions_m[-1]))
-    return Attempt(path, evaluation, end_error_m)
 
 
 class SegmentsProblem(Problem, Protocol):
@@ -376,7 +370,11 @@ def refuse_if_unobservable(sigmas: dict[str, float], wheels: Wheels, segments: S
     allowed["delay_s"] = _MOST_UNCERTAIN_DELAY_S
     vague = [name for name, sigma in sigmas.items() if not sigma <= allowed[name]]
     if vague:
-        names = ", ".join(f"{_NAMES[name]} (σ {_uncertainty(name, sigmas[name], wheels)})" for name in vague)
+        shown = {"delay_s": f"{sigmas.get('delay_s', 0.0):.2g} s"}
+        for name in PARAMETERS[:3]:
+            share = sigmas[name] / float(getattr(wheels, name))
+            shown[name] = f"{100 * share:.2g} %" if share < 1 else "over 100 %"
+        names = ", ".join(f"{_NAMES[name]} (σ {shown[name]})" for name in vague)
         raise CalibrationError(f"the drive does not determine: {names}", fix=_advice(vague, segments))
 
 
@@ -409,13 +407,6 @@ def _typical(motion: FloatArray, residual: FloatArray) -> tuple[float, float]:
     return float(np.median(np.abs(motion[moving]))), float(np.median(np.abs(residual[moving])))
 
 
-def _uncertainty(name: str, sigma: float, wheels: Wheels) -> str:
-    if name == "delay_s":
-        return f"{sigma:.2g} s"
-    share = sigma / float(getattr(wheels, name))
-    return f"{100 * share:.2g} %" if share < 1 else "over 100 %"
-
-
 def _advice(vague: list[str], segments: Segments) -> str:
     """Return a drive that determines the parameters."""
     turn_rad = segments.motions[:, 2]
@@ -437,27 +428,13 @@ def _agreement(a: FloatArray, b: FloatArray) -> float:
     return float(np.sum(a * b)) / size if size > 0 else 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class FromDayToDay:
-    """Changes of tyres between drives, which a fit does not show: standard deviations in a calibration's units.
-
-    Estimated: two kilograms more on one side compress its tyre by 0.06 % of the radius. That is a milliradian per metre
-    for wheels half a metre apart. Air pressure and temperature have similar effects on both. The point of contact
-    within the width of a tyre changes the track width.
-    """
-
-    scale: float = 0.003
-    drift_rad_per_m: float = 0.001
-    turn: float = 0.003
+# σ of changes of tyres from day to day, which a fit does not show. Computed: two kilograms more on one side compress
+# its tyre by 0.06 % of the radius, a milliradian per metre for wheels half a metre apart. Air pressure and temperature
+# have similar effects on both; the point of contact within the width of a tyre changes the track width.
+DAILY_SCALE, DAILY_DRIFT_RAD_PER_M, DAILY_TURN = 0.003, 0.001, 0.003
 
 
-def stated(
-    wheels: Wheels,
-    ratio_sigma: float,
-    track_share: float,
-    scale_share: float | None = None,
-    daily: FromDayToDay | None = None,
-) -> Wheels:
+def stated(wheels: Wheels, ratio_sigma: float, track_share: float, scale_share: float | None = None) -> Wheels:
     """Return wheels with standard deviations.
 
     Args:
@@ -465,12 +442,10 @@ def stated(
         ratio_sigma: standard deviation of right radius over left.
         track_share: of the track width, relative.
         scale_share: of the mean radius, relative; None to keep that of `wheels`.
-        daily: None for the default.
     """
-    daily = daily or FromDayToDay()
-    scale = wheels.scale_sigma if scale_share is None else float(np.hypot(scale_share, daily.scale))
-    drift = float(np.hypot(ratio_sigma / wheels.track_width_m, daily.drift_rad_per_m))
-    turn = float(np.hypot(track_share, daily.turn))
+    scale = wheels.scale_sigma if scale_share is None else float(np.hypot(scale_share, DAILY_SCALE))
+    drift = float(np.hypot(ratio_sigma / wheels.track_width_m, DAILY_DRIFT_RAD_PER_M))
+    turn = float(np.hypot(track_share, DAILY_TURN))
     return replace(
         wheels, scale_sigma=min(scale, 1.0), drift_sigma_rad_per_m=min(drift, 1.0), turn_sigma=min(turn, 1.0)
     )

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from wheelsight.core.calibration_parts import Wheels, least_step
 from wheelsight.core.errors import CalibrationError
-from wheelsight.core.geometry import BoolArray, FloatArray, se2, se3
+from wheelsight.core.geometry import FloatArray, se2, se3
 from wheelsight.core.messages import WheelSpeeds, WheelTicks
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.recordings import Recording
@@ -192,7 +192,13 @@ def cut(
             f"{2 * margin_s:g} s that the search for their delay needs",
             fix="give the reference of this very drive, on the same clock",
         )
-    progress = _progress(drive, wheels, length_m, turn_rad, inside.stamps_s)
+    # The number of segments before each stamp, with fractions, by nominal wheels; a jump of a counter is no distance.
+    left_m, right_m = wheels.left_radius_m * drive.left_rad, wheels.right_radius_m * drive.right_rad
+    forward_m = np.abs(np.diff(left_m + right_m)) / 2
+    gone = np.maximum(forward_m / length_m, np.abs(np.diff(right_m - left_m)) / wheels.track_width_m / turn_rad)
+    total = np.concatenate([[0.0], np.cumsum(np.minimum(gone, 1.0))])
+    along: FloatArray = np.interp(inside.stamps_s + wheels.delay_s, drive.stamps_s, total)
+    progress = np.asarray(along - along[0])
     marks = np.arange(np.floor(progress[-1]) + 1) if progress[-1] >= 1 else np.zeros(1)
     cuts = np.unique(np.searchsorted(progress, marks).clip(0, len(inside) - 1))
     start, end = cuts[:-1], cuts[1:]
@@ -200,33 +206,20 @@ def cut(
     yaw_rad = np.arctan2(T_start_end[:, 1, 0], T_start_end[:, 0, 0])
     motions = np.column_stack([T_start_end[:, :2, 3], yaw_rad])
     start_s, end_s = inside.stamps_s[start], inside.stamps_s[end]
-    whole = ~_has_fault(drive, wheels, start_s - margin_s, end_s + margin_s)
-    whole &= progress[end] - progress[start] <= _LONGEST
-    return Segments(start_s[whole], end_s[whole], motions[whole])
-
-
-def _progress(drive: Drive, wheels: Wheels, length_m: float, turn_rad: float, stamps_s: FloatArray) -> FloatArray:
-    """Return the number of segments before each stamp (N,), with fractions, by nominal wheels."""
-    left_m, right_m = wheels.left_radius_m * drive.left_rad, wheels.right_radius_m * drive.right_rad
-    gone = np.maximum(
-        np.abs(np.diff(left_m + right_m)) / 2 / length_m,
-        np.abs(np.diff(right_m - left_m)) / wheels.track_width_m / turn_rad,
-    )
-    total = np.concatenate([[0.0], np.cumsum(np.minimum(gone, 1.0))])  # a jump of a counter is no distance
-    along: FloatArray = np.interp(stamps_s + wheels.delay_s, drive.stamps_s, total)
-    return np.asarray(along - along[0])
-
-
-def _has_fault(drive: Drive, wheels: Wheels, start_s: FloatArray, end_s: FloatArray) -> BoolArray:
-    """Return whether readings are missing for long, or jump, between each start (M,) and end (M,)."""
+    # Readings that are missing for long, or jump.
     step_s = np.diff(drive.stamps_s)
     rolled_m = np.maximum(
         wheels.left_radius_m * np.abs(np.diff(drive.left_rad)), wheels.right_radius_m * np.abs(np.diff(drive.right_rad))
     )
     fault = np.flatnonzero((step_s > wheels.max_gap_s) | (rolled_m > wheels.max_speed_m_s * step_s))
     opens_s, closes_s = drive.stamps_s[fault], drive.stamps_s[fault + 1]
-    is_inside: BoolArray = np.searchsorted(opens_s, end_s) > np.searchsorted(closes_s, start_s, side="right")
-    return is_inside
+    begun, over = (
+        np.searchsorted(opens_s, end_s + margin_s),
+        np.searchsorted(closes_s, start_s - margin_s, side="right"),
+    )
+    whole = begun <= over
+    whole &= progress[end] - progress[start] <= _LONGEST
+    return Segments(start_s[whole], end_s[whole], motions[whole])
 
 
 def _span(stamps_s: FloatArray) -> str:

@@ -205,11 +205,24 @@ class HolonomicOdometry(OneCaller):
         motion = self._motion(last, reading)
         why = self._fault(motion, dt_s, while_s)
         if why is not None:
-            self._widen(while_s)
+            # Add the covariance of any motion that the wheels allow over that time, uniformly distributed.
+            reach_m = self._wheels.max_speed_m_s * (while_s + _STAMP_JITTER_S)
+            anywhere = np.diag([reach_m, reach_m, min(reach_m / self._wheels.lever_m, math.pi)]) ** 2 / 3
+            Ad = motions.adjoint(self._T)[_IN_PLANE]
+            self._P[:3, :3] += Ad @ anywhere @ Ad.T
+            self._P[3, 3] += self._gyro.bias_walk_rad_s_per_sqrt_s**2 * while_s
+            self._twist = np.zeros(3)
+            self._off_m, self._off_m2 = self._no_slip()
             return why
         self._turned_rad, xi = float(motion.xi[2]), motion.xi
         self._P[3, 3] += self._gyro.bias_walk_rad_s_per_sqrt_s**2 * dt_s
-        spread = motion.covariance * self._slip_factor(motion, dt_s)
+        factor = 1.0  # of the variance, by contradictions of the wheels
+        if len(self._off_m):
+            kept = math.exp(-dt_s / _SLIP_MEMORY_S)
+            self._off_m = kept * self._off_m + motion.off_m
+            self._off_m2 = kept**2 * self._off_m2 + motion.off_m2
+            factor = max(self.slip_chi2 / len(self._off_m), 1.0) if self.is_slipping else 1.0
+        spread = motion.covariance * factor
         self._move(xi, spread, None if rate_rad_s is None else rate_rad_s * dt_s, dt_s)
         self._twist = motions.log(self._moved)[_PLANE] / dt_s
         return None
@@ -257,15 +270,6 @@ class HolonomicOdometry(OneCaller):
             return Reason.IMPLAUSIBLE_MOTION
         return None
 
-    def _slip_factor(self, motion: _Motion, dt_s: float) -> float:
-        """Return the factor of a step's variance by contradictions of the wheels; 1 without slip."""
-        if not len(self._off_m):
-            return 1.0
-        kept = math.exp(-dt_s / _SLIP_MEMORY_S)
-        self._off_m = kept * self._off_m + motion.off_m
-        self._off_m2 = kept**2 * self._off_m2 + motion.off_m2
-        return max(self.slip_chi2 / len(self._off_m), 1.0) if self.is_slipping else 1.0
-
     def _move(self, xi: FloatArray, spread: FloatArray, gyro_rad: float | None, dt_s: float) -> None:
         """Integrate a step ξ (3,) with its covariance (3, 3), and the turn of the gyroscope, or None."""
         P = np.zeros((7, 7))  # of pose, bias and step
@@ -291,17 +295,6 @@ class HolonomicOdometry(OneCaller):
         P = A @ P @ A.T
         self._P, self._moved = (P + P.T) / 2, motions.exp(tangent)
         self._T = motions.mended(motions.times(T_before, self._moved))
-
-    def _widen(self, while_s: float) -> None:
-        """Add the covariance of any motion that the wheels allow over a time, uniformly distributed."""
-        of = self._wheels
-        reach_m = of.max_speed_m_s * (while_s + _STAMP_JITTER_S)
-        anywhere = np.diag([reach_m, reach_m, min(reach_m / of.lever_m, math.pi)]) ** 2 / 3
-        Ad = motions.adjoint(self._T)[_IN_PLANE]
-        self._P[:3, :3] += Ad @ anywhere @ Ad.T
-        self._P[3, 3] += self._gyro.bias_walk_rad_s_per_sqrt_s**2 * while_s
-        self._twist = np.zeros(3)
-        self._off_m, self._off_m2 = self._no_slip()
 
 
 AnyWheelOdometry = WheelOdometry | HolonomicOdometry

@@ -382,7 +382,7 @@ def _prepare(wheels: Wheels, integration: Integration, gyro: Gyro) -> tuple[Floa
 Timed = WheelTicks | WheelCounts | OdometryReading
 """Readings with distances, which indicate their durations. Speeds have none."""
 
-# Of `ReadingTimes`; by docs/decisions/0002 (three simulated flats, a real skid-steered robot) unless computed.
+# Of `ReadingTimes`: docs/decisions/wheels-and-clocks.md (three simulated flats, a skid-steered robot), or computed.
 _SPEED_STEPS = 8  # of the mean speed, which reduces the noise of stamps to a tenth
 _ACCELERATION_M_S2 = 1.0  # of robots indoors (computed)
 _SLOWEST_M_S = 0.03  # below it, the rounding of counts is much of the distance (computed)
@@ -457,7 +457,16 @@ class ReadingTimes:
         of_slip_s = self._slip_m_per_sqrt_m * math.sqrt(way_m / 2) / speed_m_s
         unsure_s = math.hypot(took_s * min(_ACCELERATION_M_S2 * lag_s / speed_m_s, 1.0), of_slip_s)
         due_s = self._time_s + took_s
-        if self._waited(stamp_s - due_s, step_s, took_s, (unsure_s, period_s)):
+        # Whether the reading waited behind a gap.
+        off_s = _GAP_SIGMAS * math.hypot(math.sqrt(2) * self.noise_s, unsure_s)
+        if step_s > _GAP_FACTOR * period_s and step_s - took_s > off_s:
+            self._patience = _PATIENCE
+        elif step_s > _PACE_SHARE * took_s:
+            self._patience -= 1
+        if not _WAITING_SHARE * period_s < stamp_s - due_s < _LATEST_S:
+            self._patience = 0
+        self.late += self._patience > 0
+        if self._patience > 0:
             return due_s
         found_s2 = ((step_s - took_s) ** 2 - unsure_s**2) / 2  # of one end of the step
         # Limited to three times the current noise: a sudden change of speed is no noise of the stamps.
@@ -468,20 +477,6 @@ class ReadingTimes:
             return stamp_s
         time_s = due_s + unsure_s / (unsure_s + noise_s / 2) * (stamp_s - due_s)
         return time_s if abs(stamp_s - time_s) < _LATEST_S else stamp_s
-
-    def _waited(self, late_s: float, step_s: float, took_s: float, usual: tuple[float, float]) -> bool:
-        """Whether a reading waited behind a gap. `usual` is the uncertainty and the period of steps."""
-        unsure_s, period_s = usual
-        off_s = _GAP_SIGMAS * math.hypot(math.sqrt(2) * self.noise_s, unsure_s)
-        begins = step_s > _GAP_FACTOR * period_s and step_s - took_s > off_s
-        if begins:
-            self._patience = _PATIENCE
-        elif step_s > _PACE_SHARE * took_s:
-            self._patience -= 1
-        if not _WAITING_SHARE * period_s < late_s < _LATEST_S:
-            self._patience = 0
-        self.late += self._patience > 0
-        return self._patience > 0
 
     def _way_between(self, before: Timed, now: Timed) -> float:
         """Return the mean distance of all wheels in metres; for a base's own odometry, about that of a wheel."""

@@ -98,7 +98,14 @@ def umbmark(wheels: Wheels, clockwise_m: ArrayLike, counter_clockwise_m: ArrayLi
     from scipy.optimize import least_squares
 
     runs = _checked(clockwise_m, "clockwise"), _checked(counter_clockwise_m, "counter-clockwise")
-    means = _means(runs, side_m)
+    if not 0 < side_m <= _LONGEST_SIDE_M:
+        raise CalibrationError(f"the squares' side is {side_m} m", fix="give its length, 4 m in the paper")
+    means = np.concatenate([errors.mean(axis=0) for errors in runs])
+    if np.abs(means).max() > side_m:
+        raise CalibrationError(
+            f"the runs end {np.abs(means).max():.3g} m off, more than a side of {side_m:g} m",
+            fix="errors are true minus computed, in metres, in the frame of the run's start",
+        )
     start = closed_form(wheels, *runs, side_m)
     solution = least_squares(lambda factors: _square_errors(wheels, side_m, factors) - means, start, x_scale=1e-3)
     ratio, factor = (float(x) for x in solution.x)
@@ -108,19 +115,6 @@ def umbmark(wheels: Wheels, clockwise_m: ArrayLike, counter_clockwise_m: ArrayLi
         )
     sigmas = _sigmas(wheels, side_m, np.array([ratio, factor]), runs)
     return Umbmark(wheels, side_m, runs[0], runs[1], ratio, factor, *sigmas)
-
-
-def _means(runs: tuple[FloatArray, FloatArray], side_m: float) -> FloatArray:
-    """Return the mean errors (4,) of both directions. Raises CalibrationError if they are impossible."""
-    if not 0 < side_m <= _LONGEST_SIDE_M:
-        raise CalibrationError(f"the squares' side is {side_m} m", fix="give its length, 4 m in the paper")
-    means = np.concatenate([errors.mean(axis=0) for errors in runs])
-    if np.abs(means).max() > side_m:
-        raise CalibrationError(
-            f"the runs end {np.abs(means).max():.3g} m off, more than a side of {side_m:g} m",
-            fix="errors are true minus computed, in metres, in the frame of the run's start",
-        )
-    return means
 
 
 def closed_form(wheels: Wheels, clockwise_m: ArrayLike, counter_clockwise_m: ArrayLike, side_m: float) -> FloatArray:

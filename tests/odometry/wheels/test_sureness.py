@@ -12,7 +12,7 @@ from wheelsight.core.calibration import Calibration, load_calibration, save_cali
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import CalibrationError
 from wheelsight.estimation import ErrorStateSettings
-from wheelsight.wheels.calibration import FromDayToDay, stated
+from wheelsight.wheels.calibration import DAILY_DRIFT_RAD_PER_M, stated
 from wheelsight_sim.robot import WheelSizeSettings, as_calibrated
 
 WHEELS = Wheels(0.17, 0.17, 0.5, 3200.0)
@@ -38,11 +38,9 @@ def test_the_filter_goes_by_what_is_stated() -> None:
 
 def test_a_fit_is_never_surer_than_tyres_are_from_day_to_day() -> None:
     found = stated(WHEELS, 1e-9, 1e-9, 1e-9)
-    assert found.drift_sigma_rad_per_m == pytest.approx(FromDayToDay().drift_rad_per_m)
+    assert found.drift_sigma_rad_per_m == pytest.approx(DAILY_DRIFT_RAD_PER_M)
     # A ratio known to a thousandth, on wheels half a metre apart, is two milliradians a metre.
-    assert stated(WHEELS, 1e-3, 0.01).drift_sigma_rad_per_m == pytest.approx(
-        np.hypot(2e-3, FromDayToDay().drift_rad_per_m)
-    )
+    assert stated(WHEELS, 1e-3, 0.01).drift_sigma_rad_per_m == pytest.approx(np.hypot(2e-3, DAILY_DRIFT_RAD_PER_M))
     assert stated(WHEELS, 1e-3, 0.01).scale_sigma == 0
 
 
