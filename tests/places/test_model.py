@@ -162,7 +162,7 @@ def test_an_area_without_frames_is_named(rng):
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
-        (lambda f, y: (f[:, :4], y, NAMES), r"features are \(90, 4\) \(histograms tells 5"),
+        (lambda f, y: (f[:, :4], y, NAMES), r"features are \(90, 4\) \(histograms gives 5"),
         (lambda f, y: (f, y[:-1], NAMES), r"90 frames have labels \(89,\)"),
         (lambda f, y: (f, y.astype(float), NAMES), "90 frames have labels .* of float64"),
         (lambda f, y: (f, y + 1, NAMES), "label 3 is not an area index"),
