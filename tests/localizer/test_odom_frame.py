@@ -13,8 +13,8 @@ from narrowing import not_none
 from wheelsight.core.estimates import Estimate, Reason, Status, WheelEstimate
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.estimation import FusedEstimate
+from wheelsight.estimation.filter import OdomFrame
 from wheelsight.estimation.fusion_localizer import FusedOdom
-from wheelsight.estimation.wheel_localizer import OdomFrame
 
 LEGS = (*BEND, (4.0, 0.6, 0.1))
 # What a camera that fails, or a slip that is told once a frame, may be off in one frame of 0.04 s, at these speeds.

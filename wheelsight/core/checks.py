@@ -103,7 +103,9 @@ def check_images(frame: Any, calibration: Calibration, *, of_any_size: bool = Fa
     """
     if not isinstance(frame, RgbdFrame):
         raise ArgumentError(f"{_kind_of(frame)} is no frame", fix="give an RgbdFrame")
-    color, depth = (None, None) if of_any_size else calibration.cameras
+    color, depth = (None, None) if of_any_size else (calibration.color, calibration.depth)
+    if not of_any_size and (color is None or depth is None):
+        color, depth = calibration.cameras  # raises
     _check_shape("color", frame.color, color, 3)
     if (dtype := frame.color.dtype) != np.uint8:
         is_share = dtype.kind == "f" and frame.color.size and float(np.nanmax(frame.color)) <= 1

@@ -23,13 +23,14 @@ would also count as if the wheels had independent errors each time.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from operator import attrgetter
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,6 +40,7 @@ from wheelsight.core.checks import need_number
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.estimates import (
     STEP_BEGIN,
+    Estimate,
     FrameUpdate,
     FusedEstimate,
     MotionEstimate,
@@ -75,6 +77,7 @@ FRAME, REFERENCE, _IMAGED = "frame", "reference", "imaged"
 # Number of remembered poses other than keyframes: these, and the begin of a step.
 _OTHERS = 4
 _SAME_S = 1e-6  # rounding of computed stamps
+AnyEstimate = TypeVar("AnyEstimate", bound=Estimate)
 
 
 class ErrorStateFilter:
@@ -744,6 +747,60 @@ def _each(detection: FaultDetection, change: Callable[[PoseBelief], PoseBelief])
         primary=change(detection.primary),
         alternative=None if detection.alternative is None else change(detection.alternative),
     )
+
+
+class OdomFrame:
+    """Transform between `odom` and the frame of a filter.
+
+    The pose of a filter jumps when its estimate of the past changes, for instance after slip or with a new bias of the
+    gyroscope. In `odom` the robot moves by the estimated motion alone, and this transform takes the jump (REP 105).
+
+    It is planar: the filter estimates height and tilt of each pose directly.
+
+    Attributes:
+        T_odom_filter, T_filter_odom: (4, 4) pose of the filter's frame in `odom`, and its inverse.
+        has_moved: whether `odom` is no longer the filter's frame.
+    """
+
+    def __init__(self) -> None:
+        self.T_filter_odom: FloatArray = np.eye(4)
+        self.T_odom_filter = self.T_filter_odom
+        self.has_moved = False
+
+    def T_odom_body(self, T_filter_body: FloatArray) -> FloatArray:
+        """Convert a pose (4, 4) of the filter to `odom`."""
+        return np.asarray(motions.times(self.T_odom_filter, T_filter_body))
+
+    def lay(self, T_filter_body: FloatArray, T_odom_body: FloatArray) -> None:
+        """Set the transform by one pose in both frames, (4, 4) each; only x, y and yaw count."""
+        self.T_filter_odom = motions.times(_planar(T_filter_body), motions.inverse(_planar(T_odom_body)))
+        self.T_odom_filter, self.has_moved = motions.inverse(self.T_filter_odom), True
+
+    def framed(self, answer: AnyEstimate) -> AnyEstimate:
+        """Return a filter's estimate in `odom`; its poses in the map and in the filter's frame do not change."""
+        if not self.has_moved:
+            return answer
+        T, C, Ad = answer.T_odom_body, answer.covariance, motions.adjoint(self.T_odom_filter)
+        fields: dict[str, Any] = {
+            "T_map_odom": motions.times(np.ascontiguousarray(answer.T_map_odom), self.T_filter_odom),
+            "T_filter_odom": self.T_filter_odom,
+            "T_odom_body": None if T is None else self.T_odom_body(T),
+            "covariance": None if C is None else Ad @ C @ Ad.T,
+        }
+        if isinstance(answer, WheelEstimate) and answer.before is not None:
+            stamp_s, T_before, C_before = answer.before
+            fields["before"] = (stamp_s, self.T_odom_body(T_before), Ad @ C_before @ Ad.T)
+        return replace(answer, **fields)
+
+
+def _planar(T: FloatArray) -> FloatArray:
+    """Return the planar part of a motion (4, 4): x, y and yaw."""
+    planar, yaw_rad = np.eye(4), math.atan2(T[1, 0], T[0, 0])
+    planar[0, 0] = planar[1, 1] = math.cos(yaw_rad)
+    planar[1, 0] = math.sin(yaw_rad)
+    planar[0, 1] = -planar[1, 0]
+    planar[:2, 3] = T[:2, 3]
+    return planar
 
 
 class Dated(Protocol):

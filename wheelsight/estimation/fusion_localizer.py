@@ -46,11 +46,11 @@ from wheelsight.estimation.consistency_check import (
     ReadmissionCheck,
     UncertainRestart,
 )
-from wheelsight.estimation.filter import ErrorStateFilter
+from wheelsight.estimation.filter import ErrorStateFilter, OdomFrame
 from wheelsight.estimation.loop_updates import InMap, LoopsBeside, begin_in, loops_beside
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
 from wheelsight.estimation.pose_belief import COAST_AFTER_S, FilterParameters
-from wheelsight.estimation.wheel_localizer import ByWheels, OdomFrame, slip_note
+from wheelsight.estimation.wheel_localizer import ByWheels, slip_note
 from wheelsight.places import PlaceMatch
 from wheelsight.slam.place_recognition import KnownMap
 from wheelsight.vision.dense import DenseEstimate
@@ -106,6 +106,8 @@ class ByFusion:
 
     Attributes:
         filter: fuses the camera with the wheels.
+        odometry: of the camera.
+        mapper: builds the surfel map, if the settings ask for one.
         loops: closes loops while driving, if the settings ask for it.
     """
 
@@ -126,6 +128,8 @@ class ByFusion:
         self._base = BaseSensors(calibration, settings.wheels)
         self.hears: tuple[type[Event], ...] = (*self._base.hears, RgbdFrame, SkippedFrame)
         self._camera = FusedCamera(calibration, settings, T_base_camera, known, parts)
+        self.odometry: CameraOdometry = self._camera.odometry
+        self.mapper: MapBuilder | None = self._camera.mapper
         begins = None if known is None else begin_in(known, calibration)
         self._map, self._of_frame = CameraMap(T_base_camera, begins), frame_covariance(calibration)
         self._has_prior = known is not None and known.start is not None
@@ -201,13 +205,7 @@ class ByFusion:
             status = status if T is None else DECISIONS[in_map].status or status
         keyframe, T_keyframe_base = self._map.keyframe_at(T)
         odom = self._odom.answered if T is None else self._odom.frame_at(T, self.filter, event)
-        T_map_odom, T_filter_odom = T_map_filter, by.T_filter_odom
-        if odom.has_moved:
-            Ad, T_filter_odom = motions.adjoint(odom.T_odom_filter), odom.T_filter_odom
-            T = None if T is None else motions.times(odom.T_odom_filter, T)
-            C = None if C is None else Ad @ C @ Ad.T
-            T_map_odom = motions.times(np.ascontiguousarray(T_map_filter), T_filter_odom)
-        return replace(
+        decided = replace(
             by,
             status=status,
             T_odom_body=T,
@@ -218,9 +216,9 @@ class ByFusion:
             covariance_map=covariance_map,
             keyframe=keyframe,
             T_keyframe_body=T_keyframe_base,
-            T_map_odom=T_map_odom,
-            T_filter_odom=T_filter_odom,
+            T_map_odom=T_map_filter,
         )
+        return odom.framed(decided)
 
     def _update_wheels(self, reading: WheelReading) -> tuple[Estimate | None, str]:
         wheels, note = self._base.process(reading)
@@ -447,16 +445,6 @@ class ByFusion:
         return self._places is not None and stamp_s < self._places.begin_s
 
     @property
-    def odometry(self) -> CameraOdometry:
-        """Odometry of the camera."""
-        return self._camera.odometry
-
-    @property
-    def mapper(self) -> MapBuilder | None:
-        """Builder of the surfel map, if the settings ask for one."""
-        return self._camera.mapper
-
-    @property
     def T_odom_map(self) -> FloatArray:
         """(4, 4) current pose of the map of camera and surfels."""
         return motions.times(self._odom.answered.T_odom_filter, self._map.T_odom_map)
@@ -491,6 +479,7 @@ class BaseSensors:
 
     Attributes:
         problem: why the wheels are not used, or "".
+        noise_s: uncertainty of the times of readings.
     """
 
     def __init__(self, calibration: Calibration, settings: WheelSettings) -> None:
@@ -500,7 +489,7 @@ class BaseSensors:
         self._times = ReadingTimes(calibration.any_wheels)
         self.hears = self._with_gyro.hears
         self.uses_gyro, self.has_gyro, self._was_trusted = settings.gyro, False, False
-        self.problem = ""
+        self.problem, self.noise_s = "", self._times.noise_s
         self._last_s = -math.inf
 
     @property
@@ -508,16 +497,12 @@ class BaseSensors:
         """Fault of the gyroscope, as a sentence."""
         return self._with_gyro.warnings
 
-    @property
-    def noise_s(self) -> float:
-        """Uncertainty of the times of readings, seconds."""
-        return self._times.noise_s
-
     def process(self, reading: WheelReading) -> tuple[WheelEstimate, str]:
         """Return the estimate of the wheels alone, stamped by the time of the motion, and a note on the gyroscope."""
         self._last_s = reading.stamp_s
         if not isinstance(reading, WheelSpeeds):  # speeds have no distances by which to find the time
             reading = replace(reading, stamp_s=self._times.time_of(reading))
+            self.noise_s = self._times.noise_s
         wheels = self._wheels.process(reading)
         if self.has_gyro:
             return wheels, self._with_gyro.process(reading)[1]
@@ -696,7 +681,8 @@ class CameraMap:
         """Accept the camera's pose in the map at a frame; `T_odom_base` is the base's pose when its image was taken."""
         self.T_map_camera, self.seen_s = seen.T_odom_body, stamp_s
         self._tracked_s, self._is_contradicted = stamp_s, False
-        self.lay(T_odom_base)
+        if self.T_map_camera is not None and T_odom_base is not None:
+            self._lay(motions.times(T_odom_base, self._T_base_camera), self.T_map_camera)
         if seen.keyframe is not None and seen.T_keyframe_body is not None and seen.T_odom_body is not None:
             self.keyframe = seen.keyframe
             self._T_keyframe_map = motions.times(seen.T_keyframe_body, motions.inverse(seen.T_odom_body))

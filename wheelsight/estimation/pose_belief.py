@@ -388,10 +388,10 @@ class PoseBelief:
 
     def reference(self, name: str) -> int:
         """Return the index in `T` of the remembered pose `name`. Raises KeyError."""
-        place = self.place_of(name)
-        if not place:
-            raise KeyError(name)
-        return place
+        for place, pose in enumerate(self.remembered, 1):
+            if pose.name == name:
+                return place
+        raise KeyError(name)
 
     def seen_from(self, name: str, T_base_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return T_reference_current (4, 4) of the camera since the pose `name`, and its covariance (6, 6)."""

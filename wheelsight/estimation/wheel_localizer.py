@@ -1,27 +1,20 @@
-"""ByWheels: dead reckoning with the wheels. OdomFrame: the transform from `odom` to the frame of a filter.
-
-The pose of a filter jumps when its estimate of the past changes, for instance after slip or with a new bias of the
-gyroscope. The robot has not jumped. In `odom` it moves by the estimated motion alone, and the transform between both
-frames takes the jump (REP 105).
-"""
+"""ByWheels: dead reckoning with the wheels, and with a gyroscope once it agrees with them."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
-from typing import Any, TypeVar
 
 import numpy as np
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.clocks import Untimed
-from wheelsight.core.estimates import Estimate, Reason, Status, WheelEstimate
+from wheelsight.core.estimates import Reason, Status, WheelEstimate
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.messages import WHEEL_READINGS, Event, WheelReading, YawRate
+from wheelsight.estimation.filter import OdomFrame
 from wheelsight.wheels import AnyWheelOdometry, GyroCheck, HolonomicOdometry, WheelSettings, YawRateMeter, odometry_of
 
-AnyEstimate = TypeVar("AnyEstimate", bound=Estimate)
 _STILL = np.eye(4)
 _REPLAYED_S = 2.0  # driven again by the wheels alone if the gyroscope fails; longer than that takes to detect
 
@@ -139,54 +132,3 @@ class ByWheels:
 def slip_note(odometry: HolonomicOdometry) -> str:
     """Return a note on slip if the wheels contradict each other, else an empty one."""
     return "a wheel slips: the wheels contradict each other" if odometry.is_slipping else ""
-
-
-class OdomFrame:
-    """Transform between `odom` and the frame of a filter; see the module.
-
-    It is planar: the filter estimates height and tilt of each pose directly.
-
-    Attributes:
-        T_odom_filter, T_filter_odom: (4, 4) pose of the filter's frame in `odom`, and its inverse.
-        has_moved: whether `odom` is no longer the filter's frame.
-    """
-
-    def __init__(self) -> None:
-        self.T_filter_odom: FloatArray = _STILL
-        self.T_odom_filter: FloatArray = _STILL
-        self.has_moved = False
-
-    def T_odom_body(self, T_filter_body: FloatArray) -> FloatArray:
-        """Convert a pose (4, 4) of the filter to `odom`."""
-        return np.asarray(motions.times(self.T_odom_filter, T_filter_body))
-
-    def lay(self, T_filter_body: FloatArray, T_odom_body: FloatArray) -> None:
-        """Set the transform by one pose in both frames, (4, 4) each; only x, y and yaw count."""
-        self.T_filter_odom = motions.times(_planar(T_filter_body), motions.inverse(_planar(T_odom_body)))
-        self.T_odom_filter, self.has_moved = motions.inverse(self.T_filter_odom), True
-
-    def framed(self, answer: AnyEstimate) -> AnyEstimate:
-        """Return a filter's estimate in `odom`; its poses in the map and in the filter's frame do not change."""
-        if not self.has_moved:
-            return answer
-        T, C, Ad = answer.T_odom_body, answer.covariance, motions.adjoint(self.T_odom_filter)
-        fields: dict[str, Any] = {
-            "T_map_odom": motions.times(np.ascontiguousarray(answer.T_map_odom), self.T_filter_odom),
-            "T_filter_odom": self.T_filter_odom,
-            "T_odom_body": None if T is None else self.T_odom_body(T),
-            "covariance": None if C is None else Ad @ C @ Ad.T,
-        }
-        if isinstance(answer, WheelEstimate) and answer.before is not None:
-            stamp_s, T_before, C_before = answer.before
-            fields["before"] = (stamp_s, self.T_odom_body(T_before), Ad @ C_before @ Ad.T)
-        return replace(answer, **fields)
-
-
-def _planar(T: FloatArray) -> FloatArray:
-    """Return the planar part of a motion (4, 4): x, y and yaw."""
-    planar, yaw_rad = np.eye(4), math.atan2(T[1, 0], T[0, 0])
-    planar[0, 0] = planar[1, 1] = math.cos(yaw_rad)
-    planar[1, 0] = math.sin(yaw_rad)
-    planar[0, 1] = -planar[1, 0]
-    planar[:2, 3] = T[:2, 3]
-    return planar

@@ -69,7 +69,11 @@ def adjoint(T: ArrayLike) -> FloatArray:
     R = T[..., :3, :3]
     Ad = np.zeros((*T.shape[:-2], 6, 6))
     Ad[..., :3, :3] = Ad[..., 3:, 3:] = R
-    Ad[..., :3, 3:] = so3.hat(T[..., :3, 3]) @ R
+    if T.ndim == 2:  # in plain numbers, as `so3.hat`
+        x, y, z = T[:3, 3].tolist()
+        Ad[:3, 3:] = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ R
+    else:
+        Ad[..., :3, 3:] = so3.hat(T[..., :3, 3]) @ R
     return Ad
 
 
@@ -91,8 +95,10 @@ def compose(*motions: ArrayLike) -> FloatArray:
 def invert(T: ArrayLike) -> FloatArray:
     """`T_b_a` (..., 4, 4) of `T_a_b` (..., 4, 4), by transposing the rotation."""
     T = np.asarray(T, float)
-    Rt = np.swapaxes(T[..., :3, :3], -1, -2)
-    return from_parts(Rt, -(Rt @ T[..., :3, 3, None])[..., 0])
+    Rt, inverse = np.swapaxes(T[..., :3, :3], -1, -2), np.zeros(T.shape)
+    inverse[..., :3, :3], inverse[..., :3, 3] = Rt, -(Rt @ T[..., :3, 3, None])[..., 0]
+    inverse[..., 3, 3] = 1.0
+    return inverse
 
 
 def apply(T: ArrayLike, p: ArrayLike) -> FloatArray:

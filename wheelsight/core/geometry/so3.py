@@ -80,15 +80,15 @@ def left_jacobian(omega: ArrayLike) -> FloatArray:
     Closed form of Barfoot, State Estimation for Robotics (2017), eq. 7.77; series near zero.
     """
     omega = np.asarray(omega, float)
-    W = hat(omega)
     if omega.ndim == 1:  # in plain numbers, as `_quaternion_of`
         x, y, z = omega.tolist()
+        W = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         angle_rad = math.sqrt(x * x + y * y + z * z)
         a, b = 0.5, 1 / 6 - angle_rad**2 / 120
         if angle_rad >= _SMALL_ANGLE_RAD:
             a, b = 2 * (math.sin(angle_rad / 2) / angle_rad) ** 2, (angle_rad - math.sin(angle_rad)) / angle_rad**3
         return np.asarray(np.eye(3) + a * W + b * (W @ W))
-    theta = np.linalg.norm(omega, axis=-1)[..., None, None]
+    W, theta = hat(omega), np.linalg.norm(omega, axis=-1)[..., None, None]
     first = 0.5 * np.sinc(theta / (2 * np.pi)) ** 2  # (1 - cos θ) / θ² without its cancellation
     small = theta < _SMALL_ANGLE_RAD
     t = np.where(small, 1.0, theta)
