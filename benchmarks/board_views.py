@@ -19,7 +19,7 @@ from wheelsight.core.depth_errors import DepthError
 from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, PinholeCamera, se3, so3
 from wheelsight.vision.camera_calibration.board import Board, board_from
 from wheelsight.vision.camera_calibration.calibration import reading_m
-from wheelsight.vision.camera_calibration.views import Corners, View, ViewSet
+from wheelsight.vision.camera_calibration.views import BoardView, Corners, ViewSet
 
 BOARD = board_from("8x5:60mm")  # on A2
 _PLATE_M = 0.09
@@ -130,7 +130,7 @@ RIGS: dict[str, Callable[[np.random.Generator], Rig]] = {
 
 def board_views(rig: Rig, rng: np.random.Generator, count: int = 40, board: Board = BOARD) -> ViewSet:
     """So many views of a board on a plate, all over image and distances, tilted by up to 40°."""
-    views: list[View] = []
+    views: list[BoardView] = []
     while len(views) < count:
         T = _pose(rig, rng, board)
         color = board_corners(rig.color, T, rig.corner_sigma_px, board, rng)
@@ -139,7 +139,7 @@ def board_views(rig: Rig, rng: np.random.Generator, count: int = 40, board: Boar
         if color is None:
             continue
         reading = depth_image(rig, T_depth, rng, board)
-        views.append(View(f"{len(views):04d}", color, infrared if rig.has_infrared else None, reading))
+        views.append(BoardView(f"{len(views):04d}", color, infrared if rig.has_infrared else None, reading))
     color_size, depth_size = ((camera.width, camera.height) for camera in (rig.color, rig.depth))
     return ViewSet(tuple(views), color_size, depth_size, is_disparity=rig.is_disparity)
 

@@ -211,7 +211,7 @@ def measure_real(data: Path) -> CameraCalibration | None:
     if not folder.is_dir():
         return None
     board = board_from("7x4:?")
-    seen = read_views([folder], board, _FOR_REAL.detection)
+    seen = read_views([folder], board)
     return calibrate_camera(seen, board, CameraSetup(on_plate=True), _FOR_REAL)
 
 

@@ -96,7 +96,6 @@ from wheelsight.slam.maps import MapFolder, driven_way, info_of, occupancy_of, r
 from wheelsight.slam.maps.folder import OCCUPANCY_FILE
 from wheelsight.slam.maps.keyframes import DepthSteps
 from wheelsight.vision.camera_calibration.board import board_from
-from wheelsight.vision.camera_calibration.settings import DetectionSettings
 from wheelsight.vision.camera_calibration.views import read_views
 from wheelsight.wheels.umbmark import read_return_errors
 from wheelsight_sim import read_manual_velocities
@@ -658,7 +657,7 @@ def _board_views() -> Files:
 
 
 def _read_board_views(folder: Path) -> None:
-    read_views([folder], board_from("6x5:30mm"), DetectionSettings())
+    read_views([folder], board_from("6x5:30mm"))
 
 
 def _serial_frames() -> bytes:

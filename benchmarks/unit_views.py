@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.board_views import BOARD, board_corners, on_plate
 from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera, se3, so3
 from wheelsight.vision.camera_calibration.board import Board
-from wheelsight.vision.camera_calibration.views import View, ViewSet
+from wheelsight.vision.camera_calibration.views import BoardView, ViewSet
 from wheelsight_sim import CameraUnit, camera_model, realism_of, stream, unit_of
 from wheelsight_sim.depth_sensor import DepthDistortion
 from wheelsight_sim.scene import View as Seen
@@ -45,12 +45,12 @@ class BoardBench:
 
         Depth images are as the unit's driver registers them; no infrared image is taken.
         """
-        views: list[View] = []
+        views: list[BoardView] = []
         while len(views) < count:
             T = self._pose(rng)
             corners = board_corners(self.lens, T, CORNER_SIGMA_PX, self.board, rng)
             if corners is not None:
-                views.append(View(f"{len(views):04d}", corners, None, self.depth_image(T, rng)))
+                views.append(BoardView(f"{len(views):04d}", corners, None, self.depth_image(T, rng)))
         size = self.lens.width, self.lens.height
         return ViewSet(tuple(views), size, size)
 

@@ -25,7 +25,7 @@ from wheelsight.vision.camera_calibration.calibration import (
 )
 from wheelsight.vision.camera_calibration.model import CameraSetup
 from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings, RefusalSettings
-from wheelsight.vision.camera_calibration.views import Corners, View, ViewSet
+from wheelsight.vision.camera_calibration.views import BoardView, Corners, ViewSet
 
 VIEWS = 24
 # Of Kinect v1 without infrared images, depth is stated to 1 % of the distance, which is refused else.
@@ -233,17 +233,17 @@ def test_views_that_do_not_determine_it_are_refused(change, told: str) -> None:
 LENS = PinholeCamera(1280, 720, 915.0, 915.0, 639.5, 359.5)
 
 
-def corners_only(T: np.ndarray, name: str) -> View:
+def corners_only(T: np.ndarray, name: str) -> BoardView:
     px, _ = LENS.project(se3.apply(T, BOARD.points_m))
     noise = np.random.default_rng(len(name)).normal(0, 0.1, px.shape)
-    return View(name, Corners(np.arange(BOARD.count), px + noise))
+    return BoardView(name, Corners(np.arange(BOARD.count), px + noise))
 
 
-def frontal(k: int) -> View:
+def frontal(k: int) -> BoardView:
     return corners_only(se3.from_parts(np.eye(3), [0.12 * (k % 4) - 0.5, 0.08 * (k % 3) - 0.2, 0.8 + 0.1 * k]), f"f{k}")
 
 
-def middle(k: int) -> View:
+def middle(k: int) -> BoardView:
     R = so3.exp([0.4 * np.cos(k), 0.4 * np.sin(k), 0])
     return corners_only(se3.from_parts(R, np.array([0, 0, 3.0]) - R @ BOARD.points_m.mean(axis=0)), f"m{k}")
 

@@ -13,8 +13,8 @@ from camera_calibration.drawn_boards import pose, seen_board
 from wheelsight.core.errors import RecordingError
 from wheelsight.core.geometry import PinholeCamera, se3
 from wheelsight.vision.camera_calibration.board import Board, board_from
-from wheelsight.vision.camera_calibration.settings import DetectionSettings
 from wheelsight.vision.camera_calibration.views import (
+    FEWEST_CORNERS,
     Corners,
     as_grey,
     edge_width_px,
@@ -25,7 +25,6 @@ from wheelsight.vision.camera_calibration.views import (
 
 CAMERA = PinholeCamera(640, 480, 530.0, 530.0, 319.5, 239.5)
 CHECKERS, CHARUCO = board_from("9x6:35mm"), board_from("charuco:9x6:38mm:28mm")
-SETTINGS = DetectionSettings()
 
 
 def corners_of(found: Corners | str) -> Corners:
@@ -44,22 +43,22 @@ def off_px(found: Corners, board: Board, T: np.ndarray) -> float:
 @pytest.mark.parametrize(("z", "tilt_deg"), [(0.6, (0, 0)), (0.5, (25, -20)), (0.55, (-20, 30))])
 def test_corners_are_found_where_they_were_drawn(board, z, tilt_deg) -> None:
     T = pose(board, z, tilt_deg, (0.05, -0.02))
-    found = corners_of(find_corners(seen_board(board, CAMERA, T), board, SETTINGS))
+    found = corners_of(find_corners(seen_board(board, CAMERA, T), board))
     assert len(found.ids) >= 0.9 * board.count
     assert off_px(found, board, T) < 0.25
 
 
 def test_small_boards_are_found_in_an_enlarged_image() -> None:
     T = pose(CHECKERS, 2.6, (10, 15))
-    found = corners_of(find_corners(seen_board(CHECKERS, CAMERA, T, blur_px=0.4), CHECKERS, SETTINGS))
+    found = corners_of(find_corners(seen_board(CHECKERS, CAMERA, T, blur_px=0.4), CHECKERS))
     assert off_px(found, CHECKERS, T) < 0.3
 
 
 def test_half_a_charuco_board_will_do_and_half_a_checkerboard_will_not() -> None:
     aside = (0.36, 0.0)
-    half = corners_of(find_corners(seen_board(CHARUCO, CAMERA, pose(CHARUCO, 0.6, at_m=aside)), CHARUCO, SETTINGS))
-    assert SETTINGS.fewest_corners <= len(half.ids) < CHARUCO.count
-    no = find_corners(seen_board(CHECKERS, CAMERA, pose(CHECKERS, 0.6, at_m=aside)), CHECKERS, SETTINGS)
+    half = corners_of(find_corners(seen_board(CHARUCO, CAMERA, pose(CHARUCO, 0.6, at_m=aside)), CHARUCO))
+    assert FEWEST_CORNERS <= len(half.ids) < CHARUCO.count
+    no = find_corners(seen_board(CHECKERS, CAMERA, pose(CHECKERS, 0.6, at_m=aside)), CHECKERS)
     assert no == "no whole board is seen"
 
 
@@ -70,7 +69,7 @@ def test_a_blurred_board_is_told_from_a_sharp_one() -> None:
     widths = [edge_width_px(seen_board(CHECKERS, CAMERA, T, blur_px=b), corners, CHECKERS) for b in (0.7, 2.0, 4.0)]
     # 0.8 of the contrast over a Gaussian edge's slope is 2.0 σ; pixels blur by 0.65 px beside it.
     np.testing.assert_allclose(widths, [2.0 * np.hypot(b, 0.65) for b in (0.7, 2.0, 4.0)], rtol=0.15)
-    blurred = find_corners(seen_board(CHECKERS, CAMERA, T, blur_px=4.0), CHECKERS, SETTINGS)
+    blurred = find_corners(seen_board(CHECKERS, CAMERA, T, blur_px=4.0), CHECKERS)
     assert isinstance(blurred, str)
 
 
@@ -118,7 +117,7 @@ def test_each_image_that_cannot_be_used_has_its_reason(tmp_path: Path) -> None:
     large = b"BM" + bytes(12) + struct.pack("<Iiihh", 40, 30_000, 30_000, 1, 24) + bytes(40)
     (tmp_path / "large-color.bmp").write_bytes(large)
     (tmp_path / "corrupt-color.png").write_bytes((tmp_path / "good0-color.png").read_bytes()[:200])
-    seen = read_views([tmp_path], CHECKERS, SETTINGS)
+    seen = read_views([tmp_path], CHECKERS)
     assert [view.name for view in seen.views] == ["good0", "good1", "good2"]
     reasons = dict(seen.left_out)
     assert reasons["half"] == "no whole board is seen"
@@ -136,14 +135,14 @@ def test_each_image_that_cannot_be_used_has_its_reason(tmp_path: Path) -> None:
 def test_a_board_of_another_size_is_named(tmp_path: Path) -> None:
     write(tmp_path / "a-color.png", seen_board(CHECKERS, CAMERA, pose(CHECKERS, 0.7)))
     with pytest.raises(RecordingError, match="--board 9x6:SIDE"):
-        read_views([tmp_path], board_from("8x5:35mm"), SETTINGS)
+        read_views([tmp_path], board_from("8x5:35mm"))
 
 
 @pytest.mark.parametrize("name", ["missing", "empty"])
 def test_folders_without_images_are_refused_with_how_to_name_them(tmp_path: Path, name: str) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(RecordingError, match="VIEW-color"):
-        read_views([tmp_path / name], CHECKERS, SETTINGS)
+        read_views([tmp_path / name], CHECKERS)
 
 
 def test_raw_disparities_are_recognised(tmp_path: Path) -> None:
@@ -151,7 +150,7 @@ def test_raw_disparities_are_recognised(tmp_path: Path) -> None:
     raw = np.full((480, 640), 650, np.uint16)
     raw[:, :9] = 2047
     write(tmp_path / "a-depth.png", raw)
-    seen = read_views([tmp_path], CHECKERS, SETTINGS)
+    seen = read_views([tmp_path], CHECKERS)
     reading = seen.views[0].reading
     assert seen.is_disparity
     assert reading is not None

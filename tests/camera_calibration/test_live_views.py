@@ -12,14 +12,11 @@ from wheelsight.core.geometry import PinholeCamera
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.vision.camera_calibration.board import board_from
 from wheelsight.vision.camera_calibration.live_views import ViewTaker, save_view
-from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings, CoachSettings, DetectionSettings
+from wheelsight.vision.camera_calibration.settings import CoachSettings
 from wheelsight.vision.camera_calibration.views import read_views
 
 BOARD = board_from("9x6:35mm")
 CAMERA = PinholeCamera(320, 240, 265.0, 265.0, 161.0, 118.0)
-FEW = CameraCalibrationSettings(
-    coach=CoachSettings(columns=1, rows=1, near_far=1.1, tilt_deg=1.0, enough=3, more_views=2)
-)
 
 
 def frame(stamp_s: float, T: np.ndarray | None) -> RgbdFrame:
@@ -48,8 +45,12 @@ def test_a_board_that_creeps_or_goes_away_has_not_stood_still() -> None:
     assert taker.look(frame(2.5, still)) == ""
 
 
-def test_it_ends_when_nothing_is_missing_and_more_are_asked_for_where_that_was_not_enough() -> None:
-    taker = ViewTaker(BOARD, CAMERA, FEW)
+def test_it_ends_when_nothing_is_missing_and_more_are_asked_for_where_that_was_not_enough(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name, value in (("COLUMNS", 1), ("ROWS", 1), ("NEAR_FAR", 1.1), ("TILT_DEG", 1.0), ("MORE_VIEWS", 2)):
+        monkeypatch.setattr(f"wheelsight.vision.camera_calibration.live_views._{name}", value)
+    taker = ViewTaker(BOARD, CAMERA, CoachSettings(enough=3))
     poses = [pose(BOARD, z, tilt) for z, tilt in ((0.5, (10, 10)), (0.6, (-10, -10)), (0.7, (10, -10)))]
     for number, T in enumerate(poses):
         assert not taker.has_enough()
@@ -66,7 +67,7 @@ def test_a_view_is_written_as_it_is_read_and_beside_those_before(tmp_path: Path)
     shown, folder = frame(0.0, pose(BOARD, 0.6)), tmp_path / "views"
     infrared = (shown.color[..., 0].astype(np.uint16)) * 200
     assert [save_view(folder, shown, infrared), save_view(folder, shown)] == ["001", "002"]
-    seen = read_views([folder], BOARD, DetectionSettings())
+    seen = read_views([folder], BOARD)
     assert [view.name for view in seen.views] == ["001", "002"]
     first, second = seen.views
     assert first.reading is not None

@@ -9,15 +9,14 @@ import pytest
 
 from benchmarks.board_views import BOARD, RIGS, board_views
 from wheelsight.core.geometry import FloatArray, PinholeCamera, se3
-from wheelsight.vision.camera_calibration.model import Cells, Model, Points, Sigmas, filled, poses_in
-from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings
+from wheelsight.vision.camera_calibration.model import CellTable, Model, Points, Sigmas, filled, poses_in
 from wheelsight.vision.camera_calibration.solver import Residuals, solve
 from wheelsight.vision.camera_calibration.views import RAW_DISPARITY
 
 CAMERA = PinholeCamera(512, 424, 365.0, 365.0, 255.5, 211.5)
 KNOTS_M = np.linspace(0.5, 4.5, 17)
 NO_POINTS = Points(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 2)))
-NO_CELLS = Cells(np.empty(0, np.int64), np.empty((0, 2)), np.empty(0), np.empty(0))
+NO_CELLS = CellTable(np.empty(0, np.int64), np.empty((0, 2)), np.empty(0), np.empty(0))
 POSES = 3
 
 
@@ -27,10 +26,10 @@ def model_of(sensor: str) -> tuple[Model, FloatArray]:
     count = 90
     reading = rng.uniform(400, 900, count) if sensor == RAW_DISPARITY else rng.uniform(0.7, 4.0, count)
     px = rng.uniform(20, 400, (count, 2))
-    cells = Cells(np.arange(count) % POSES, px, reading, np.full(count, 1e-3))
+    cells = CellTable(np.arange(count) % POSES, px, reading, np.full(count, 1e-3))
     model = Model(
         NO_POINTS, NO_POINTS, cells, CAMERA, CAMERA, sensor, True, 0.06, (1e-3, 1e-3),
-        KNOTS_M if sensor == "tof" else np.empty(0), np.eye(4), POSES, CameraCalibrationSettings(),
+        KNOTS_M if sensor == "tof" else np.empty(0), np.eye(4), POSES,
     )  # fmt: skip
     T = np.array([se3.exp([0, 0, z, 0.2, 0.1 * z, 0]) for z in (1.0, 2.0, 3.0)])
     x = filled(model, np.zeros(model.slices()["poses"].stop), (CAMERA, CAMERA), 0.06, T)
@@ -89,7 +88,7 @@ def corners_only(seed: int, count: int) -> tuple[Model, FloatArray]:
     seen = Points(view, squares, np.concatenate([one.px for one in corners]))
     model = Model(
         seen, NO_POINTS, NO_CELLS, rig.color, rig.color, "stereo", True, BOARD.square_m, (1e-3, 0.0),
-        np.empty(0), np.eye(4), count, CameraCalibrationSettings(),
+        np.empty(0), np.eye(4), count,
     )  # fmt: skip
     T = poses_in(rig.color, corners, BOARD).T_camera_board
     T[:, :3, 3] *= BOARD.square_m
@@ -143,14 +142,14 @@ def tilted_boards(sensor: str) -> tuple[Model, FloatArray]:
     rays = np.concatenate([bent.normalise(px), np.ones((len(px), 1))], axis=1)
     n = T[view, :3, 2]
     z = (n * T[view, :3, 3]).sum(axis=1) / (n * rays).sum(axis=1)
-    cells = Cells(view, px, z, np.full(len(view), 1e-3))
+    cells = CellTable(view, px, z, np.full(len(view), 1e-3))
     corners = np.tile(BOARD.points_m / BOARD.square_m, (count, 1)) - BOARD.points_m.mean(axis=0) / BOARD.square_m
     of_board = np.repeat(np.arange(count), BOARD.count)
     p = se3.apply(T[of_board], BOARD.square_m * corners[:, None])[:, 0]
     seen = Points(of_board, corners, straight.denormalise(p[:, :2] / p[:, 2:]))
     model = Model(
         seen, NO_POINTS, cells, straight, straight, sensor, False, BOARD.square_m, (1e-3, 1e-3),
-        np.empty(0), np.eye(4), count, CameraCalibrationSettings(), keeps_color=True,
+        np.empty(0), np.eye(4), count, keeps_color=True,
     )  # fmt: skip
     return model, filled(model, np.zeros(model.slices()["poses"].stop), (straight, straight), BOARD.square_m, T)
 

@@ -161,7 +161,7 @@ class CameraTask:
 
         page, kept = page_beside(self.out, self.force), kept_in(self.out, self.calibration)
         with FrameProgress("searching boards", len(find_view_files(folders))) as progress:
-            seen = read_views(folders, self.board, self.settings.detection, self.depth_factor, progress.advance)
+            seen = read_views(folders, self.board, self.depth_factor, progress.advance)
         with show_steps() as on_step:
             found = calibrate_camera(seen, self.board, self.setup, self.settings, on_step)
         source = f"cameras calibrated by {len(found.views)} views of {found.board}"
@@ -217,7 +217,7 @@ def calibrate_live(task: CameraTask, which: str, folder: Path, settings: LiveCam
     if not any(folder.glob("*-color.png")):
         seen = []
     else:
-        seen = [view.color for view in read_views([folder], task.board, task.settings.detection).views]
+        seen = [view.color for view in read_views([folder], task.board).views]
     with until_stopped() as is_over, open_live_camera(None if which == ANY else which, settings) as camera:
         for warning in camera.warnings:
             print_warning(warning)
@@ -230,7 +230,7 @@ def calibrate_live(task: CameraTask, which: str, folder: Path, settings: LiveCam
         setup = replace(task.setup, nominal=nominal, is_registered=camera.calibration.is_registered)
         task = replace(task, setup=setup)
         assert task.setup.nominal is not None
-        taker = ViewTaker(task.board, task.setup.nominal.cameras[0], task.settings, seen)
+        taker = ViewTaker(task.board, task.setup.nominal.cameras[0], task.settings.coach, seen)
         print_note(f"{_counted(len(taker.seen))} in {folder}; {taker.advice}; Ctrl-C ends it and keeps them")
         while True:
             why = _take_views(camera, taker, folder, task.depth_factor, is_over)

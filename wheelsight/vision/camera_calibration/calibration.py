@@ -18,13 +18,16 @@ from wheelsight.core.geometry import FloatArray, IntArray, PinholeCamera, se3, s
 from wheelsight.vision.camera_calibration.board import Board
 from wheelsight.vision.camera_calibration.live_views import covered_share, distances, largest_tilt_deg
 from wheelsight.vision.camera_calibration.model import (
+    DISPARITY_OF_INFINITY,
+    NOMINAL_STEP,
+    SIGMA_SHARE,
+    CalibrationTask,
     CameraSetup,
     Counted,
     LensStart,
     Model,
     Points,
     Sigmas,
-    Task,
     apart_by_planes,
     apart_by_poses,
     filled,
@@ -36,13 +39,24 @@ from wheelsight.vision.camera_calibration.model import (
     with_cells,
 )
 from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings, RefusalSettings
-from wheelsight.vision.camera_calibration.solver import Residuals, Solution, agreeing, sigmas_of, solve
+from wheelsight.vision.camera_calibration.solver import PRIOR_APART_M, Residuals, Solution, agreeing, sigmas_of, solve
 from wheelsight.vision.camera_calibration.views import RAW_DISPARITY, Corners, ViewSet
 
 # Share of the board's outline whose depth cells count, before and after the first estimate of the poses.
 _SEED_SHARE, _BOARD_SHARE = 0.55, 0.95
 _ROUGHLY = 1e-3  # relative tolerance of the cost for fits before outliers are removed
 _AROUND_PX = 8
+_ROUNDS = 3  # fits with outliers removed between them; later rounds remove no more
+_SIGMA_PX = 0.15  # of a corner at first: OpenCV's sector-based detector has 0.1 to 0.2 on real boards
+_FEWEST_VIEWS = 6  # three determine a lens (Zhang 2000); twice as many show disagreement
+# Largest angle between two boards, without which focal length and distance are ambiguous (Zhang 2000, fig. 6: errors
+# grow steeply below 20°), and ratio of the farthest board's distance to the nearest's, to separate scale and offset of
+# depth.
+_LEAST_TILT_DEG, _LEAST_DISTANCE_RATIO = 12.0, 1.3
+_LARGEST_RMS_PX = 1.5  # of the remaining corners; more is a board of another shape
+# σ of depth at the end of its range, relative to that at the farthest board, beyond which a warning asks for boards.
+_BEYOND_FACTOR = 2.0
+_STATED_TO_M = 4.0  # range of the stated σ of depth, with boards or without
 
 
 def calibrate_camera(
@@ -60,16 +74,15 @@ def calibrate_camera(
         CalibrationError: the views do not determine the calibration; the fix names the missing views.
         ConfigError: the setup does not fit the images.
     """
-    task = Task(seen, board, setup or CameraSetup(), settings or CameraCalibrationSettings())
+    task = CalibrationTask(seen, board, setup or CameraSetup())
     task.check()
     on_step("finding the lenses")
     counted, model, x = _begin(task, Counted.of(seen))
-    keeps, refusal = task.setup.keeps_color, task.settings.refusal
-    check_lens_views(model, x, counted.color, keeps, refusal)
-    first = task.settings.detection.sigma_px
-    sigmas = Sigmas(first, first, task.settings.depth.sigma_share)
-    for turn in range(task.settings.robust.rounds):
-        on_step(f"fitting, round {turn + 1} of {task.settings.robust.rounds + 1}")
+    keeps, refusal = task.setup.keeps_color, (settings or CameraCalibrationSettings()).refusal
+    check_lens_views(model, x, counted.color, keeps, refusal.least_cover)
+    sigmas = Sigmas(_SIGMA_PX, _SIGMA_PX, SIGMA_SHARE)
+    for turn in range(_ROUNDS):
+        on_step(f"fitting, round {turn + 1} of {_ROUNDS + 1}")
         residuals = Residuals(model, sigmas)
         solution = solve(residuals, x, _ROUGHLY)
         sigmas = sigmas_of(residuals, solution.x)
@@ -82,13 +95,13 @@ def calibrate_camera(
     solution = solve(residuals, x)
     result = outcome(residuals, solution, board, counted)
     refuse_unsure(result, model, keeps, refusal)
-    return replace(result, warnings=(*result.warnings, *doubts_beyond(result, refusal)))
+    return replace(result, warnings=(*result.warnings, *warnings_beyond(result)))
 
 
-def _begin(task: Task, counted: Counted) -> tuple[Counted, Model, FloatArray]:
-    seen, nominal, fewest = task.seen, task.setup.known_cameras, task.settings.refusal.fewest_views
-    if len(counted.views) < fewest:
-        problem = f"{len(counted.views)} views show the board, fewer than {fewest}"
+def _begin(task: CalibrationTask, counted: Counted) -> tuple[Counted, Model, FloatArray]:
+    seen, nominal = task.seen, task.setup.known_cameras
+    if len(counted.views) < _FEWEST_VIEWS:
+        problem = f"{len(counted.views)} views show the board, fewer than {_FEWEST_VIEWS}"
         raise CalibrationError(problem, fix="take more: near and far, tilted each way, all over the image")
     if task.setup.keeps_color and nominal is not None:
         color = poses_in(nominal.cameras[0], counted.color, task.board)
@@ -103,13 +116,15 @@ def _begin(task: Task, counted: Counted) -> tuple[Counted, Model, FloatArray]:
         counted = with_cells(task, counted, se3.invert(T_color_depth) @ T, depth, square_m, _SEED_SHARE)
         if not seen.has_infrared and not task.setup.is_registered:
             planes = np.array([plane_of(c, task.nominal_m(c.reading), depth) for c in counted.cells])
-            T_color_depth = apart_by_planes(T, planes, task.settings.prior.apart_m, T_color_depth)
+            T_color_depth = apart_by_planes(T, planes, PRIOR_APART_M, T_color_depth)
     model = model_of(task, counted, (color.camera, depth), T_color_depth)
     x = np.zeros(model.slices()["poses"].stop)
     return counted, model, filled(model, x, (color.camera, depth), square_m, T)
 
 
-def _depth_start(task: Task, counted: Counted, color: LensStart) -> tuple[Counted, PinholeCamera, FloatArray]:
+def _depth_start(
+    task: CalibrationTask, counted: Counted, color: LensStart
+) -> tuple[Counted, PinholeCamera, FloatArray]:
     """Initial depth lens and T_color_depth, and infrared corners in the numbering of colour."""
     seen, nominal = task.seen, task.setup.known_cameras
     if seen.depth_size is None or task.setup.is_registered:
@@ -137,7 +152,7 @@ def _scaled(T: FloatArray, square_m: float) -> FloatArray:
     return se3.from_parts(T[..., :3, :3], T[..., :3, 3] * square_m)
 
 
-def _square_by_depth(task: Task, counted: Counted, depth: PinholeCamera, T_color_board: FloatArray) -> float:
+def _square_by_depth(task: CalibrationTask, counted: Counted, depth: PinholeCamera, T_color_board: FloatArray) -> float:
     """Side of a square by depth in the middle of the boards, the median over views."""
     found = []
     for view, T in zip(counted.views, T_color_board, strict=True):
@@ -156,11 +171,11 @@ def _square_by_depth(task: Task, counted: Counted, depth: PinholeCamera, T_color
 
 
 def _again(
-    task: Task, before: Counted, counted: Counted, model: Model, solution: Solution, *, is_first: bool
+    task: CalibrationTask, before: Counted, counted: Counted, model: Model, solution: Solution, *, is_first: bool
 ) -> tuple[Counted, Model, FloatArray]:
     """The model of the remaining views with the present parameters; the first round recomputes depth cells."""
-    x, fewest = solution.x, task.settings.refusal.fewest_views
-    if len(counted.views) < fewest:
+    x = solution.x
+    if len(counted.views) < _FEWEST_VIEWS:
         names = ", ".join(f"{name}: {reason}" for name, reason in counted.left_out[-2:])
         problem = f"only {len(counted.views)} views agree with each other; left out {names}"
         raise CalibrationError(problem, fix="hold board and camera still, and take more views")
@@ -182,24 +197,24 @@ def _again(
 
 
 def check_lens_views(
-    model: Model, x: FloatArray, corners: Sequence[Corners], keeps_color: bool, settings: RefusalSettings
+    model: Model, x: FloatArray, corners: Sequence[Corners], keeps_color: bool, least_cover: float
 ) -> None:
     """Raise CalibrationError if the geometry of the views leaves parameters undetermined; it names all causes."""
     T = se3.from_parts(*model.poses_of(x))
     problems, fixes = [], []
     if not keeps_color:
         tilt_deg = largest_tilt_deg(T)
-        if tilt_deg < settings.least_tilt_deg:
+        if tilt_deg < _LEAST_TILT_DEG:
             problems.append(f"all boards face the same way (tilts differ by {tilt_deg:.0f}°)")
             fixes.append("tilt the board by 30° to each side, up and down")
         size = model.color_start.width, model.color_start.height
         cover = covered_share([seen.px for seen in corners], size)
-        if cover < settings.least_cover:
+        if cover < least_cover:
             problems.append(f"boards are seen in {100 * cover:.0f} % of the image alone")
             fixes.append("bring the board near, and into every corner of the image; or --keep-color")
     if len(model.cells.px):
         nearest, farthest = distances(T)
-        if farthest < settings.least_distance_ratio * nearest:
+        if farthest < _LEAST_DISTANCE_RATIO * nearest:
             problems.append(f"all boards are {nearest:.2f} to {farthest:.2f} m away")
             fixes.append("add views from twice as far")
     if problems:
@@ -208,7 +223,7 @@ def check_lens_views(
 
 def refuse_unsure(found: CameraCalibration, model: Model, keeps_color: bool, settings: RefusalSettings) -> None:
     """Raise CalibrationError if a result is too uncertain; it names each parameter and its σ."""
-    if found.color_residuals.rms_px > settings.largest_rms_px:
+    if found.color_residuals.rms_px > _LARGEST_RMS_PX:
         problem = f"corners are {found.color_residuals.rms_px:.1f} px off what any lens explains"
         raise CalibrationError(problem, fix="check the counts of --board, that it is flat, and that nothing moved")
     sigmas, limits = found.sigmas, []
@@ -231,14 +246,14 @@ def refuse_unsure(found: CameraCalibration, model: Model, keeps_color: bool, set
         raise CalibrationError(f"the views do not determine: {', '.join(unsure)}", fix=fix)
 
 
-def doubts_beyond(found: CameraCalibration, settings: RefusalSettings) -> tuple[str, ...]:
+def warnings_beyond(found: CameraCalibration) -> tuple[str, ...]:
     """A warning if σ of depth beyond the farthest board is much larger than at that board."""
     if not len(found.depth_sigma_m):
         return ()
     farthest_m = _farthest_m(found)
     at_board_m = float(np.interp(farthest_m, *found.depth_sigma_m.T))
     end_m, at_end_m = found.depth_sigma_m[-1].tolist()
-    if at_end_m <= settings.beyond_factor * at_board_m:
+    if at_end_m <= _BEYOND_FACTOR * at_board_m:
         return ()
     known = f"Depth is known to {1e3 * at_board_m:.0f} mm where boards end, at {farthest_m:.1f} m,"
     return (f"{known} and to {1e3 * at_end_m:.0f} mm at {end_m:.1f} m: add boards that far if depth is used there.",)
@@ -431,7 +446,7 @@ def _depth_residuals(residuals: Residuals, x: FloatArray) -> DepthResiduals:
     depth_m = corrected - off_m
     raw = model.cells.reading
     if model.sensor == RAW_DISPARITY:
-        raw = 1 / np.maximum(-model.nominal_step * (model.settings.model.disparity_of_infinity - raw), 1e-3)
+        raw = 1 / np.maximum(-NOMINAL_STEP * (DISPARITY_OF_INFINITY - raw), 1e-3)
     return DepthResiduals(model.cells.view, model.cells.px, depth_m, off_m, raw - depth_m)
 
 
@@ -445,7 +460,7 @@ def _depth_sigma(residuals: Residuals, solution: Solution, depth: DepthResiduals
     if not len(depth.depth_m) or at.stop == at.start:
         return np.empty((0, 2))
     nearest_m, farthest_m = np.percentile(depth.depth_m, (1, 99)).tolist()
-    distances_m = np.linspace(nearest_m, max(farthest_m, model.settings.model.stated_to_m), _DISTANCES)
+    distances_m = np.linspace(nearest_m, max(farthest_m, _STATED_TO_M), _DISTANCES)
     camera, error = model.depth_camera(x), model.error_of(x)
     px = grid_px(camera, 3, 3)
     readings = readings_for(error, np.repeat(distances_m, len(px)), np.tile(px, (_DISTANCES, 1)), camera)
@@ -496,7 +511,7 @@ def _pixel_noise(residuals: Residuals, depth: DepthResiduals) -> tuple[float, fl
     model = residuals.model
     sigma_m = model.cells.scatter * depth.depth_m**2
     if model.sensor == RAW_DISPARITY:
-        sigma_m = sigma_m * -model.nominal_step
+        sigma_m = sigma_m * -NOMINAL_STEP
     constant, quadratic = model.noise
     factor = float(np.median(sigma_m / (constant + quadratic * depth.depth_m**2)))
     return factor * constant, factor * quadratic
@@ -520,7 +535,7 @@ def point_modes(model: Model, solution: Solution) -> PointErrors:
     x, at = solution.x, model.slices()
     blocks = ("color", "error") if model.is_registered else ("depth", "apart", "error")
     columns = [k for name in blocks for k in range(at[name].start, at[name].stop)]
-    points_of = _points_of(model, x, model.settings.model.stated_to_m)
+    points_of = _points_of(model, x, _STATED_TO_M)
     here = points_of(x)
     moved = np.stack([(points_of(_moved(x, k)) - here) / _STEP for k in columns])
     modes = mode_of(here, moved)

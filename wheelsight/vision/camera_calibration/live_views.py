@@ -15,13 +15,22 @@ from wheelsight.core.messages import RgbdFrame
 from wheelsight.io.recordings.images import write_color, write_units
 from wheelsight.vision.camera_calibration.board import Board
 from wheelsight.vision.camera_calibration.model import poses_in, usual_lens
-from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings, CoachSettings
+from wheelsight.vision.camera_calibration.settings import CoachSettings
 from wheelsight.vision.camera_calibration.views import Corners, as_grey, find_corners
 
 # Views of a board from a live camera: taken by themselves where the board stands still and shows something new.
 
 
 _NONE = np.iinfo(np.uint16).max
+
+# A live view is still if half of the corners move by less than this share of the image's width, 1 px of 640, for this
+# time: depth that cameras average over frames is then of one place. It is new if a corner moved by the last share since
+# each view before. Chosen.
+_STILL_SHARE, _STILL_S, _NEW_SHARE = 0.0015, 0.4, 0.02
+_MORE_VIEWS = 5  # live views after which a refused calibration is tried again
+# Tilt to each of four sides (Zhang 2000: errors are least about 45°, those of corners at 25°), columns and rows of the
+# image that boards should reach, and ratio of the farthest to the nearest board; chosen.
+_TILT_DEG, _COLUMNS, _ROWS, _NEAR_FAR = 25.0, 3, 3, 2.0
 
 
 class ViewTaker:
@@ -30,7 +39,7 @@ class ViewTaker:
     Args:
         board: that is shown.
         lens: of colour, as it is known before.
-        settings: of detection and coach.
+        settings: how many views are enough.
         seen: corners of views that are there already.
 
     Attributes:
@@ -41,10 +50,10 @@ class ViewTaker:
         self,
         board: Board,
         lens: PinholeCamera,
-        settings: CameraCalibrationSettings | None = None,
+        settings: CoachSettings | None = None,
         seen: Sequence[Corners] = (),
     ) -> None:
-        self._board, self._lens, self._settings = board, lens, settings or CameraCalibrationSettings()
+        self._board, self._lens, self._settings = board, lens, settings or CoachSettings()
         self.seen = list(seen)
         self._still: tuple[float, Corners] | None = None
         self._more = 0
@@ -53,7 +62,7 @@ class ViewTaker:
     def advice(self) -> Advice:
         """What to show next."""
         size = self._lens.width, self._lens.height
-        return advise(self.seen, self._board, size, self._settings.coach, self._lens)
+        return advise(self.seen, self._board, size, self._settings, self._lens)
 
     def has_enough(self) -> bool:
         """Whether nothing is missing, and as many views came since `ask_more` as were asked for."""
@@ -61,20 +70,20 @@ class ViewTaker:
 
     def ask_more(self) -> None:
         """Ask for more views after a calibration that was undetermined."""
-        self._more = len(self.seen) + self._settings.coach.more_views
+        self._more = len(self.seen) + _MORE_VIEWS
 
     def look(self, frame: RgbdFrame) -> str:
         """The reason why a frame is no new view, or "" after it is added."""
-        found = find_corners(as_grey(frame.color[..., ::-1]), self._board, self._settings.detection)
+        found = find_corners(as_grey(frame.color[..., ::-1]), self._board)
         if isinstance(found, str):
             self._still = None
             return found
-        coach, width = self._settings.coach, self._lens.width
-        if self._still is None or np.median(_apart_px(found, self._still[1])) > coach.still_share * width:
+        width = self._lens.width
+        if self._still is None or np.median(_apart_px(found, self._still[1])) > _STILL_SHARE * width:
             self._still = frame.stamp_s, found
-        if any(_apart_px(found, other).max() < coach.new_share * width for other in self.seen):
+        if any(_apart_px(found, other).max() < _NEW_SHARE * width for other in self.seen):
             return "such a view is there already: move the board"
-        if frame.stamp_s - self._still[0] < coach.still_s:
+        if frame.stamp_s - self._still[0] < _STILL_S:
             return "hold still"
         self.seen.append(found)
         return ""
@@ -141,7 +150,7 @@ def advise(
     lens: PinholeCamera | None = None,
 ) -> Advice:
     """What to show next, after the corners seen so far in images of `size`; `lens`: known, or a usual one is taken."""
-    settings = settings or CoachSettings()
+    enough = (settings or CoachSettings()).enough
     if not seen:
         return Advice(("the whole board, in the middle of the image",), 0.0, np.nan, np.nan, (0.0, 0.0, 0.0, 0.0))
     T = poses_in(lens or usual_lens(size), seen, board).T_camera_board
@@ -156,16 +165,24 @@ def advise(
     tilts = left, right, top, bottom
     sides = ("left side", "right side", "upper edge", "lower edge")
     missing = [
-        f"the board's {side} nearer to the camera, by about {settings.tilt_deg:.0f}°"
+        f"the board's {side} nearer to the camera, by about {_TILT_DEG:.0f}°"
         for side, tilt in zip(sides, tilts, strict=True)
-        if tilt < 0.8 * settings.tilt_deg
+        if tilt < 0.8 * _TILT_DEG
     ]
-    missing += _places_missing(seen, size, settings)
-    if farthest_m < settings.near_far * nearest_m:
+    px = np.concatenate([corners.px for corners in seen])
+    cells = np.floor(px * (_COLUMNS / size[0], _ROWS / size[1])).astype(int).clip(0, (_COLUMNS - 1, _ROWS - 1))
+    there = {(int(u), int(v)) for u, v in cells}
+    missing += [
+        f"the board in the {_place(u, v)} of the image"
+        for v in range(_ROWS)
+        for u in range(_COLUMNS)
+        if (u, v) not in there
+    ]
+    if farthest_m < _NEAR_FAR * nearest_m:
         word = "nearer" if cover < 0.5 else "farther away"
         missing.insert(0, f"{word}: boards are all {nearest_m:.2g} to {farthest_m:.2g} m away")
-    if not missing and len(seen) < settings.enough:
-        missing.append(f"more like these: {len(seen)} of {settings.enough} views")
+    if not missing and len(seen) < enough:
+        missing.append(f"more like these: {len(seen)} of {enough} views")
     return Advice(tuple(missing), cover, nearest_m, farthest_m, tilts)
 
 
@@ -188,22 +205,9 @@ def distances(T_camera_board: FloatArray) -> tuple[float, float]:
     return float(z.min()), float(z.max())
 
 
-def _places_missing(seen: Sequence[Corners], size: tuple[int, int], settings: CoachSettings) -> list[str]:
-    columns, rows = settings.columns, settings.rows
-    px = np.concatenate([corners.px for corners in seen])
-    cells = np.floor(px * (columns / size[0], rows / size[1])).astype(int).clip(0, (columns - 1, rows - 1))
-    there = {(int(u), int(v)) for u, v in cells}
-    return [
-        f"the board in the {_place(u, v, columns, rows)} of the image"
-        for v in range(rows)
-        for u in range(columns)
-        if (u, v) not in there
-    ]
-
-
-def _place(u: int, v: int, columns: int, rows: int) -> str:
-    x = _WHERE_X[1 + int(np.sign(2 * u - columns + 1))]
-    y = _WHERE_Y[1 + int(np.sign(2 * v - rows + 1))]
+def _place(u: int, v: int) -> str:
+    x = _WHERE_X[1 + int(np.sign(2 * u - _COLUMNS + 1))]
+    y = _WHERE_Y[1 + int(np.sign(2 * v - _ROWS + 1))]
     if x and y:
         return f"{y} {x} corner"
     return f"{x} part" if x else f"{y} part" if y else "middle"

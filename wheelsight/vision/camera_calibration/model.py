@@ -1,5 +1,5 @@
-"""`Task` states a calibration problem. `Model` holds its parameters, and `model_of` builds it from views with
-initial values of lenses and poses.
+"""`CalibrationTask` states a calibration problem. `Model` holds its parameters, and `model_of` builds it from views
+with initial values of lenses and poses.
 """
 
 from __future__ import annotations
@@ -17,11 +17,17 @@ from wheelsight.core.depth_errors import LARGEST_GRID, DepthError
 from wheelsight.core.errors import CalibrationError, ConfigError
 from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, IntArray, PinholeCamera, se3, so3
 from wheelsight.vision.camera_calibration.board import Board
-from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings, DepthSampleSettings
-from wheelsight.vision.camera_calibration.views import RAW_DISPARITY, SENSORS, Corners, DepthCells, View, ViewSet
+from wheelsight.vision.camera_calibration.views import RAW_DISPARITY, SENSORS, BoardView, Corners, DepthCells, ViewSet
 
 _USUAL_SQUARE_M = 0.05  # initial value without known size
-_KINECT_FOCAL_PX, _STEPS_PER_PX = 586.0, 8
+# Inverse depth, 1/m, of one raw disparity, nominally an eighth of a pixel for Kinect v1 with its baseline of 75 mm
+# (Khoshelham & Elberink 2012), and the raw disparity of infinite distance (Konolige & Mihelich 2011).
+NOMINAL_STEP, DISPARITY_OF_INFINITY = -1 / (8 * 586.0 * 0.075), 1090.0
+# Rows and columns of knots of the pattern: Kinect v1's error is similar over 80 px.
+_PATTERN_GRID = 6, 8
+# Step of the knots of the curve over distance, whose error for Kinect v2 swings once in 1.9 m (Lachat et al. 2015), and
+# its range: Kinect v2's by its maker, or that of the boards if larger.
+_CURVE_STEP_M, _CURVE_FROM_M, _CURVE_TO_M = 0.25, 0.5, 4.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,13 +55,12 @@ class CameraSetup:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Task:
-    """A calibration problem: views of a board, prior knowledge of the cameras, and settings."""
+class CalibrationTask:
+    """A calibration problem: views of a board, and prior knowledge of the cameras."""
 
     seen: ViewSet
     board: Board
     setup: CameraSetup
-    settings: CameraCalibrationSettings
 
     @property
     def squares(self) -> FloatArray:
@@ -67,18 +72,11 @@ class Task:
         """The side of a square, or an initial value if it is unknown."""
         return self.board.square_m if self.board.is_size_known else _USUAL_SQUARE_M
 
-    @property
-    def nominal_step(self) -> float:
-        """Inverse depth, 1/m, of one raw disparity; see `nominal_step`."""
-        return nominal_step(self.settings)
-
     def nominal_m(self, reading: FloatArray) -> FloatArray:
         """Readings in metres; raw disparities by the nominal model."""
         if not self.seen.is_disparity:
             return reading
-        return np.asarray(
-            1 / np.maximum(-self.nominal_step * (self.settings.model.disparity_of_infinity - reading), 1e-3)
-        )
+        return np.asarray(1 / np.maximum(-NOMINAL_STEP * (DISPARITY_OF_INFINITY - reading), 1e-3))
 
     def check(self) -> None:
         """Raise ConfigError for a setup that does not fit the images."""
@@ -100,11 +98,6 @@ class Task:
         _check_size("colour", seen.color_size, color)
         if seen.depth_size is not None and not setup.is_registered:
             _check_size("depth", seen.depth_size, depth)
-
-
-def nominal_step(settings: CameraCalibrationSettings) -> float:
-    """Inverse depth, 1/m, of one raw disparity: nominally an eighth of a pixel for Kinect v1."""
-    return -1 / (_STEPS_PER_PX * _KINECT_FOCAL_PX * settings.model.baseline_m)
 
 
 def size_text(size: tuple[int, int]) -> str:
@@ -130,7 +123,7 @@ class Counted:
         dropped_corners, dropped_cells: numbers of removed outliers.
     """
 
-    views: tuple[View, ...]
+    views: tuple[BoardView, ...]
     color: tuple[Corners, ...]
     infrared: tuple[Corners | None, ...]
     cells: tuple[DepthCells, ...]
@@ -175,7 +168,7 @@ class Points(NamedTuple):
     px: FloatArray
 
 
-class Cells(NamedTuple):
+class CellTable(NamedTuple):
     """Depth cells of all views: view (N,), pixel (N, 2), reading (N,), a pixel's scatter in it (N,)."""
 
     view: IntArray
@@ -206,13 +199,12 @@ class Model:
         knots_m: distances (K,) of the knots of the depth curve, if there is one.
         T_color_depth: (4, 4) initial value.
         count: number of views.
-        settings: priors and grids.
         keeps_color: whether the colour lens is known and stays.
     """
 
     color: Points
     infrared: Points
-    cells: Cells
+    cells: CellTable
     color_start: PinholeCamera
     depth_start: PinholeCamera
     sensor: str
@@ -222,7 +214,6 @@ class Model:
     knots_m: FloatArray
     T_color_depth: FloatArray
     count: int
-    settings: CameraCalibrationSettings
     keeps_color: bool = False
 
     def slices(self) -> dict[str, slice]:
@@ -245,7 +236,7 @@ class Model:
             return 3 + len(self.knots_m)
         if self.sensor == "stereo":
             return 3
-        return BEFORE_KNOTS + 2 * self.grid[0] * self.grid[1]
+        return BEFORE_KNOTS + 2 * _PATTERN_GRID[0] * _PATTERN_GRID[1]
 
     @property
     def seeks_depth_distortion(self) -> bool:
@@ -259,7 +250,7 @@ class Model:
     @property
     def grid(self) -> tuple[int, int]:
         """Rows and columns of the pattern's knots."""
-        return self.settings.model.pattern_rows, self.settings.model.pattern_columns
+        return _PATTERN_GRID
 
     @property
     def has_pattern(self) -> bool:
@@ -307,17 +298,12 @@ class Model:
         pattern, lasting = (tuple(tuple(row) for row in rows) for rows in patterns)
         fade_m = float(np.clip(p[2], 0, 10))
         if self.sensor == RAW_DISPARITY:
-            step = self.nominal_step * float(np.exp(p[0]))
-            at_zero = -self.nominal_step * self.settings.model.disparity_of_infinity + float(p[1])
+            step = NOMINAL_STEP * float(np.exp(p[0]))
+            at_zero = -NOMINAL_STEP * DISPARITY_OF_INFINITY + float(p[1])
             numbers: dict[str, Any] = {"disparity_at_zero_per_m": at_zero, "disparity_step_per_m": step}
         else:
             numbers = {"scale": float(np.exp(p[0])), "inverse_per_m": float(p[1])}
         return replace(DepthError(**numbers), fade_m=fade_m, pattern_per_m=pattern, lasting_per_m=lasting)
-
-    @property
-    def nominal_step(self) -> float:
-        """Inverse depth, 1/m, of one raw disparity: nominally an eighth of a pixel for Kinect v1."""
-        return nominal_step(self.settings)
 
     @property
     def is_scale_free(self) -> bool:
@@ -352,10 +338,13 @@ _NOISE = {
     "stereo": (0.001, 3.1e-3),
 }
 _LEAST_NOISE_M = 1e-4
+# Standard deviation of a raw disparity's cell (Herrera et al. 2012, section 5), and the noise of a cell's mean as a
+# share of a pixel's, as initial values.
+_SIGMA_DISPARITY, SIGMA_SHARE = 0.8, 0.5
 
 
 def model_of(
-    task: Task, counted: Counted, lenses: tuple[PinholeCamera, PinholeCamera], T_color_depth: FloatArray
+    task: CalibrationTask, counted: Counted, lenses: tuple[PinholeCamera, PinholeCamera], T_color_depth: FloatArray
 ) -> Model:
     """The model of what counts, about lenses of colour and depth and T_color_depth."""
     sensor = RAW_DISPARITY if task.seen.is_disparity else task.setup.sensor
@@ -363,7 +352,7 @@ def model_of(
     px, reading, scatter = (
         np.concatenate([getattr(c, name) for c in counted.cells]) for name in ("px", "reading", "scatter")
     )
-    cells = Cells(view, px, reading, scatter)
+    cells = CellTable(view, px, reading, scatter)
     return Model(
         color=_joined(counted.color, task.squares),
         infrared=_joined(counted.infrared, task.squares),
@@ -374,10 +363,9 @@ def model_of(
         is_registered=task.setup.is_registered,
         square_m=task.board.square_m if task.board.is_size_known else None,
         noise=_noise(task, sensor),
-        knots_m=_knots(task, sensor, cells),
+        knots_m=_knots(sensor, cells),
         T_color_depth=T_color_depth,
         count=len(counted.views),
-        settings=task.settings,
         keeps_color=task.setup.keeps_color,
     )
 
@@ -398,7 +386,7 @@ def filled(
 
 
 def with_cells(
-    task: Task,
+    task: CalibrationTask,
     counted: Counted,
     T_depth_board: FloatArray,
     depth: PinholeCamera,
@@ -427,28 +415,27 @@ def with_cells(
             continue
         outline_px = depth.denormalise(p[:, :2] / p[:, 2:])
         how = {"is_disparity": task.seen.is_disparity, "on_plate": task.setup.on_plate}
-        cells.append(board_cells(view.reading, outline_px, task.settings.depth, **how))
+        cells.append(board_cells(view.reading, outline_px, **how))
     return replace(counted, cells=tuple(cells), dropped_cells=0)
 
 
-def _noise(task: Task, sensor: str) -> tuple[float, float]:
+def _noise(task: CalibrationTask, sensor: str) -> tuple[float, float]:
     """(constant_m, quadratic_per_m) of one pixel."""
-    settings, nominal = task.settings, task.setup.known_cameras
+    nominal = task.setup.known_cameras
     if sensor == RAW_DISPARITY:
-        return _LEAST_NOISE_M, settings.depth.sigma_disparity / settings.depth.sigma_share * -task.nominal_step
+        return _LEAST_NOISE_M, _SIGMA_DISPARITY / SIGMA_SHARE * -NOMINAL_STEP
     if nominal is not None:
         return nominal.depth_noise.constant_m, nominal.depth_noise.quadratic_per_m
     return _NOISE[sensor]
 
 
-def _knots(task: Task, sensor: str, cells: Cells) -> FloatArray:
+def _knots(sensor: str, cells: CellTable) -> FloatArray:
     """Distances (K,) of the curve's knots, from the sensor's nearest to its farthest or as far as boards were."""
     if sensor != "tof" or not len(cells.reading):
         return np.empty(0)
-    settings = task.settings.model
-    low = min(settings.curve_from_m, float(np.percentile(cells.reading, 1)))
-    high = max(settings.curve_to_m, float(np.percentile(cells.reading, 99)))
-    count = int((high - low) / settings.curve_step_m) + 1
+    low = min(_CURVE_FROM_M, float(np.percentile(cells.reading, 1)))
+    high = max(_CURVE_TO_M, float(np.percentile(cells.reading, 99)))
+    count = int((high - low) / _CURVE_STEP_M) + 1
     return np.linspace(low, high, min(max(count, 2), LARGEST_GRID))
 
 
@@ -570,6 +557,13 @@ def plane_of(cells: DepthCells, depth_m: FloatArray, camera: PinholeCamera) -> F
 
 
 _FIT_ROUNDS, _FEWEST_PX = 4, 50
+# Side of a cell in pixels, whose mean is one reading: Kinect v1 matches over at most 9 px (Konolige & Mihelich 2011).
+# The fewest cells of a view to determine a plane, and the most, since more add no information. Chosen.
+_CELL_PX, _FEWEST_CELLS, _MOST_CELLS = 8, 12, 400
+_RIM_PX = 5  # of the plane's edge, which is left out: flying pixels and ragged edges (Nguyen et al. 2012: 0.8 px)
+# Largest distance of a pixel from its plane as a share of depth: distortion is 0.5 %, and noise 0.5 % (Kinect v1's
+# board of Herrera et al.).
+_SAME_PLANE = 0.02
 _NOISE_SIGMAS = 4.5  # of a pixel's: one in 10⁵ is lost
 _MOST_OF_CELL = 0.8
 
@@ -577,42 +571,40 @@ _MOST_OF_CELL = 0.8
 def board_cells(
     reading: Float32Array,
     outline_px: FloatArray,
-    settings: DepthSampleSettings,
     *,
     is_disparity: bool,
     on_plate: bool,
 ) -> DepthCells:
-    """Cells of the plane that a board is on, of one depth image.
+    """CellTable of the plane that a board is on, of one depth image.
 
     Args:
         reading: (H, W) depths in metres or raw disparities; 0 where there is none.
         outline_px: (N, 2) of what surely is board, in depth pixels.
-        settings: which pixels count.
         is_disparity: whether readings are raw disparities.
         on_plate: whether the plane goes on around the outline; else cells stay within it.
     """
     seen = np.isfinite(reading) & (reading > 0)
     within = np.zeros(reading.shape, np.uint8)
     cv2.fillConvexPoly(within, cv2.convexHull(outline_px.astype(np.float32)).astype(np.int32), 1)
-    plane = _plane(reading, seen, seen & (within > 0), settings.same_plane, is_disparity)
+    plane = _plane(reading, seen, seen & (within > 0), is_disparity)
     if plane is None:
         return DepthCells.none()
     on_plane, off = plane
     kept = _grown(on_plane, within > 0) if on_plate else on_plane & (within > 0)
-    rim = cv2.getStructuringElement(cv2.MORPH_RECT, (2 * settings.rim_px + 1,) * 2)
+    rim = cv2.getStructuringElement(cv2.MORPH_RECT, (2 * _RIM_PX + 1,) * 2)
     # Beside a hole as much as at the plate's edge: what shades it is no plane.
     closed = cv2.morphologyEx(kept.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     whole = cv2.erode(closed, rim, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
-    cells = _cells(reading, off, whole & on_plane, settings.cell_px)
-    if len(cells.reading) < settings.fewest_cells:
+    cells = _cells(reading, off, whole & on_plane)
+    if len(cells.reading) < _FEWEST_CELLS:
         return DepthCells.none()
-    if len(cells.reading) > settings.most_cells:
-        cells = cells.only(np.linspace(0, len(cells.reading) - 1, settings.most_cells).round().astype(np.int64))
+    if len(cells.reading) > _MOST_CELLS:
+        cells = cells.only(np.linspace(0, len(cells.reading) - 1, _MOST_CELLS).round().astype(np.int64))
     return cells
 
 
 def _plane(
-    reading: Float32Array, seen: BoolArray, seed: BoolArray, same_plane: float, is_disparity: bool
+    reading: Float32Array, seen: BoolArray, seed: BoolArray, is_disparity: bool
 ) -> tuple[BoolArray, FloatArray] | None:
     """(H, W) whether a pixel lies on the plane of most of the seed, and how far off; None where there is too little.
 
@@ -635,7 +627,7 @@ def _plane(
     height, width = reading.shape
     expected = plane[0] * np.arange(width) + plane[1] * np.arange(height)[:, None] + plane[2]
     # Kinect's raw disparities fall to 0 inverse depth at about 1090: a share of the depth is one of 1090 - d.
-    least = same_plane * (np.abs(1090.0 - expected) if is_disparity else np.abs(expected))
+    least = _SAME_PLANE * (np.abs(1090.0 - expected) if is_disparity else np.abs(expected))
     least = np.maximum(least, _NOISE_SIGMAS * 1.48 * float(np.median(np.abs(values - A @ plane)[kept])))
     return np.asarray(seen & (np.abs(inverse - expected) <= least)), np.asarray(inverse - expected, float)
 
@@ -647,8 +639,9 @@ def _grown(on_plane: BoolArray, within: BoolArray) -> BoolArray:
     return np.asarray(labels == np.bincount(inside).argmax()) if len(inside) else on_plane & within
 
 
-def _cells(reading: Float32Array, off: FloatArray, kept: BoolArray, side: int) -> DepthCells:
-    """Means of the cells of side × side pixels most of which are kept."""
+def _cells(reading: Float32Array, off: FloatArray, kept: BoolArray) -> DepthCells:
+    """Means of the square cells whose pixels are mostly kept."""
+    side = _CELL_PX
     rows, columns = (length // side for length in reading.shape)
     tiles = (slice(0, rows * side), slice(0, columns * side))
     v, u = np.mgrid[0 : reading.shape[0], 0 : reading.shape[1]]

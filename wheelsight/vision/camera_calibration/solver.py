@@ -11,6 +11,8 @@ from wheelsight.core.geometry import BoolArray, FloatArray, IntArray, PinholeCam
 from wheelsight.vision.camera_calibration.model import (
     BARE_LENS,
     BEFORE_KNOTS,
+    DISPARITY_OF_INFINITY,
+    NOMINAL_STEP,
     Counted,
     Model,
     Points,
@@ -19,8 +21,7 @@ from wheelsight.vision.camera_calibration.model import (
     cubic_weights,
     lens_parameters,
 )
-from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings
-from wheelsight.vision.camera_calibration.views import RAW_DISPARITY, Corners
+from wheelsight.vision.camera_calibration.views import FEWEST_CORNERS, RAW_DISPARITY, Corners
 
 # Least squares over a model: Levenberg-Marquardt with numeric derivatives, and what its answer is worth.
 #
@@ -59,7 +60,7 @@ class Solution:
         return np.asarray(np.sqrt(np.maximum(variances.max(axis=0), 0)))
 
 
-class _Linear(NamedTuple):
+class _LinearSystem(NamedTuple):
     """Residuals (m,) and their derivatives by the cameras' parameters (m, g) and by the pose (m, 6) of `view` (m,).
 
     `view` is -1 for priors, which depend on no pose.
@@ -112,7 +113,7 @@ def solve(residuals: Residuals, start: FloatArray, small_gain: float = _SMALL_GA
     return Solution(x, *_covariances(residuals, linear), float(linear.r @ linear.r) / 2)
 
 
-def _linearised(residuals: Residuals, x: FloatArray) -> _Linear:
+def _linearised(residuals: Residuals, x: FloatArray) -> _LinearSystem:
     m, at = residuals.model, residuals.at
     first = at["poses"].start
     lens_of_depth = {"depth", "apart", "square"} | ({"color"} if m.is_registered else set())
@@ -124,7 +125,7 @@ def _linearised(residuals: Residuals, x: FloatArray) -> _Linear:
     ):
         here = block(x).ravel()
         by_cameras, by_pose = np.zeros((len(here), first)), np.zeros((len(here), _POSE))
-        parts.append(_Linear(here, by_cameras, by_pose, view))
+        parts.append(_LinearSystem(here, by_cameras, by_pose, view))
         if not len(here):
             continue
         for k in (k for name in sorted(sees) for k in range(at[name].start, at[name].stop)):
@@ -138,12 +139,12 @@ def _linearised(residuals: Residuals, x: FloatArray) -> _Linear:
     _by_error(residuals, x, parts[2])
     priors = residuals.priors(x)
     parts.append(
-        _Linear(priors, residuals.prior_rows[:, :first], np.zeros((len(priors), _POSE)), np.full(len(priors), -1))
+        _LinearSystem(priors, residuals.prior_rows[:, :first], np.zeros((len(priors), _POSE)), np.full(len(priors), -1))
     )
-    return _Linear(*(np.concatenate(items) for items in zip(*parts, strict=True)))
+    return _LinearSystem(*(np.concatenate(items) for items in zip(*parts, strict=True)))
 
 
-def _by_error(residuals: Residuals, x: FloatArray, depth: _Linear) -> None:
+def _by_error(residuals: Residuals, x: FloatArray, depth: _LinearSystem) -> None:
     """Fill in the derivatives of depth by its error: knots all move what they are weights of."""
     at = residuals.at["error"]
     knots = at.start + residuals.knots_from
@@ -156,7 +157,7 @@ def _by_error(residuals: Residuals, x: FloatArray, depth: _Linear) -> None:
         depth.by_cameras[:, knots : at.stop] = residuals.by_knots(x, of_sum, depth.r)
 
 
-def _normal(residuals: Residuals, linear: _Linear) -> _Normal:
+def _normal(residuals: Residuals, linear: _LinearSystem) -> _Normal:
     r, J, P, view = linear
     count, size = residuals.model.count, J.shape[1]
     B, D, of_poses = np.zeros((count, size, _POSE)), np.zeros((count, _POSE, _POSE)), np.zeros((count, _POSE))
@@ -179,7 +180,7 @@ def _step(normal: _Normal, damping: float) -> FloatArray:
     return np.concatenate([of_cameras, of_poses.ravel()])
 
 
-def _covariances(residuals: Residuals, linear: _Linear) -> tuple[FloatArray, FloatArray]:
+def _covariances(residuals: Residuals, linear: _LinearSystem) -> tuple[FloatArray, FloatArray]:
     """(g, g) twice: the inverse Hessian, and what leaving out one view after the other tells.
 
     Cells of one depth image share errors that their scatter does not show: what the curve or the pattern cannot follow,
@@ -204,7 +205,7 @@ def _covariances(residuals: Residuals, linear: _Linear) -> tuple[FloatArray, Flo
     return plain, by_views
 
 
-def _information(linear: _Linear, view: int) -> FloatArray:
+def _information(linear: _LinearSystem, view: int) -> FloatArray:
     """(g, g) of one view about the cameras, its pose held; of the priors for -1."""
     J = linear.by_cameras[linear.view == view]
     return np.asarray(J.T @ J)
@@ -332,8 +333,8 @@ class Residuals:
 
     def _inverse_of_raw(self, p: FloatArray) -> FloatArray:
         m = self.model
-        at_zero = -m.nominal_step * m.settings.model.disparity_of_infinity + p[1]
-        return np.asarray(at_zero + m.nominal_step * np.exp(p[0]) * m.cells.reading)
+        at_zero = -NOMINAL_STEP * DISPARITY_OF_INFINITY + p[1]
+        return np.asarray(at_zero + NOMINAL_STEP * np.exp(p[0]) * m.cells.reading)
 
     def _points(self, x: FloatArray, points: Points) -> FloatArray:
         R, t = self.model.poses_of(x)
@@ -370,7 +371,20 @@ def _weights_of(model: Model) -> tuple[FloatArray, FloatArray]:
 
 
 _HELD = 1e-6  # of what is not sought
-_OF_FADE = 0.5  # of Herrera et al.'s: exp(-0.0018 d) is exp(0.6 m / z)
+# Fading of the pattern and its standard deviation. Herrera et al. 2012: exp(-0.0018 d), which is exp(0.6 m / z).
+_OF_FADE, _FADE_M = 0.5, 0.5
+# Standard deviations of k1, k2 and k3, three times the values of TUM's three Kinects, and of p1 and p2 (0.006 there).
+_RADIAL, _TANGENTIAL = (0.3, 1.0, 1.5), 0.01
+_ASPECT = 0.003  # of fy / fx: 0.004 for TUM's three Kinects, 0.001 for others
+# Of a depth lens without infrared images: share of the focal length (571 to 594 px of 586), and centre of 640 px, of
+# published Kinects.
+_DEPTH_FOCAL, _DEPTH_CENTRE_PX = 0.02, 15.0
+PRIOR_APART_M = 0.1  # between the two cameras; no sensor is wider
+# Of a knot of the pattern, 3.5 steps of Kinect v1's disparity, and of its second difference (board of Herrera et al.).
+_PATTERN_PER_M, _PATTERN_BEND_PER_M = 0.01, 0.004
+# Of time of flight's scale: a quartz is good to 1e-4, a ruler to 0.2 %. Without it scale, offset and curve are
+# equivalent. Then of a knot of the curve and its second difference: Kinect v2 swings by 7 mm (Lachat et al. 2015).
+_TOF_SCALE, _CURVE_M, _CURVE_BEND_M = 0.002, 0.01, 0.005
 
 
 def prior_rows(model: Model) -> tuple[FloatArray, FloatArray]:
@@ -384,7 +398,7 @@ def prior_rows(model: Model) -> tuple[FloatArray, FloatArray]:
         _of_lens(priors, model, at["color"], model.color_start)
     _of_lens(priors, model, at["depth"], model.depth_start, is_nominal=not len(model.infrared.px))
     for k in range(at["apart"].start, min(at["apart"].start + 3, at["apart"].stop)):
-        priors.add([k], [1], 0.0, model.settings.prior.apart_m)
+        priors.add([k], [1], 0.0, PRIOR_APART_M)
     if at["error"].stop > at["error"].start:
         _of_error(priors, model, at["error"].start)
     return np.array(priors.rows).reshape(-1, priors.size), np.array(priors.values)
@@ -408,41 +422,41 @@ class _Priors:
 
 def _of_lens(priors: _Priors, model: Model, place: slice, start: PinholeCamera, *, is_nominal: bool = False) -> None:
     """What is known of a lens: of lenses as such, and of one without corners of its own, `is_nominal`, by `start`."""
-    first, length, prior = place.start, place.stop - place.start, model.settings.prior
+    first, length = place.start, place.stop - place.start
     if not length:
         return
     known = lens_parameters(start, start)
     if is_nominal:
-        priors.add([first], [1], 0.0, prior.depth_focal)
-    priors.add([first + 1], [1], float(np.log(start.fy / start.fx)), prior.aspect)
-    centre = (1.0 if is_nominal else 2.0) * prior.depth_centre_px * start.width / 640 / start.fx
+        priors.add([first], [1], 0.0, _DEPTH_FOCAL)
+    priors.add([first + 1], [1], float(np.log(start.fy / start.fx)), _ASPECT)
+    centre = (1.0 if is_nominal else 2.0) * _DEPTH_CENTRE_PX * start.width / 640 / start.fx
     for k in (2, 3):
         priors.add([first + k], [1], float(known[k]), centre)
-    bent = [*prior.radial[:2], prior.tangential, prior.tangential, prior.radial[2]]
+    bent = [*_RADIAL[:2], _TANGENTIAL, _TANGENTIAL, _RADIAL[2]]
     for k in range(BARE_LENS, length):
         priors.add([first + k], [1], float(known[k]) if is_nominal else 0.0, bent[k - BARE_LENS])
 
 
 def _of_error(priors: _Priors, model: Model, first: int) -> None:
-    prior, knots = model.settings.prior, first + BEFORE_KNOTS
+    knots = first + BEFORE_KNOTS
     if not model.is_scale_free:
         priors.add([first], [1], 0.0, _HELD)
     if model.sensor == "tof":
-        priors.add([first], [1], 0.0, prior.tof_scale)
+        priors.add([first], [1], 0.0, _TOF_SCALE)
         for k in range(len(model.knots_m)):
-            priors.add([knots + k], [1], 0.0, prior.curve_m)
+            priors.add([knots + k], [1], 0.0, _CURVE_M)
         for k in range(len(model.knots_m) - 2):
-            priors.add([knots + k, knots + k + 1, knots + k + 2], [1, -2, 1], 0.0, prior.curve_bend_m)
+            priors.add([knots + k, knots + k + 1, knots + k + 2], [1, -2, 1], 0.0, _CURVE_BEND_M)
     if not model.has_pattern:
         return
-    priors.add([first + 2], [1], _OF_FADE, prior.fade_m)
+    priors.add([first + 2], [1], _OF_FADE, _FADE_M)
     rows, columns = model.grid
     for number in knots + np.arange(2 * rows * columns).reshape(2, rows, columns):
         for knot in number.ravel().tolist():
-            priors.add([knot], [1], 0.0, prior.pattern_per_m)
+            priors.add([knot], [1], 0.0, _PATTERN_PER_M)
         for line in [*number.tolist(), *number.T.tolist()]:
             for three in zip(line, line[1:], line[2:], strict=False):
-                priors.add(list(three), [1, -2, 1], 0.0, prior.pattern_bend_per_m)
+                priors.add(list(three), [1, -2, 1], 0.0, _PATTERN_BEND_PER_M)
 
 
 # What agrees with a fit: standard deviations as residuals have them, and views, corners and cells left out.
@@ -450,6 +464,11 @@ def _of_error(priors: _Priors, model: Model, first: int) -> None:
 
 _LENS, _OF_DEPTH = 9, 3
 _LEAST_FACTOR = 1e-3
+_LEAST_SIGMA_PX = 0.02  # of a corner in images without noise
+# A corner or cell of depth farther off is an outlier: one corner in 10⁵ by noise.
+_CORNER_SIGMAS, _CELL_SIGMAS = 4.5, 4.0
+# A view whose residuals exceed the median view's by this factor has a moved or bent board, or depth of another moment.
+_VIEW_FACTOR, _DEPTH_VIEW_FACTOR = 2.5, 4.0
 _AS_BAD = 0.8
 _LEAST_MEDIAN = 0.3  # in σ: of views that all agree better than they should, none is left out
 
@@ -461,39 +480,36 @@ def sigmas_of(residuals: Residuals, x: FloatArray) -> Sigmas:
     def of(r: FloatArray, taken: int) -> float:
         return float(np.sqrt((r**2).sum() / max(r.size - taken, r.size / 4, 1))) if r.size else 1.0
 
-    least = model.settings.detection.least_sigma_px
     return Sigmas(
-        max(before.color_px * of(residuals.color(x), _POSE * model.count + _LENS), least),
-        max(before.infrared_px * of(residuals.infrared(x), _LENS), least),
+        max(before.color_px * of(residuals.color(x), _POSE * model.count + _LENS), _LEAST_SIGMA_PX),
+        max(before.infrared_px * of(residuals.infrared(x), _LENS), _LEAST_SIGMA_PX),
         max(before.depth * of(residuals.depth(x), _OF_DEPTH), _LEAST_FACTOR),
     )
 
 
 def agreeing(counted: Counted, residuals: Residuals, x: FloatArray) -> Counted:
     """The views, corners and cells that agree with the rest."""
-    model, robust = residuals.model, residuals.model.settings.robust
+    model = residuals.model
     color, infrared = (np.linalg.norm(block(x), axis=1) for block in (residuals.color, residuals.infrared))
     depth = np.abs(residuals.depth(x))
     gone: dict[int, str] = {}
     for off, view, factor, what in (
-        (color, model.color.view, robust.view_factor, "corners in colour"),
-        (infrared, model.infrared.view, robust.view_factor, "corners in infrared"),
-        (depth, model.cells.view, robust.depth_view_factor, "depth"),
+        (color, model.color.view, _VIEW_FACTOR, "corners in colour"),
+        (infrared, model.infrared.view, _VIEW_FACTOR, "corners in infrared"),
+        (depth, model.cells.view, _DEPTH_VIEW_FACTOR, "depth"),
     ):
         # A view that moved pulls the depth of others off; that is judged once corners agree.
         for k, times in ({} if gone else _unlike(off, view, model.count, factor)).items():
             gone.setdefault(k, f"its {what} disagree with the other views': {times:.1f} times theirs")
-    most = robust.corner_sigmas * np.sqrt(2)
-    new_color = [
-        _fewer(seen, color[model.color.view == k] <= most, model.settings) for k, seen in enumerate(counted.color)
-    ]
+    most = _CORNER_SIGMAS * np.sqrt(2)
+    new_color = [_fewer(seen, color[model.color.view == k] <= most) for k, seen in enumerate(counted.color)]
     new_infrared = [
-        None if seen is None else _fewer(seen, infrared[model.infrared.view == k] <= most, model.settings)
+        None if seen is None else _fewer(seen, infrared[model.infrared.view == k] <= most)
         for k, seen in enumerate(counted.infrared)
     ]
     cells = []
     for k, seen_cells in enumerate(counted.cells):
-        kept = depth[model.cells.view == k] <= robust.cell_sigmas
+        kept = depth[model.cells.view == k] <= _CELL_SIGMAS
         cells.append(seen_cells.only(kept))
     dropped = _corners(counted.color) + _corners(counted.infrared) - _corners(new_color) - _corners(new_infrared)
     new = replace(
@@ -518,9 +534,9 @@ def _unlike(off: FloatArray, view: IntArray, count: int, factor: float) -> dict[
     return {k: value / usual for k, value in medians.items() if value > factor * usual and value >= least}
 
 
-def _fewer(corners: Corners, kept: BoolArray, settings: CameraCalibrationSettings) -> Corners:
+def _fewer(corners: Corners, kept: BoolArray) -> Corners:
     """A view's corners without those that disagree, as long as enough are left."""
-    enough = np.count_nonzero(kept) >= min(settings.detection.fewest_corners, len(kept))
+    enough = np.count_nonzero(kept) >= min(FEWEST_CORNERS, len(kept))
     return corners.only(kept) if enough else corners
 
 

@@ -1,4 +1,4 @@
-"""`View` holds the corners and depth of a board in one view. `find_corners` detects corners; `read_views` reads
+"""`BoardView` holds the corners and depth of a board in one view. `find_corners` detects corners; `read_views` reads
 views from folders of images.
 """
 
@@ -21,7 +21,6 @@ from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import MOST_PIXELS, BoolArray, ByteArray, FloatArray, IntArray
 from wheelsight.core.inputs import Kind, picture_size, read_bytes, scan_count
 from wheelsight.vision.camera_calibration.board import Board
-from wheelsight.vision.camera_calibration.settings import DetectionSettings
 
 # What is seen of a board in one view, before anything is calibrated.
 
@@ -42,12 +41,12 @@ class Corners:
         return Corners(self.ids[kept], self.px[kept])
 
     def turned(self, count: int) -> Corners:
-        """The same seen as the board that is turned by half."""
+        """The same for the board rotated by 180°."""
         return Corners(count - 1 - self.ids, self.px)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class View:
+class BoardView:
     """One board before the cameras, still.
 
     Attributes:
@@ -75,7 +74,7 @@ class ViewSet:
         is_disparity: whether readings are raw disparities of Kinect v1.
     """
 
-    views: tuple[View, ...]
+    views: tuple[BoardView, ...]
     color_size: tuple[int, int]
     depth_size: tuple[int, int] | None = None
     left_out: tuple[tuple[str, str], ...] = field(default=())
@@ -109,7 +108,7 @@ class DepthCells:
 
     @staticmethod
     def none() -> DepthCells:
-        """Of a view that shows no plane."""
+        """No cells, for a view that shows no plane."""
         return DepthCells(np.empty((0, 2)), np.empty(0), np.empty(0))
 
 
@@ -119,18 +118,25 @@ class DepthCells:
 _FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_EXHAUSTIVE
 # Infrared images are dark but for reflections: what lies between these percentiles is stretched.
 _DARKEST, _BRIGHTEST = 1.0, 99.0
+# Narrower images without a board are searched once more at twice their size: else squares under 10 px are missed
+# (Kinect v1's board of Herrera et al.).
+_ENLARGE_BELOW_PX = 1000.0
+# An edge between black and white that takes longer, from 10 to 90 %, is blurred, and corners are off by a tenth of it;
+# chosen.
+_BLURRED_PX = 4.5
+FEWEST_CORNERS = 8  # of a board partly in view; fewer do not determine a pose
 _OTHER_SIZES = tuple((columns, rows) for columns in range(4, 13) for rows in range(3, columns + 1))
 
 
-def find_corners(image: ByteArray, board: Board, settings: DetectionSettings) -> Corners | str:
+def find_corners(image: ByteArray, board: Board) -> Corners | str:
     """The board's corners in a grey image (H, W) uint8, or why it has none."""
-    found = _charuco(image, board) if board.is_charuco else _checkerboard(image, board, settings)
+    found = _charuco(image, board) if board.is_charuco else _checkerboard(image, board)
     if found is None:
         return "no whole board is seen" if not board.is_charuco else "no board is seen"
-    if len(found.ids) < min(settings.fewest_corners, board.count):
+    if len(found.ids) < min(FEWEST_CORNERS, board.count):
         return f"only {len(found.ids)} corners of the board are seen"
     width_px = edge_width_px(image, found, board)
-    if width_px > settings.blurred_px:
+    if width_px > _BLURRED_PX:
         return f"blurred: edges take {width_px:.1f} px"
     return found
 
@@ -145,10 +151,10 @@ def as_grey(image: Any) -> ByteArray:
     return np.asarray(np.clip((image.astype(float) - low) / max(high - low, 1) * 255, 0, 255), np.uint8)
 
 
-def _checkerboard(image: ByteArray, board: Board, settings: DetectionSettings) -> Corners | None:
+def _checkerboard(image: ByteArray, board: Board) -> Corners | None:
     size = (board.columns, board.rows)
     found, px = cv2.findChessboardCornersSB(image, size, flags=_FLAGS)
-    if not found and image.shape[1] < settings.enlarge_below_px:
+    if not found and image.shape[1] < _ENLARGE_BELOW_PX:
         large = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
         found, px = cv2.findChessboardCornersSB(large, size, flags=_FLAGS)
         if found:
@@ -262,7 +268,6 @@ def _kind_and_name(path: Path, folder: Path) -> tuple[str | None, str]:
 def read_views(
     folders: Sequence[StrPath],
     board: Board,
-    settings: DetectionSettings,
     depth_factor: float = 1000.0,
     on_view: Callable[[], None] = lambda: None,
 ) -> ViewSet:
@@ -271,7 +276,6 @@ def read_views(
     Args:
         folders: of images.
         board: that they show.
-        settings: of its detection.
         depth_factor: units of depth images a metre; of raw disparities without meaning.
         on_view: called after each view.
 
@@ -280,7 +284,7 @@ def read_views(
     """
     left_out, seen = [], []
     for name, files in find_view_files(folders).items():
-        found = _read_view(name, files, board, settings)
+        found = _read_view(name, files, board)
         if isinstance(found, str):
             left_out.append((name, found))
         else:
@@ -294,12 +298,12 @@ def read_views(
     return ViewSet(read, size, depth_size, tuple(left_out), is_disparity)
 
 
-_Seen = tuple[View, tuple[int, int], tuple[int, int] | None]
+_Seen = tuple[BoardView, tuple[int, int], tuple[int, int] | None]
 
 
 def _of_one_size(
     seen: list[_Seen], left_out: list[tuple[str, str]]
-) -> tuple[list[View], tuple[int, int], tuple[int, int] | None]:
+) -> tuple[list[BoardView], tuple[int, int], tuple[int, int] | None]:
     """The views whose images have the size of most, and those sizes; the others are added to those left out."""
     size = Counter(size for _, size, _ in seen).most_common(1)[0][0]
     depth_sizes = Counter(depth for _, _, depth in seen if depth is not None).most_common(1)
@@ -307,32 +311,32 @@ def _of_one_size(
     views = []
     for view, own, own_depth in seen:
         if own != size:
-            left_out.append((view.name, f"colour image is {_told(own)}, others {_told(size)}"))
+            left_out.append((view.name, f"colour image is {_size_text(own)}, others {_size_text(size)}"))
         elif own_depth is not None and depth_size is not None and own_depth != depth_size:
-            left_out.append((view.name, f"depth image is {_told(own_depth)}, others {_told(depth_size)}"))
+            left_out.append((view.name, f"depth image is {_size_text(own_depth)}, others {_size_text(depth_size)}"))
         else:
             views.append(view)
     return views, size, depth_size
 
 
-def _read_view(name: str, files: dict[str, Path], board: Board, settings: DetectionSettings) -> _Seen | str:
+def _read_view(name: str, files: dict[str, Path], board: Board) -> _Seen | str:
     if "color" not in files:
         return "has no colour image"
     try:
         images = {kind: _read_image(path) for kind, path in files.items()}
     except RecordingError as error:
         return f"{error.path.name if error.path else name}: {error.problem}"
-    color = find_corners(as_grey(images["color"]), board, settings)
+    color = find_corners(as_grey(images["color"]), board)
     if isinstance(color, str):
         return color
-    infrared = find_corners(as_grey(images["infrared"]), board, settings) if "infrared" in images else None
+    infrared = find_corners(as_grey(images["infrared"]), board) if "infrared" in images else None
     depth = images.get("depth")
     if depth is not None and (depth.ndim != 2 or depth.dtype != np.uint16):
         return f"{files['depth'].name}: is no 16-bit image of one channel"
     sizes = {_size(image) for image in (images.get("infrared"), depth) if image is not None}
     if len(sizes) > 1:
         return "infrared and depth image differ in size"
-    view = View(name, color, None if isinstance(infrared, str) else infrared, depth)
+    view = BoardView(name, color, None if isinstance(infrared, str) else infrared, depth)
     return view, _size(images["color"]), next(iter(sizes), None)
 
 
@@ -370,7 +374,7 @@ def _is_disparity(readings: list[Any]) -> bool:
     return bool(readings) and all(image.max() == NO_DISPARITY and image.min() > 0 for image in readings)
 
 
-def _in_units(view: View, is_disparity: bool, depth_factor: float) -> View:
+def _in_units(view: BoardView, is_disparity: bool, depth_factor: float) -> BoardView:
     if view.reading is None:
         return view
     raw = view.reading
@@ -378,12 +382,12 @@ def _in_units(view: View, is_disparity: bool, depth_factor: float) -> View:
         reading = np.where(raw < NO_DISPARITY, raw, 0).astype(np.float32)
     else:
         reading = np.where(raw < np.iinfo(np.uint16).max, raw, 0).astype(np.float32) / np.float32(depth_factor)
-    return View(view.name, view.color, view.infrared, reading)
+    return BoardView(view.name, view.color, view.infrared, reading)
 
 
 def _size(image: Any) -> tuple[int, int]:
     return int(image.shape[1]), int(image.shape[0])
 
 
-def _told(size: tuple[int, int]) -> str:
+def _size_text(size: tuple[int, int]) -> str:
     return f"{size[0]}×{size[1]}"

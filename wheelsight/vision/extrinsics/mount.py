@@ -251,8 +251,8 @@ _FLOOR_LEAST_SIGMAS = np.array([2e-4, 2e-4, 5e-4])
 # Least height of a camera over the floor, the bins of the histogram of heights, and the share of its largest bin that a
 # floor must reach; chosen.
 _LEAST_HEIGHT_M, _BIN_M, _PEAK_SHARE = 0.05, 0.04, 0.2
-# Bands around the plane, narrowed step by step (chosen), the number of reweighted fits after that, and χ² of an outlier,
-# three standard deviations.
+# Bands around the plane, narrowed step by step (chosen), the number of reweighted fits after that, and χ² of an
+# outlier, three standard deviations.
 _BANDS_M, _ROBUST_STEPS, _OUTLIER_CHI2 = (0.15, 0.10, 0.06, 0.04, 0.04), 8, 9.0
 # Points of the plane in a view, and views that show it, also as a share of all views; chosen.
 _FEWEST_POINTS, _FEWEST_VIEWS, _FEWEST_VIEW_SHARE = 40, 10, 0.25
