@@ -1,6 +1,6 @@
 """`python -m benchmarks.barn`: a wheelchair crosses fields of obstacles without a map, as in the BARN challenge.
 
-Each world is drawn anew by a cellular automaton. As in the challenge, a way leads through it for a square of five cells
+A cellular automaton draws each world. As in the challenge, a way leads through it for a square of five cells
 (1.31 m), cleared where there was none; and our own planner finds one for the wheelchair's outline in the true plan. All
 lengths are 1.75 times those of the challenge, whose Jackal is that much smaller. The robot knows nothing but how far on
 the goal is. It has a depth camera of 60° and the simulator's real sensors (`realism="real"`), its own localization, and
@@ -9,7 +9,7 @@ of 1 m/s.
 
 "Success" is to come within 1 m of the goal, by the truth, in 350 s (the challenge's 100 s at 2 m/s, for a way 1.75
 times as long), without having touched anything. Time counts from the begin; simulated time stands still while the
-program reckons. The score is that of the challenge since 2025: success · OT / clip(AT, 2 OT, 8 OT), where AT is the
+program computes. The score is that of the challenge since 2025: success · OT / clip(AT, 2 OT, 8 OT), where AT is the
 time taken and OT the length of the best way, by our own planner that knows the whole world, over the top speed; at
 most 0.5. "Old score" is that of 2022 to 2024: clip(AT, 4 OT, 8 OT), at most 0.25.
 """

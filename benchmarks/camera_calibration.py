@@ -42,7 +42,7 @@ _FOR_REAL = CameraCalibrationSettings(
 _PUBLISHED = 1.425e-3  # σ(z) / z², 1/m, of planes: Khoshelham & Elberink 2012
 _MADE = (
     "Errors are against the truth: the largest of fx and fy of both lenses, way and turn between the cameras, and the "
-    "mean over the image of corrected depth at 0.8, 1.2, 2, 3 and 4 m, of which the worst counts. Given are the "
+    "mean over the image of corrected depth at 0.8, 1.2, 2, 3 and 4 m; the worst counts. Given are the "
     "median over the units and in brackets the worst. `in 3σ` counts all those numbers of all units by the σ that was "
     f"stated of each. To reach: focal lengths {100 * MOST_FOCAL:g} %, way {1e3 * MOST_APART_M:g} mm, turn "
     f"{MOST_TURN_DEG:g}°, depth {1e3 * MOST_DEPTH_M:g} mm, each within 3σ; on the real board {MOST_REAL_PX:g} px, and "

@@ -1,6 +1,6 @@
 """`python -m benchmarks.control`: milliseconds a command, of controllers and collision monitor, on one core.
 
-The costs of the same rollouts are also reckoned by numpy (`benchmarks.plain_rollouts`) in the same run: a machine's
+The costs of the same rollouts are also computed by numpy (`benchmarks.plain_rollouts`) in the same run: a machine's
 speed alone says little, the ratio of both does.
 """
 

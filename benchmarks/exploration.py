@@ -1,7 +1,7 @@
 """`python -m benchmarks.exploration`: a wheelchair looks at all floor of flats that it does not know.
 
 It begins where the world has it begin, or somewhere roomy in a plan, and explores as `wheelsight drive --explore` does:
-real sensors (`realism="real"`), its own localization, no truth in the loop. What is judged is the map that it leaves,
+real sensors (`realism="real"`), its own localization, no truth in the loop. The map that it leaves is evaluated,
 laid on the truth by the rigid alignment of its keyframes.
 
 "Reachable" is the floor that the chair's outline covers at any pose to which it can come from the start by turning on
@@ -11,9 +11,10 @@ floor that the map calls free on which something stands, or that lies behind wal
 "Map" is the RMSE of the keyframes' places; "walls" the median distance of occupied cells beside free ones from the
 nearest side of what truly stands there.
 
-"Tour" is the way of somebody who knows the plan, and looks all around at some places until he has seen 97 % of what can
-be seen of that floor from anywhere, as far as the map uses depth, and no nearer than the camera sees floor. Places come
-of a greedy set cover, their order of the nearest next one and 2-opt: a short tour, and not proved to be the shortest.
+"Tour" is the way of a robot that knows the plan, and looks all around at some places until it has seen 97 % of what can
+be seen of that floor from anywhere, as far as the map uses depth, and no nearer than the camera sees floor. Places
+result from a greedy set cover, their order from the nearest next one and 2-opt: a short tour, not proved to be the
+shortest.
 "Clearance" is the least true distance from the outline to things; time is simulated.
 """
 

@@ -113,7 +113,7 @@ def joined_sheet(figures: Sequence[JoinedFigures]) -> Sheet:
     title = f"Wheels and camera joined, {_drives(seeds)} a case, {SIZE[0]}×{SIZE[1]} at {RATE_HZ:g} Hz: median (worst)"
     heads = ("wheels m", "camera m", "camera's poses", "paper's m", "joined m", "to the better", "at the end")
     rows = tuple(_row(case, _of(case, figures), seeds) for case in _cases(figures))
-    return Sheet(title, ("case", *heads, "right status", "within 3σ", "back after", "slip told, none"), rows)
+    return Sheet(title, ("case", *heads, "right status", "within 3σ", "back after", "slip detected, none"), rows)
 
 
 def _row(case: Case, figures: Sequence[JoinedFigures], seeds: int) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """`python -m benchmarks.known_halves`: whether the robot finds itself in a map of the first half of a real recording.
 
-The first half of a recording with truth is mapped; in the second half odometry is begun anew at many moments, knows
-that map, and is not told where it is. "Found" is the first frame that is answered `tracking`; errors are of all such
+The first half of a recording with truth is mapped; in the second half odometry starts again at many moments, with
+that map and without its pose in it. "Found" is the first frame that is answered `tracking`; errors are of all such
 frames up to 4 s after it, of the pose beside the map's nearest keyframe, by the truth. χ² is by the covariance that the
 answer states of its pose in the map (`Estimate.covariance_map`): 6 in the mean, where covariance and truth are right.
 """

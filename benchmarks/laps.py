@@ -2,10 +2,10 @@
 
 Each building is driven by the simulator with `realism="real"`, by the camera alone and by joined sensors. "As lived" is
 the trajectory while driving, in `odom`; "at the end" is the corrected one. A loop is false that is more than 0.5 m or
-10° off, and farther than its covariance allows (in a corridor it tells nothing of the way along). A revisit is a
+10° off, and farther than its covariance allows (in a corridor it does not constrain the way along). A revisit is a
 keyframe that lies within 1 m and 30° of one that is at least 20 s older; it is closed where a kept loop ends at it.
-"Right" are loops that were refused all the same. "In 2 cm" are stable surfels of the map at the end that lie within
-2 cm of a true surface, the map laid where it fits best. Nobody has told the robot of its unit's errors of depth, lens,
+"Right" are true loops that were refused. "In 2 cm" are stable surfels of the map at the end that lie within
+2 cm of a true surface, the map laid where it fits best. The robot does not know its unit's errors of depth, lens,
 registration and mount, except with `--calibrated`: then its owner has found them by a board and a drive before.
 """
 

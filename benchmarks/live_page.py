@@ -5,8 +5,8 @@ are in a process of their own, and do what the page's script does. "Goal clicked
 with the period in which a robot that stood truly moves, by 0.02 m/s or rad/s. "STOP to the stop command" ends
 where the robot's own `stop` is called. The server's share of a core is the processor time of its thread by the wall's
 clock, while three clients watch, costmap and all; images and text are made once for all, in the thread that drives.
-Where the computer is too slow, simulated time goes slower than the wall's, and a robot begins to move later; therefore
-the robot's own clock is told, too.
+Where the computer is too slow, simulated time goes slower than the wall's, and a robot begins to move later; so the
+robot's own clock is given, too.
 """
 
 from __future__ import annotations
@@ -230,7 +230,7 @@ def sheets_of(
     rows = [
         _row("goal clicked to robot moving, s", moved, 2),
         _row("the same by the robot's clock, s", by_own, 2),
-        _row("goal clicked to a page being told so, s", told, 2),
+        _row("goal clicked to the page's confirmation, s", told, 2),
         _row("STOP to the stop command, ms", driven_ms, 1),
         _row("the same while the robot's program hangs, ms", hung_ms, 1),
     ]

@@ -1,9 +1,9 @@
 """`python -m benchmarks.navigation`: a wheelchair that drives to goals by itself, in a map of the day before.
 
 Each building is driven once by the simulator with `realism="real"`, and mapped by wheels and camera joined. On the next
-days, which have other light, and chairs and bins elsewhere, the chair begins somewhere on free floor where it may turn
-on the spot; nobody says where. It finds itself in the map, and drives to goals drawn at random among the poses that the
-map says can be reached. Localization, map, planner, controller and collision monitor are those of `wheelsight drive`:
+days, which have other light, and chairs and bins elsewhere, the chair starts somewhere on free floor where it may turn
+on the spot, without a given pose. It localizes itself in the map, and drives to random goals among the reachable
+poses of the map. Localization, map, planner, controller and collision monitor are those of `wheelsight drive`:
 no truth in the loop. A plan takes `navigation.navigator.planning_s` of simulated time.
 
 "Arrived" is by the truth: within 0.15 m and 10° of the goal beside the map's nearest keyframe, and it says so itself.
@@ -11,10 +11,10 @@ no truth in the loop. A plan takes `navigation.navigator.planning_s` of simulate
 weighted by path length (Anderson et al. 2018), against our planner's way for the same outline, by the map with the
 things in it. "Clearance" is the least true distance from the outline to things.
 
-With `--things N`, so many boxes stand on the ways of each start, a little aside, each so that another way is left to
-every goal; with `--people N`, so many people walk about, a tenth of whom do not look.
-With `--calibrated`, the chair's owner has found the errors of its unit (depth, lens, registration, mount, wheels) by a
-board and a drive before, as docs/tutorial-your-robot.md says; else it is believed to be as the data sheet says.
+With `--things N`, N boxes stand on the ways of each start, a little aside, each so that another way is left to every
+goal; with `--people N`, N people walk about, and a tenth of them do not look.
+With `--calibrated`, the chair's unit is calibrated (depth, lens, registration, mount, wheels) by a board and a drive
+before, as in docs/tutorial-your-robot.md; else it has its data-sheet calibration.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 In a hall of its own for each fault, which the simulator shows with real sensors (`realism="real"`), a wheelchair has
 1 m/s when a fault begins, and a wall or a thing stands 0.3 to 3 m before it, which no map knows; where that is nearer
-than it brakes, it is slower already. Half of the faults are led by whoever asks for full speed straight on whatever
-happens, through ramp and collision monitor alone: the worst of controllers. The others are led by the navigator of
+than it brakes, it is slower already. In half of the faults a controller always commands full speed straight on,
+through ramp and collision monitor alone. The others are driven by the navigator of
 `wheelsight drive`, on its way to a goal behind the thing. Localization is our own, of wheels and camera joined, in
 all of them: no truth in the loop.
 
@@ -13,10 +13,10 @@ whole program stands still for 1 s (likewise); the left driven wheel hangs free;
 rad elsewhere.
 
 "Stopped" is without a contact. "Could stop" counts those contacts before which the way was free that braking takes:
-0.3 s, then 0.8 of the limits' braking, as the collision monitor reckons. "Blind" is the way driven, by the truth, from
-the fault until braking begins: the motors are told to stand, or lose their voltage. "Until it stands" is the whole way
-from the fault, with that of braking. No reaction makes the latter 0.3 m at 1 m/s: braking at the limits' 1 m/s² takes
-0.5 m of it. A lifted wheel and a wrong map blind nobody.
+0.3 s, then 0.8 of the limits' braking, as in the collision monitor. "Blind" is the way driven, by the truth, from
+the fault until braking begins: the motors are commanded to stand, or lose their voltage. "Until it stands" is the whole
+way from the fault, with that of braking. No reaction makes the latter 0.3 m at 1 m/s: braking at the limits' 1 m/s²
+takes 0.5 m of it. With a lifted wheel or a wrong map the robot is not blind.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
 """`python -m benchmarks.navigation_speed`: the control loop at 20 Hz in real time, beside localization, on two cores.
 
 A drive through the simulated flat with real sensors is rendered beforehand at 15 images a second, and
-played there and back for so many minutes, as fast as time goes. The navigator of `wheelsight drive`, with MPPI,
+played there and back for the given minutes, in real time. The navigator of `wheelsight drive`, with MPPI,
 follows the way that was driven, in a map that grows, while the localizer (wheels and camera joined, loops by
-keyframes) works in a process of its own and leaves out frames that come too fast. The robot does not mind what it is
-told, so that checks of whether it obeys are off.
+keyframes) works in a process of its own and leaves out frames that come too fast. The robot ignores its commands, so
+checks of its motion are off.
 
 "Within 50 ms" are the periods in which all between sensors and command took no longer. "Beside MPPI" is the share of
-periods in which rollouts were reckoned; in the others the navigator plans, waits or recovers. Memory is what both
-processes hold at the end of each quarter, what they share counted twice. "Processor ms" is what the loop's own thread
-reckoned, median.
+periods in which rollouts were computed; in the others the navigator plans, waits or recovers. Memory is what both
+processes hold at the end of each quarter, what they share counted twice. "Processor ms" is the processor time of the
+loop's own thread, median.
 """
 
 from __future__ import annotations

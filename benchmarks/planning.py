@@ -1,8 +1,8 @@
 """`python -m benchmarks.planning`: plans of a wheelchair in floor plans of real buildings, and times beside peers.
 
 Goals are drawn at random where the chair fits, in the largest part of the floor that is joined for its inscribed
-circle. Whether a chair of that length can go from one to another is told by nothing but the plan: a share below 1 is no
-fault by itself.
+circle. Only the plan shows whether a chair of that length can go from one to another: a share below 1 is no fault by
+itself.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Each frame goes to two localizers in turn, one with default settings and one wit
 machine does hits both alike; all is held to one core, as with one thread. Read the ratio of both columns, not
 milliseconds, which are this machine's. Real recordings are followed by features, and by dense odometry with a map; the
 simulated drive is a flat at 640×480 by a Kinect, wheels and camera joined, with a map and loops. "Median ms" is from a
-frame to its answer; "CPU ms" is the mean of what the whole program reckoned meanwhile, threads beside it included.
+frame to its answer; "CPU ms" is the mean processor time of the whole program, with all threads.
 Errors are the RMSE after rigid alignment of the poses that are there, so read them with their share. Controllers of
 `wheelsight drive` are timed at the end.
 """

@@ -2,20 +2,20 @@
 
 Each building is driven twice by the simulator, with `realism="real"`. On the first day wheels and camera, joined, make
 a map of one lap. On the second day the light is another, chairs and bins stand elsewhere, and people walk about. That
-drive is begun anew at many moments of the lap, by a camera alone and by joined sensors, as `wheelsight run --map-from`
-does it. Nobody says where. The robot that is begun in the one building is also given the map of the other.
+drive starts at many moments of the lap, with a camera alone and with joined sensors, as `wheelsight run --map-from`
+does it, without a given pose. The robot of one building also gets the map of the other.
 
 "Found" is the first frame that is answered `tracking`; errors, of position and heading, are medians of all such frames,
-up to 3 s after the first. They tell how far off the robot is beside the map's nearest keyframe, by the true poses of
-both days: whoever drives by the map drives by what is round about. A place is wrong that is more than 0.5 m or 10° off
+up to 3 s after the first. They are errors relative to the map's nearest keyframe, by the true poses of both days,
+since a robot drives by its surroundings. A place is wrong that is more than 0.5 m or 10° off
 so at that first frame. "In the whole map" are errors by one rigid alignment of the first day's corrected trajectory
 with its truth: they hold what is wrong with the map itself, too.
 
 A robot that has found itself is also carried to another place of the building during four seconds in the dark, in which
-its wheels stand. "Unnoticed" is a `tracking` at a wrong place three seconds after the light came back, or later, of one
-that had not been found again; "then led astray" is one of who had.
+its wheels stand. "Unnoticed" is a `tracking` at a wrong place three seconds after the light came back, or later, of a
+robot that had not been found again; "then misled" is one of those that had.
 
-Nobody has told the robot of its unit's errors of depth, lens, registration and mount, except with `--calibrated`: then
+The robot does not know its unit's errors of depth, lens, registration and mount, except with `--calibrated`: then
 its owner has found them by a board and a drive before, as docs/tutorial-your-robot.md says, for both days.
 """
 
@@ -121,7 +121,7 @@ def kidnapping_sheet(taken: Sequence[Kidnapping]) -> Sheet:
         "unnoticed after 3 s",
         "found again in 10 s",
         "after s, median",
-        "then led astray",
+        "then misled",
     )
     return Sheet("Carried elsewhere in the dark", header, tuple(rows))
 
