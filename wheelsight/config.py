@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, PlainSerializer, ValidationError, model_validator
+from pydantic import ValidationError, field_serializer, field_validator, model_validator
 
 from wheelsight.core.clocks import ClockSettings
 from wheelsight.core.errors import ConfigError
@@ -178,30 +178,9 @@ def _is_given(given: Mapping[str, Any], section: str, name: str) -> bool:
 AUTOMATIC = "auto"
 
 
-def _split(names: Any) -> Any:
-    """The names of a text such as "wheels,features"; none for "auto"."""
-    if names == AUTOMATIC:
-        return ()
-    if isinstance(names, tuple | list) and not names:
-        raise ValueError(f"names none (known: {', '.join(get_args(OdometryName))}, {AUTOMATIC})")
-    return tuple(name.strip() for name in names.split(",")) if isinstance(names, str) else names
-
-
-def _each_once(names: tuple[OdometryName, ...]) -> tuple[OdometryName, ...]:
-    known = ", ".join(get_args(OdometryName))
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"names {name} twice (known: {known})")
-    return names
-
-
 def _can_join(names: Sequence[str]) -> bool:
     """Whether these are wheels and one odometry by a camera."""
     return len(names) == 2 and "wheels" in names
-
-
-def _joined(names: tuple[OdometryName, ...]) -> str | list[str]:
-    return (names[0] if len(names) == 1 else list(names)) if names else AUTOMATIC
 
 
 class Config(Settings):
@@ -214,9 +193,9 @@ class Config(Settings):
     profile: Literal["pi"] | None = setting(
         None, "other defaults for one kind of computer: docs/small-computers.md", ASKED
     )
-    odometry: Annotated[
-        tuple[OdometryName, ...], BeforeValidator(_split), AfterValidator(_each_once), PlainSerializer(_joined)
-    ] = setting((), "one name or several, in the order of the report; auto: all available sensors, joined", ASKED)
+    odometry: tuple[OdometryName, ...] = setting(
+        (), "one name or several, in the order of the report; auto: all available sensors, joined", ASKED
+    )
     recording: OpenOptions = OpenOptions()
     features: FeatureSettings = FeatureSettings()
     dense: DenseSettings = DenseSettings()
@@ -241,6 +220,28 @@ class Config(Settings):
     camera: LiveCameraSettings = LiveCameraSettings()
     recorder: RecorderSettings = RecorderSettings()
     page: LivePageSettings = LivePageSettings()
+
+    @field_validator("odometry", mode="before")
+    @classmethod
+    def _split(cls, names: Any) -> Any:
+        """The names of a text such as "wheels,features"; none for "auto"."""
+        if names == AUTOMATIC:
+            return ()
+        if isinstance(names, tuple | list) and not names:
+            raise ValueError(f"names none (known: {', '.join(get_args(OdometryName))}, {AUTOMATIC})")
+        return tuple(name.strip() for name in names.split(",")) if isinstance(names, str) else names
+
+    @field_validator("odometry")
+    @classmethod
+    def _refuse_repeats(cls, names: tuple[OdometryName, ...]) -> tuple[OdometryName, ...]:
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"names {name} twice (known: {', '.join(get_args(OdometryName))})")
+        return names
+
+    @field_serializer("odometry")
+    def _plain(self, names: tuple[OdometryName, ...]) -> str | list[str]:
+        return (names[0] if len(names) == 1 else list(names)) if names else AUTOMATIC
 
     @model_validator(mode="before")
     @classmethod
@@ -267,9 +268,24 @@ class Config(Settings):
         return {**given, "fusion": {**fusion, "filter": "default" if joins else "none"}}
 
     @model_validator(mode="after")
+    def _refuse_conflicts_of_known_map(self) -> Self:
+        known = self.known_map
+        if known.path is None:
+            for name in ("extend", "start"):
+                if getattr(known, name):
+                    raise conflict(f"known_map.{name}", "is given without a map", "add --map-from DIR")
+            return self
+        if self.odometry and len([name for name in self.odometry if name != "wheels"]) != 1:
+            raise conflict("known_map.path", "is for one odometry by a camera", "--odometry dense, or wheels,dense")
+        if self.fusion.filter == "ligocki":
+            raise conflict("known_map.path", "is for the default filter", "no --fusion ligocki")
+        if self.loops.source != FROM_KEYFRAMES:
+            raise conflict("known_map.path", "is found by loops", f"--loops {FROM_KEYFRAMES}")
+        return self
+
+    @model_validator(mode="after")
     def _refuse_conflicts(self) -> Self:
         places, joined_by, is_named = self.places, self.fusion.filter, bool(self.odometry)
-        self._check_known_map()
         if is_named and joined_by != "none" and not _can_join(self.odometry):
             problem = "joins wheels with one camera odometry, not " + " and ".join(self.odometry)
             raise conflict("fusion.filter", problem, "--odometry wheels,dense or wheels,features")
@@ -288,20 +304,6 @@ class Config(Settings):
                 if getattr(places, name) is not None:
                     raise conflict(f"places.{name}", "is of the paper's eq. 5 alone", "add --rectify paper")
         return self
-
-    def _check_known_map(self) -> None:
-        known = self.known_map
-        if known.path is None:
-            for name in ("extend", "start"):
-                if getattr(known, name):
-                    raise conflict(f"known_map.{name}", "is given without a map", "add --map-from DIR")
-            return
-        if self.odometry and len([name for name in self.odometry if name != "wheels"]) != 1:
-            raise conflict("known_map.path", "is for one odometry by a camera", "--odometry dense, or wheels,dense")
-        if self.fusion.filter == "ligocki":
-            raise conflict("known_map.path", "is for the default filter", "no --fusion ligocki")
-        if self.loops.source != FROM_KEYFRAMES:
-            raise conflict("known_map.path", "is found by loops", f"--loops {FROM_KEYFRAMES}")
 
     @property
     def tracks(self) -> tuple[TrackName, ...]:

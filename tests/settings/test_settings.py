@@ -128,20 +128,6 @@ def test_nonsense_is_refused_with_file_line_and_what_would_be_right(section: str
                 load_config(path)
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [],
-)
-def test_settings_that_contradict_each_other_are_refused_at_their_line(
-    text: str, expected: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "settings.yaml"
-    path.write_text(text)
-    with pytest.raises(ConfigError) as refused:
-        load_config(path)
-    assert str(refused.value).startswith(f"{path}{expected}")
-
-
 def test_all_of_them_are_in_the_config_of_a_run(tmp_path: Path) -> None:
     config = load_config(overrides={"clocks.followers": 5, "features.seed": 7})
     save_config(config, tmp_path / "config.yaml")

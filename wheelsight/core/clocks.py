@@ -156,7 +156,14 @@ class SessionClock:
             sensor.held_s.append(time_s)
             if len(sensor.held_s) < self.settings.followers:
                 return Untimed(Reason.CLOCKS_APART, "the clock of another sensor leaps")
-            time_s = self._shift_others(sensor, event.stamp_s)
+            # Map this sensor, and all others that have not leapt, to the time of the one that has.
+            assert self._jump is not None
+            (leapt, by_s), self._jump = self._jump, None
+            self._warn_of_leap([leapt], by_s)
+            for other in (one for other, one in self._sensors.items() if other != leapt):
+                other.offset_s -= by_s
+                other.last_s += by_s
+            time_s = event.stamp_s - sensor.offset_s
         sensor.held_s.clear()
         if time_s <= sensor.last_s:
             last = f"{sensor.last_s + self.shift_s:.6f} s"
@@ -203,18 +210,6 @@ class SessionClock:
         # The newest event is older the longer the period of the sensor that leapt.
         within_s = max(_STALL_S / 2, min(1.5 * self._sensors[self._jump[0]].period_s, _STALL_S))
         return later_s > 0 and abs(later_s - self._jump[1]) < within_s
-
-    def _shift_others(self, sensor: _Sensor, stamp_s: float) -> float:
-        """Map a sensor, and all others that have not leapt, to the time of the one that has."""
-        assert self._jump is not None
-        leapt, by_s = self._jump
-        self._warn_of_leap([leapt], by_s)
-        for name, other in self._sensors.items():
-            if name != leapt:
-                other.offset_s -= by_s
-                other.last_s += by_s
-        self._jump = None
-        return stamp_s - sensor.offset_s
 
     def _has_leapt(self, sensor: _Sensor, time_s: float) -> bool:
         """Whether the held stamps are a leap, and the behaviour of the other sensors is known."""

@@ -384,9 +384,17 @@ def _order_doubt(estimate: Trajectory, truth: Trajectory) -> str | None:
     The order changes axes, not angles between poses. `estimate` and `truth` are M pairs.
     """
     R_estimate, R_truth = (t.T_frame_body[:, :3, :3] for t in (estimate, truth))
-    first, second = _turns(R_truth)
-    if len(first) < _FEWEST_TURNS:
+    step = 1  # the smallest distance of poses with enough turns between them
+    while step < len(R_truth):
+        first = np.arange(len(R_truth) - step)
+        enough = so3.angle(_between(R_truth, first, first + step)) > _LEAST_TURN_RAD
+        if np.count_nonzero(enough) >= _FEWEST_TURNS:
+            break
+        step *= 2
+    else:
         return None
+    first = first[enough]
+    second = first + step
     turn_rad = float(np.median(so3.angle(_between(R_truth, first, second))))
 
     def off(R_a: FloatArray, R_b: FloatArray) -> float:
@@ -400,19 +408,6 @@ def _order_doubt(estimate: Trajectory, truth: Trajectory) -> str | None:
     if not likely:
         return None
     return f"Quaternions of the {' or of the '.join(likely)} seem to be written qw qx qy qz: write qx qy qz qw."
-
-
-def _turns(R: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Return index pairs (K,), (K,) into R (M, 3, 3) with turns, at the smallest distance that has enough."""
-    count = len(R)
-    step = 1
-    while step < count:
-        first = np.arange(count - step)
-        enough = so3.angle(_between(R, first, first + step)) > _LEAST_TURN_RAD
-        if np.count_nonzero(enough) >= _FEWEST_TURNS:
-            return first[enough], first[enough] + step
-        step *= 2
-    return np.empty(0, int), np.empty(0, int)
 
 
 def _between(R: FloatArray, first: np.ndarray, second: np.ndarray) -> FloatArray:

@@ -91,7 +91,12 @@ def check_loop(drive: Drive, wheels: Wheels, *, mark_m: float = 0.02, mark_deg: 
     off_m, off_rad = float(np.hypot(*off[:2])), float(off[2])
     is_good = off_m <= _GOOD_SHARE * way_m and np.degrees(abs(off_rad)) <= _GOOD_DEG_PER_M * way_m
     closed = np.array([0.0, 0.0, 2 * np.pi * turns])
-    causes = () if is_as_stated else _causes(drive, wheels, closed, of_drive, most)
+    found = []  # single causes of an end other than `closed`, the likeliest first
+    for cause, unit in ((LoopCause.DRIFT, np.eye(3)[1]), (LoopCause.TURN, np.eye(3)[2])) if not is_as_stated else ():
+        amount = _amount(drive, wheels, unit, closed, of_drive)
+        left = _end(drive, wheels, *(-amount * unit)) - closed
+        found.append((float(left @ np.linalg.solve(of_drive, left)), cause, amount))
+    causes = tuple((cause, amount) for rest, cause, amount in sorted(found, key=lambda one: one[0]) if rest <= most)
     return LoopCheck(way_m, turns, off_m, off_rad, *sigmas, *of_sizes_alone, is_as_stated, bool(is_good), causes)
 
 
@@ -125,18 +130,6 @@ def _by_slip(poses: FloatArray, steps_m: FloatArray, wheels: Wheels) -> FloatArr
 def _sigmas(covariance: FloatArray) -> tuple[float, float]:
     """Return σ of the position, both axes together, and of the heading."""
     return float(np.sqrt(covariance[0, 0] + covariance[1, 1])), float(np.sqrt(covariance[2, 2]))
-
-
-def _causes(
-    drive: Drive, wheels: Wheels, closed: FloatArray, of_drive: FloatArray, most: float
-) -> tuple[tuple[LoopCause, float], ...]:
-    """Return single causes of an end other than `closed` (3,), and their amounts; the likeliest first."""
-    found = []
-    for cause, unit in ((LoopCause.DRIFT, np.eye(3)[1]), (LoopCause.TURN, np.eye(3)[2])):
-        amount = _amount(drive, wheels, unit, closed, of_drive)
-        left = _end(drive, wheels, *(-amount * unit)) - closed
-        found.append((float(left @ np.linalg.solve(of_drive, left)), cause, amount))
-    return tuple((cause, amount) for rest, cause, amount in sorted(found, key=lambda one: one[0]) if rest <= most)
 
 
 def _amount(drive: Drive, wheels: Wheels, unit: FloatArray, closed: FloatArray, of_drive: FloatArray) -> float:

@@ -113,8 +113,16 @@ def umbmark(wheels: Wheels, clockwise_m: ArrayLike, counter_clockwise_m: ArrayLi
         raise CalibrationError(
             f"the squares ask for a wheel ratio of {ratio:.3g} and {factor:.3g} times the track width"
         )
-    sigmas = _sigmas(wheels, side_m, np.array([ratio, factor]), runs)
-    return Umbmark(wheels, side_m, runs[0], runs[1], ratio, factor, *sigmas)
+    if min(len(errors) for errors in runs) < 2:
+        return Umbmark(wheels, side_m, *runs, ratio, factor, None, None)
+    # Standard deviations, propagated from the mean errors.
+    factors, steps = np.array([ratio, factor]), _DERIVATIVE_STEP * np.eye(2)
+    columns = [_square_errors(wheels, side_m, factors + h) - _square_errors(wheels, side_m, factors - h) for h in steps]
+    gain = np.linalg.pinv(np.stack(columns, axis=1) / (2 * _DERIVATIVE_STEP))
+    of_means = np.zeros((4, 4))
+    for i, errors in enumerate(runs):
+        of_means[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = np.cov(errors.T) / len(errors)
+    return Umbmark(wheels, side_m, *runs, ratio, factor, *np.sqrt(np.diag(gain @ of_means @ gain.T)).tolist())
 
 
 def closed_form(wheels: Wheels, clockwise_m: ArrayLike, counter_clockwise_m: ArrayLike, side_m: float) -> FloatArray:
@@ -172,22 +180,6 @@ def _square_errors(wheels: Wheels, side_m: float, factors: FloatArray) -> FloatA
             yaw_rad += turn_rad
         ends += [position.real, position.imag]
     return np.array(ends)
-
-
-def _sigmas(
-    wheels: Wheels, side_m: float, factors: FloatArray, runs: tuple[FloatArray, FloatArray]
-) -> tuple[float, float] | tuple[None, None]:
-    """Return the standard deviations of E_d and E_b, propagated from the mean errors."""
-    if min(len(errors) for errors in runs) < 2:
-        return None, None
-    steps = _DERIVATIVE_STEP * np.eye(2)
-    columns = [_square_errors(wheels, side_m, factors + h) - _square_errors(wheels, side_m, factors - h) for h in steps]
-    gain = np.linalg.pinv(np.stack(columns, axis=1) / (2 * _DERIVATIVE_STEP))
-    of_means = np.zeros((4, 4))
-    for i, errors in enumerate(runs):
-        of_means[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = np.cov(errors.T) / len(errors)
-    ratio, factor = np.sqrt(np.diag(gain @ of_means @ gain.T)).tolist()
-    return ratio, factor
 
 
 def _checked(errors_m: ArrayLike, name: str) -> FloatArray:

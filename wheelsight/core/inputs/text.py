@@ -111,8 +111,18 @@ def parse_json(text: str | bytes) -> Any:
         ValueError: no JSON, nested deeper than 64 levels, more than a million values, NaN, infinity, or whole numbers
             beyond 64 bits.
     """
+
+    def whole(digits: str) -> int:
+        number = int(digits)
+        if abs(number) >= _LARGEST_INTEGER:
+            raise ValueError("holds a number beyond 64 bits")
+        return number
+
+    def refuse(constant: str) -> None:
+        raise ValueError(f"holds {constant}, which is no JSON")
+
     try:
-        document = json.loads(text, parse_constant=_refuse, parse_int=_whole)
+        document = json.loads(text, parse_constant=refuse, parse_int=whole)
     except RecursionError:
         raise ValueError("is nested too deeply") from None
     level, depth, count = [document], 0, 0
@@ -128,17 +138,6 @@ def parse_json(text: str | bytes) -> Any:
         level = [inner for group in groups for inner in group]
         depth += 1
     return document
-
-
-def _whole(digits: str) -> int:
-    number = int(digits)
-    if abs(number) >= _LARGEST_INTEGER:
-        raise ValueError("holds a number beyond 64 bits")
-    return number
-
-
-def _refuse(constant: str) -> None:
-    raise ValueError(f"holds {constant}, which is no JSON")
 
 
 YAML_FILE = Kind("a YAML file", most_mb=1, most_lines=100_000, longest_line=1 << 20)
@@ -174,7 +173,7 @@ def parse_yaml(text: str, path: StrPath, error: type[InputError]) -> Any:
         line = text.count("\n", 0, odd.start()) + 1
         raise error(f"holds the character {odd[0]!r}, which YAML does not allow", path=path, line=line, fix=_FIX)
     try:
-        _Size().check(text)
+        _check_size(text)
         return yaml.load(text, _Loader)
     except yaml.YAMLError as problem:
         mark = getattr(problem, "problem_mark", None)
@@ -199,49 +198,31 @@ def line_of(path: StrPath, names: Sequence[str], error: type[InputError]) -> int
     return line
 
 
-class _Size:
-    """Counts the values of a document before any is made."""
+def _check_size(text: str) -> None:
+    """Count the values of a document before any is made.
 
-    def __init__(self) -> None:
-        self._open: list[tuple[str | None, int]] = []
-        self._named: dict[str, int | None] = {}  # values below an anchor; None while it is open
-        self._count = 0
-
-    def check(self, text: str) -> None:
-        """Raises yaml.MarkedYAMLError: too deep, too many, or an alias of its own surroundings."""
-        for event in yaml.parse(text, _Loader):
-            if isinstance(event, yaml.AliasEvent):
-                self._alias(event)
-            elif isinstance(event, yaml.CollectionStartEvent):
-                self._begin(event.anchor)
-                if len(self._open) > _DEEPEST_YAML:
-                    _yaml_error(f"is nested deeper than {_DEEPEST_YAML} levels", event)
-            elif isinstance(event, yaml.CollectionEndEvent):
-                anchor, before = self._open.pop()
-                self._name(anchor, self._count - before)
-            elif isinstance(event, yaml.ScalarEvent):
-                self._count += 1
-                self._name(event.anchor, 1)
-            if self._count > _MOST_YAML_VALUES:
-                _yaml_error(
-                    f"holds more than {_MOST_YAML_VALUES} values, aliases counted as what they stand for", event
-                )
-
-    def _begin(self, anchor: str | None) -> None:
-        self._open.append((anchor, self._count))
-        self._count += 1
-        if anchor is not None:
-            self._named[anchor] = None
-
-    def _name(self, anchor: str | None, values: int) -> None:
-        if anchor is not None:
-            self._named[anchor] = values
-
-    def _alias(self, event: Any) -> None:
-        values = self._named.get(event.anchor, 1)
-        if values is None:
-            _yaml_error(f"alias {event.anchor!r} stands for what it lies in", event)
-        self._count += values
+    Raises yaml.MarkedYAMLError: too deep, too many, or an alias of its own surroundings.
+    """
+    count, opened = 0, list[tuple[str | None, int]]()
+    sizes: dict[str | None, int | None] = {}  # by anchor; None while it is open
+    for event in yaml.parse(text, _Loader):
+        if isinstance(event, yaml.AliasEvent):
+            size = sizes.get(event.anchor, 1)
+            if size is None:
+                _yaml_error(f"alias {event.anchor!r} stands for what it lies in", event)
+            count += size
+        elif isinstance(event, yaml.CollectionStartEvent):
+            opened.append((event.anchor, count))
+            count, sizes[event.anchor] = count + 1, None
+            if len(opened) > _DEEPEST_YAML:
+                _yaml_error(f"is nested deeper than {_DEEPEST_YAML} levels", event)
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = opened.pop()
+            sizes[anchor] = count - before
+        elif isinstance(event, yaml.ScalarEvent):
+            count, sizes[event.anchor] = count + 1, 1
+        if count > _MOST_YAML_VALUES:
+            _yaml_error(f"holds more than {_MOST_YAML_VALUES} values, aliases counted as what they stand for", event)
 
 
 class _Loader(_Base):  # type: ignore[misc]
@@ -267,16 +248,10 @@ class _Loader(_Base):  # type: ignore[misc]
         return value
 
 
-def _matrix(loader: _Loader, node: Any) -> Any:
-    return loader.construct_mapping(node, deep=True)
-
-
-def _undefined(loader: _Loader, node: Any) -> NoReturn:
-    _yaml_error(f"has the tag {_clipped(node.tag)}, which means nothing here", node)
-
-
-_Loader.add_constructor(f"{_TAG}opencv-matrix", _matrix)
-_Loader.add_constructor(None, _undefined)
+_Loader.add_constructor(f"{_TAG}opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True))
+_Loader.add_constructor(
+    None, lambda _, node: _yaml_error(f"has the tag {_clipped(node.tag)}, which means nothing here", node)
+)
 
 
 def _is_beyond(value: Any) -> bool:

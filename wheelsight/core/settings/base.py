@@ -5,60 +5,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache
 from json import loads
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeVar, get_args, get_origin
+from typing import Any, NamedTuple, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import PydanticCustomError
 
 from wheelsight.core.errors import InputError
 
-# Settings: what all settings classes share, and `setting`, a field that says where its default comes from.
-
-
-# Sources of defaults: one that no real drive has confirmed, and one without a recorded measurement.
+# Sources of defaults.
 ON_SIMULATOR = "found on the simulator alone"
 CHOSEN = "chosen; no measurement"
-# Of what only a user knows.
 ASKED = "for the user to say"
 
 
 class Settings(BaseModel):
-    """A section of `Config`: frozen; unknown names and numbers that are not finite are refused."""
+    """A section of `Config`: frozen; without unknown names, and numbers that are not finite."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def setting(default: Any, why: str, source: str, **bounds: Any) -> Any:
-    """A field of a settings class.
+    """Return a field of a settings class.
 
     Args:
-        default: its default value; `...` if it is required.
-        why: what it does and why it is so large; with its unit, where its name has none.
+        default: `...` if it is required.
+        why: effect of the setting and reason of its default; with its unit if its name has none.
         source: of the default: its computation, or the drives that showed it.
-        bounds: as pydantic's `Field` takes them: gt, ge, lt, le, and min_length, max_length of several.
+        bounds: of pydantic's `Field`: gt, ge, lt, le, and min_length, max_length of several values.
     """
     return Field(default=default, description=why, json_schema_extra={"source": source}, **bounds)
 
 
 def bounds(**limits: Any) -> Any:
-    """Of each of several numbers: `tuple[Annotated[float, bounds(gt=0, le=10)], ...]`; named as those of `setting`."""
+    """Return bounds, as in `setting`, of each of several numbers: `tuple[Annotated[float, bounds(gt=0)], ...]`."""
     return Field(**limits)
 
 
 def conflict(name: str, problem: str, fix: str) -> PydanticCustomError:
-    """An error of settings that are valid alone but conflict; a validator raises it.
+    """Return the error of settings that are valid alone but conflict, for a validator.
 
     Args:
-        name: the setting at fault, dotted, seen from the class that refuses it.
-        problem: what is wrong, as it follows the name.
-        fix: what to do.
+        name: the wrong setting, dotted, from the class that refuses it.
+        problem: after the name.
+        fix: in the message.
     """
     return PydanticCustomError(
         "conflict", "{setting} {problem} ({fix})", {"setting": name, "problem": problem, "fix": fix}
@@ -85,15 +81,20 @@ class SettingFault:
 
     @classmethod
     def of(cls, invalid: ValidationError, model: type[BaseModel]) -> SettingFault:
-        """The first fault of a validation by `model`."""
+        """Return the first fault of a validation by `model`."""
         details: dict[str, Any] = dict(invalid.errors(include_url=False)[0])
         location = tuple(part for part in details["loc"] if isinstance(part, str))  # a setting, not its place in a list
         if details["type"] == _CONFLICT:
             location += tuple(details["ctx"]["setting"].split("."))
-        return cls(location, tuple(_known_settings(model, location[:-1])), details)
+        section: Any = model
+        for part in location[:-1]:
+            field = getattr(section, "model_fields", {}).get(part)
+            kinds = () if field is None else (*get_args(field.annotation), field.annotation)
+            section = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
+        return cls(location, tuple(sorted(getattr(section, "model_fields", {}))), details)
 
     def message(self, name: str | None = None) -> tuple[str, str | None]:
-        """The problem of the setting, called `name` in the message, and its fix or None."""
+        """Return the problem of the setting, by this `name`, and its fix or None."""
         details, name = self.details, ".".join(self.location) if name is None else name
         if details["type"] == _CONFLICT:
             return f"{name} {details['ctx']['problem']}", details["ctx"]["fix"]
@@ -111,12 +112,12 @@ class SettingFault:
 def checked_settings(
     model: type[_Settings], values: Any, error: type[InputError], whose: str, fix: str | None = None
 ) -> _Settings:
-    """The validated settings of a file.
+    """Return the validated settings of a file.
 
     Args:
-        model: the type of the settings.
+        model: type of the settings.
         values: names and values in the file.
-        error: raised if they are invalid.
+        error: raised for invalid settings.
         whose: begin of the message, such as "settings: ".
         fix: replaces the fix of the fault.
     """
@@ -125,22 +126,6 @@ def checked_settings(
     except ValidationError as invalid:
         problem, right = SettingFault.of(invalid, model).message()
         raise error(f"{whose}{problem}", fix=fix or right) from invalid
-
-
-def _known_settings(model: Any, section: Sequence[str]) -> list[str]:
-    for part in section:
-        field = getattr(model, "model_fields", {}).get(part)
-        if field is None:
-            return []
-        model = next((kind for kind in get_args(field.annotation) if _is_settings(kind)), field.annotation)
-    return sorted(getattr(model, "model_fields", {}))
-
-
-def _is_settings(kind: Any) -> bool:
-    return get_origin(kind) is None and isinstance(kind, type) and issubclass(kind, BaseModel)
-
-
-# Removed settings
 
 
 REMOVED_FILE = Path(__file__).with_name("removed.txt")
@@ -181,7 +166,7 @@ class RemovedSetting(NamedTuple):
 
 
 def split_removed(values: Mapping[str, Any], section: str = "") -> tuple[dict[str, Any], list[RemovedSetting]]:
-    """Nested settings without removed names and with new ones, and the removed settings in their order.
+    """Return nested settings with current names, and the removed settings in their order.
 
     Args:
         values: names and values of a file.
@@ -218,17 +203,14 @@ def _removed_settings(path: Path) -> Mapping[str, RemovedSetting]:
     return lines
 
 
-# Profiles: settings that go together for one kind of computer; what a user names lies over them.
-
-
 @dataclass(frozen=True, slots=True)
 class ProfileSetting:
-    """What a profile has in place of a default.
+    """A default in a profile, for one kind of computer.
 
     Attributes:
         value: of the setting.
-        why: it is so, with its unit where the setting's name has none.
-        source: where the value comes from.
+        why: reason, with the unit if the setting's name has none.
+        source: of the value.
     """
 
     value: Any
@@ -269,7 +251,7 @@ PROFILES: Mapping[str, Mapping[str, ProfileSetting]] = MappingProxyType({"pi": P
 
 
 def over_profile(profile: object, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested settings over those of a profile; as they are where there is none of that name."""
+    """Return nested settings over those of a profile; unchanged for an unknown profile."""
     below: dict[str, Any] = {}
     for name, of_profile in PROFILES.get(profile, {}).items() if isinstance(profile, str) else ():
         below = _over(below, _nested(name, of_profile.value))
@@ -277,7 +259,7 @@ def over_profile(profile: object, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def differing(settings: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
-    """Of nested settings those that are not the same in others, which have the same names."""
+    """Return the nested settings that differ from others with the same names."""
     changed: dict[str, Any] = {}
     for name, value in settings.items():
         if isinstance(value, Mapping) and isinstance(others[name], Mapping):
@@ -295,6 +277,6 @@ def _nested(name: str, value: Any) -> dict[str, Any]:
 
 
 def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested mappings, in which those of `above` win."""
+    """Merge nested mappings; values of `above` win."""
     both = {name for name in above if isinstance(below.get(name), Mapping) and isinstance(above[name], Mapping)}
     return {**below, **above, **{name: _over(below[name], above[name]) for name in both}}
