@@ -13,7 +13,7 @@ import shapely
 
 from benchmarks.exploration_truth import CELL_M, TruePlan, tour_m
 from benchmarks.session_starts import Building
-from wheelsight.app.run.exploring import exploring
+from wheelsight.app.run.drives import exploring
 from wheelsight.config import Config, load_config
 from wheelsight.core.files import write_bytes
 from wheelsight.core.geometry import BoolArray, ByteArray, FloatArray, se2, se3

@@ -171,7 +171,7 @@ def test_progress_has_count_rate_and_time_left(
         progress.show(Done(10, 20, 0, 100, None, None))
         now_s[0] += 60
         progress.show(Done(11, 20, 25, 100, Outcome("a", "broke"), None))
-        progress.tell("a: broke")
+        progress.warn("a: broke")
     told = plain(capfd.readouterr().err)
     assert "warning: a: broke" in told
     last = [line for line in told.replace("\r", "\n").splitlines() if "11/20 jobs" in line][-1]

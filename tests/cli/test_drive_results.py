@@ -9,7 +9,7 @@ import pytest
 import typer
 from rehearsed_drive import recorded, rehearsed_drive
 
-from wheelsight.app.cli.drive import tell
+from wheelsight.app.cli.drive import print_results
 from wheelsight.app.report.drive_page import verdict
 from wheelsight.app.run.drive_record import drive_dict
 from wheelsight.app.run.drives import NamedGoal
@@ -20,10 +20,10 @@ def test_periods_that_came_late_are_told_where_they_are_many(capsys: pytest.Capt
     drive, _, config = rehearsed_drive()
     drive.go_to(NamedGoal.of(np.array([-0.7, -0.4, np.nan]), "there"), lambda feedback: None)
     record = recorded(drive, config)
-    tell(record)
+    print_results(record)
     assert "longer than they should" not in capsys.readouterr().err
     late = replace(record, rows=replace(record.rows, stamps_s=2 * record.rows.stamps_s))
-    tell(late)
+    print_results(late)
     told, count = " ".join(capsys.readouterr().err.split()), len(record.rows) - 1
     assert f"{count:,} of {count:,} periods of the control loop took longer than they should, 100 ms at most" in told
 
@@ -39,7 +39,7 @@ def test_a_start_that_nothing_bears_out_is_told(
     said = {"x_m": 1.0, "y_m": 0.0, "yaw_deg": 0.0} if start else None
     known = {**record.config, "known_map": {**record.config["known_map"], "start": said}}
     found = replace(record, config=known, recognised=recognised)
-    tell(found)
+    print_results(found)
     told = " ".join(capsys.readouterr().err.split())
     assert ("nothing of the map was recognised" in told) is is_told
     assert ("Nothing of the map was recognised" in verdict(found)[1]) is is_told
@@ -57,12 +57,12 @@ def test_a_drive_that_touched_something_has_no_good_end(count: int, capsys: pyte
     drive, _, config = rehearsed_drive()
     drive.go_to(NamedGoal.of(np.array([-0.7, -0.4, np.nan]), "there"), lambda feedback: None)
     arrived = recorded(drive, config)
-    tell(replace(arrived, truth=touching((3.0, "person_1", False))))  # who walked into the robot
+    print_results(replace(arrived, truth=touching((3.0, "person_1", False))))  # who walked into the robot
     assert "drove against" not in capsys.readouterr().err
     assert verdict(arrived)[0] == "Arrived"
     record = replace(arrived, truth=touching(*((2.5 + k, f"sofa_{k}", True) for k in range(count))))
     with pytest.raises(typer.Exit) as ended:
-        tell(record)
+        print_results(record)
     assert ended.value.exit_code == 1
     said = capsys.readouterr()
     last = said.err.strip().splitlines()[-1]

@@ -85,10 +85,10 @@ def test_the_address_that_is_printed_holds_the_token() -> None:
 def test_a_flood_of_refusals_is_counted_and_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
     with CountedLines(print_warning) as refusals:
         for number in range(500):
-            refusals.tell(f"refused {number}")
-            refusals.tell("refused 10.0.0.7: no token")
-        refusals.tell("refused 10.0.0.8: no HTTP (70 times)")
-        refusals.tell("the port is gone", is_problem=True)
+            refusals.add(f"refused {number}")
+            refusals.add("refused 10.0.0.7: no token")
+        refusals.add("refused 10.0.0.8: no HTTP (70 times)")
+        refusals.add("the port is gone", is_problem=True)
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) <= 14
     assert "warning: the port is gone" in lines, "a problem is not among the others"
@@ -105,7 +105,7 @@ def test_a_terminal_that_takes_nothing_holds_up_no_thread() -> None:
 
     with CountedLines(hangs) as refusals:
         for _ in range(1000):
-            refusals.tell("refused 10.0.0.7: no token")
+            refusals.add("refused 10.0.0.7: no token")
         assert not printed
         goes_on.set()
     assert printed

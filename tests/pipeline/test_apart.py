@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from narrowing import not_none
 
-from wheelsight.app.run.drives import drive_in_map
-from wheelsight.app.run.exploring import exploring
+from wheelsight.app.run.drives import drive_in_map, exploring
 from wheelsight.config import Config, load_config
 from wheelsight.navigation import NavigationState, Navigator
 from wheelsight.slam.maps import MapFolder

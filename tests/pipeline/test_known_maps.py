@@ -89,7 +89,7 @@ def test_the_second_day_is_found_and_the_map_stays_as_it_is(first_day: Path, tmp
     assert metrics_in(tmp_path / "found")["loops"]["kept"] >= 2
     known = not_none(record.known_map)
     assert known.is_recognised
-    assert known.after_s == pytest.approx(not_none(record.frames[joined].told_s) - record.frames[0].stamp_s)
+    assert known.after_s == pytest.approx(not_none(record.frames[joined].posed_s) - record.frames[0].stamp_s)
     T_map_camera = np.eye(4)
     T_map_camera[:3, 3] = known.x_m, known.y_m, known.z_m
     T_map_room = se3.invert(FIRST_DAY[0])

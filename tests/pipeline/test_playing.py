@@ -180,7 +180,7 @@ def test_what_is_heard_from_elsewhere_comes_between() -> None:
     assert playing.shown_s(clock.now_s()) == pytest.approx(START_S + 0.05)
     heard = [WheelTicks(START_S + 0.04, 1, 1), WheelTicks(float("nan"), 2, 2)]
     for reading in heard:
-        playing.hear(reading)
+        playing.add(reading)
     assert [playing.take(), playing.take()] == heard
     assert playing.take().index == 1  # type: ignore[union-attr]
     playing.close()

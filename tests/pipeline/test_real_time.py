@@ -285,7 +285,7 @@ def test_a_source_whose_clock_begins_anew_or_says_nonsense_is_passed_on(clock: V
         return True
 
     with LiveWheels("pipe", clock=clock, source=Odd()) as wheels:
-        wheels.tell(hear)
+        wheels.set_listener(hear)
         clock.sleep(1.0)
     np.testing.assert_allclose(heard, [0.1, 0.2, np.nan, 0.4, 0.5])
     assert wheels.count == 5

@@ -24,7 +24,7 @@ GOAL = NamedGoal.of((-0.7, -0.4), "the middle")
 def driven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Shown, list[Feedback], GoalDrive]:
     path = tmp_path_factory.mktemp("shown") / "drive.rrd"
     with open_drive_log(str(path), CALIBRATION, ViewerSettings(image_rate_hz=2.0, costmap_rate_hz=1.0)) as log:
-        drive, _, _ = rehearsed_drive(on_events=log.hear, on_transition=log.note)
+        drive, _, _ = rehearsed_drive(on_events=log.on_events, on_transition=log.note)
         told: list[Feedback] = []
 
         def step(feedback: Feedback) -> None:
@@ -106,7 +106,7 @@ def test_the_camera_comes_as_often_as_asked_and_speeds_in_each_period(
 def test_nothing_of_a_robot_that_does_not_know_where_it_is(tmp_path: Path) -> None:
     path = tmp_path / "drive.rrd"
     with open_drive_log(str(path), CALIBRATION, ViewerSettings(costmap_rate_hz=0, image_rate_hz=0)) as log:
-        drive, _, _ = rehearsed_drive(on_events=log.hear)
+        drive, _, _ = rehearsed_drive(on_events=log.on_events)
         log.step(drive.navigator.feedback, drive.navigator)
     shown = Shown(path)
     assert not any(
@@ -121,7 +121,7 @@ def test_in_another_map_floor_and_way_begin_anew(tmp_path: Path) -> None:
     path = tmp_path / "drive.rrd"
     with open_drive_log(str(path), CALIBRATION, ViewerSettings(costmap_rate_hz=1.0, image_rate_hz=0)) as log:
         for _ in range(2):
-            drive, _, _ = rehearsed_drive(on_events=log.hear)
+            drive, _, _ = rehearsed_drive(on_events=log.on_events)
             for _ in range(5):
                 log.step(drive.navigator.step(), drive.navigator)
     rows = Shown(path).rows

@@ -56,21 +56,21 @@ def run_plan(
 
         def runner(jobs: Sequence[Job]) -> Generator[Outcome]:
             if scheduler is not None:
-                return run_on_fleet(jobs, scheduler, run_job, connect_s=settings.connect_s, on_note=progress.tell)
+                return run_on_fleet(jobs, scheduler, run_job, connect_s=settings.connect_s, on_note=progress.warn)
             tries = settings.tries
             return run_on_processes(jobs, processes, run_job, Path(scratch), tries=tries, on_death=again)
 
         def again(job: Job, why: str) -> None:
-            progress.tell(f"{_name(job)}: {why}; it is tried again")
+            progress.warn(f"{_name(job)}: {why}; it is tried again")
 
         def show(step: Done) -> None:
             progress.show(step)
             if step.job is not None and step.outcome is not None and step.outcome.problem is not None:
-                progress.tell(f"{_name(step.job)}: {step.outcome.problem}")
+                progress.warn(f"{_name(step.job)}: {step.outcome.problem}")
 
         for case in plan.cases:
             if case.problem is not None:
-                progress.tell(f"{case.recording}, {case.config}: {case.problem}")
+                progress.warn(f"{case.recording}, {case.config}: {case.problem}")
         return run_batch(plan, out, runner, show)
 
 
@@ -143,7 +143,7 @@ class BatchProgress:
             status=f"{self._broken} broken" if self._broken else "",
         )
 
-    def tell(self, note: str) -> None:
+    def warn(self, note: str) -> None:
         """A warning, above the line of progress."""
         self._progress.console.print(Text.assemble(("warning: ", "yellow"), note))
 

@@ -263,7 +263,7 @@ def _take_views(
     """Until nothing is missing, the camera has ended, or it is over. Prints each view once it is on the disk."""
     from wheelsight.vision.camera_calibration.live_views import save_view
 
-    with camera_progress() as (show, tell):
+    with camera_progress() as (show, note):
         while not is_over():
             if taker.has_enough():
                 return _Why.ENOUGH
@@ -284,7 +284,7 @@ def _take_views(
                 show(f"{len(taker.seen)} views · {taker.advice} · {reason}")
                 continue
             name = save_view(folder, live.frame, live.infrared, depth_factor)
-            tell(f"view {name} taken; {taker.advice}")
+            note(f"view {name} taken; {taker.advice}")
     return _Why.STOPPED
 
 

@@ -78,7 +78,7 @@ def drive(options: DriveOptions) -> None:
         record, left_out = _driven(robot, config, goals, way, options)
     if options.out is not None:
         write(record, options.out)
-    tell(record, left_out)
+    print_results(record, left_out)
 
 
 # The drive
@@ -99,7 +99,7 @@ def _driven(
 ) -> tuple[DriveRecord, str]:
     """The record of the drive, and a sentence on tasks that were not begun; "" if there are none."""
     from wheelsight.app.cli.drive_view import watching
-    from wheelsight.app.run.exploring import loops_of
+    from wheelsight.app.run.drives import loops_of
     from wheelsight.slam.maps import MAP_FOLDER
 
     # What is said while the map is read would run into a screen that is drawn already.
@@ -146,8 +146,7 @@ def _driven(
 @contextmanager
 def _begun(robot: Robot, config: Config, watch: DriveWatch, options: DriveOptions) -> Iterator[GoalDrive]:
     """Whether the floor around the start is free: the user confirms it for a real robot; a simulated one has it."""
-    from wheelsight.app.run.drives import drive_in_map
-    from wheelsight.app.run.exploring import exploring
+    from wheelsight.app.run.drives import drive_in_map, exploring
     from wheelsight.slam.maps import MAP_FOLDER, discard_map
 
     def code(done: int, total: int) -> None:
@@ -155,7 +154,7 @@ def _begun(robot: Robot, config: Config, watch: DriveWatch, options: DriveOption
             print_note(f"reading {total:,} keyframes of the map")
 
     how: dict[str, Any] = {"in_step": options.is_simulated, "trusts_floor": True}
-    how |= {"on_transition": watch.note, "on_events": watch.hear}
+    how |= {"on_transition": watch.note, "on_events": watch.on_events}
     if options.explore:
         assert options.out is not None
         discard_map(options.out / MAP_FOLDER)
@@ -232,7 +231,7 @@ def write(record: DriveRecord, out: Path) -> None:
     print_note(f"results are in {out}")
 
 
-def tell(record: DriveRecord, left_out: str = "") -> None:
+def print_results(record: DriveRecord, left_out: str = "") -> None:
     """What became of each goal, on stdout, what was not begun, and last what a simulated robot touched.
 
     Raises Exit where a goal was not reached, or anything was touched.

@@ -168,10 +168,10 @@ class DriveWatch:
     def __init__(self, view: DriveView, log: DriveLog | None = None) -> None:
         self.view, self._log = view, log
 
-    def hear(self, events: Sequence[Event]) -> None:
+    def on_events(self, events: Sequence[Event]) -> None:
         """What the robot's sensors said."""
         if self._log is not None:
-            self._log.hear(events)
+            self._log.on_events(events)
 
     def note(self, transition: Transition) -> None:
         """A change of the navigator's state."""

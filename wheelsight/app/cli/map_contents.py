@@ -99,7 +99,7 @@ def name_place(source: Path, called: str, at: str | None) -> None:
         hung = NamedPose(called, pose).attached_to_nearest(folder.store.T_map_keyframe, sure)
         folder.save_named_poses(known.with_pose(hung))
         on = "no keyframe" if hung.keyframe is None else f"keyframe {hung.keyframe}"
-        typer.echo(f"{hung.name} is at {told(pose)}, and moves with {on}")
+        typer.echo(f"{hung.name} is at {pose_text(pose)}, and moves with {on}")
         # A place farther from all keyframes than floor is taken from them was probably mistyped
         from wheelsight.app.cli.console import print_warning
         from wheelsight.mapping import OccupancySettings
@@ -124,7 +124,7 @@ def print_names(folder: MapFolder) -> None:
     if not where:
         typer.echo("the map has no names: wheelsight map name MAP NAME --at X,Y,YAW_DEG")
         return
-    console().print(facts_table("places", ((name, told(pose)) for name, pose in where.items())))
+    console().print(facts_table("places", ((name, pose_text(pose)) for name, pose in where.items())))
 
 
 def places_of(folder: MapFolder) -> dict[str, FloatArray]:
@@ -153,7 +153,7 @@ def pose_of(option: str, text: str) -> FloatArray:
     return np.array([x_m, y_m, math.radians(yaw_deg[0]) if yaw_deg else math.nan])
 
 
-def told(pose: FloatArray) -> str:
+def pose_text(pose: FloatArray) -> str:
     """Such as "3.20, 1.50 m, 90°"."""
     yaw = "any heading" if math.isnan(pose[2]) else f"{math.degrees(pose[2]):.0f}°"
     return f"{pose[0]:.2f}, {pose[1]:.2f} m, {yaw}"

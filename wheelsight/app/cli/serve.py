@@ -134,10 +134,10 @@ def serve(options: ServeOptions) -> None:
         robot_of(options, config) as robot,
         _log_of(options.rerun, robot.calibration, config) as log,
     ):
-        on_problem = partial(lines.tell, is_problem=True)
+        on_problem = partial(lines.add, is_problem=True)
         how: dict[str, Any] = {"paces": options.is_simulated, "on_problem": on_problem, "watch": log}
         with Session(robot, maps, config.page, **how) as session:
-            app = page_app(session, config.page, access, lines.tell)
+            app = page_app(session, config.page, access, lines.add)
             with until_stopped() as is_over, PageServer(app, options.host, options.port, config.page) as server:
                 for address in addresses(options.host, server.port, access.token):
                     typer.echo(address)
@@ -178,7 +178,7 @@ class CountedLines:
         self._thread = threading.Thread(target=self._run, name="wheelsight-lines", daemon=True)
         self._thread.start()
 
-    def tell(self, line: str, *, is_problem: bool = False) -> None:
+    def add(self, line: str, *, is_problem: bool = False) -> None:
         """One more; a problem of the robot is never among the others."""
         found = _TIMES.search(line)
         text, times = (line[: found.start()], int(found[1])) if found else (line, 1)

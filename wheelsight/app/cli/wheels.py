@@ -101,17 +101,17 @@ def serve(
     """
     from wheelsight.app.cli.console import print_note
     from wheelsight.app.telemetry import Telemetry
-    from wheelsight.app.telemetry import serve as tell
+    from wheelsight.app.telemetry import serve as send_poses
     from wheelsight.io.devices import TelemetryPipe, WheelLink
 
     telemetry = Telemetry(_wheels_of(calibration))
     with (
         until_stopped(seconds) as is_over,
-        TelemetryPipe(pipe) as telling,
+        TelemetryPipe(pipe) as lines,
         WheelLink(port, baud, note_status(port)) as link,
     ):
-        tell(link, telemetry, telling, is_over)
-    print_note(f"{telling.sent} lines sent, {telling.dropped} dropped for slow readers")
+        send_poses(link, telemetry, lines, is_over)
+    print_note(f"{lines.sent} lines sent, {lines.dropped} dropped for slow readers")
 
 
 @wheels_app.command(cls=CliCommand)

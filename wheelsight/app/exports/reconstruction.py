@@ -1,11 +1,14 @@
-"""Writes images of keyframes with cameras and poses for reconstruction: nerfstudio's transforms.json and COLMAP's text
-model.
+"""Exports for programs of reconstruction and evaluation: images with poses for COLMAP and nerfstudio, OctoMap's binary
+trees, and trajectories as TUM, KITTI or EuRoC's csv.
 """
 
 from __future__ import annotations
 
 import json
+import os
+import secrets
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,13 +16,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from wheelsight.app.exports.sources import ColoredPoints, Exported, points_of, upright_points
-from wheelsight.core.errors import InputError, MapError
+from wheelsight.app.exports.sources import ColoredPoints, Exported, points_of, thinned, upright_points
+from wheelsight.core.errors import InputError, MapError, OutputError, TrajectoryError
 from wheelsight.core.files import (
     StrPath,
     atomic_write,
+    check_name,
     make_output_folder,
     new_output_folder,
+    output_error,
     remove_file,
     write_bytes,
     write_text,
@@ -27,8 +32,10 @@ from wheelsight.core.files import (
 from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera, se3, so3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.io.recordings import Recording
-from wheelsight.io.recordings.bags.writing import T_LINK_OPTICAL
+from wheelsight.core.runtime import needed
+from wheelsight.core.trajectory import Trajectory, write_kitti, write_tum
+from wheelsight.io.recordings import Recording, express_for
+from wheelsight.io.recordings.bags.writing import T_LINK_OPTICAL, nanoseconds
 from wheelsight.slam.maps import MapFolder, in_largest_piece
 
 # nerfstudio
@@ -260,3 +267,108 @@ def _write(path: Path, image: ByteArray | np.ndarray) -> None:
     written, code = cv2.imencode(".png", image)
     assert written
     write_bytes(path, code.tobytes())
+
+
+# OctoMap, with its own library, octomap-python, which must be installed
+
+
+def export_octomap(
+    source: Exported, path: StrPath, voxel_m: float, on_keyframe: Callable[[int, int], None] = lambda done, total: None
+) -> int:
+    """Write the map's keyframes as an OctoMap (.bt) with cells of `voxel_m`, z up. Returns the number of keyframes.
+
+    Rays of each depth image mark the space before a surface as free.
+
+    Raises:
+        ConfigError: octomap-python is not installed.
+        InputError: there is no readable map.
+        OutputError: the file cannot be written.
+    """
+    octomap, path = needed("octomap"), Path(path)
+    check_name(path)
+    kept = source.need_map()
+    numbers = [KeyframeId(int(number)) for number in np.flatnonzero(in_largest_piece(kept))]
+    if not numbers:
+        raise MapError("has no keyframes that hang together", path=kept.path, fix="drive on, and export again")
+    body = "camera" if kept.calibration.T_base_camera is None else "base"
+    tree = octomap.OcTree(voxel_m)
+    for done, number in enumerate(numbers, start=1):
+        T_map_camera = kept.store.pose(number)
+        # Points (N, 3) of a keyframe in its own frame, one a cell
+        keyframe = kept.store[number]
+        depth_m, (fx, fy, cx, cy) = keyframe.depth_m, keyframe.intrinsics
+        v, u = np.nonzero(depth_m)
+        z = depth_m[v, u].astype(float)
+        p_keyframe = np.column_stack([(u - cx) / fx * z, (v - cy) / fy * z, z])
+        seen = thinned(ColoredPoints(p_keyframe, np.zeros((len(p_keyframe), 3), np.uint8)), voxel_m).p_map
+        p = upright_points(se3.apply(T_map_camera, seen), body)
+        eye = upright_points(T_map_camera[None, :3, 3], body)[0]
+        tree.insertPointCloud(np.ascontiguousarray(p), np.ascontiguousarray(eye))
+        on_keyframe(done, len(numbers))
+    # Whole or not at all; the library takes names alone
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    try:
+        if not tree.writeBinary(os.fsencode(temporary)):
+            raise OutputError("OctoMap could not write it", path=path, fix="check the folder and the room on the disk")
+        temporary.replace(path)
+    except OSError as error:
+        raise output_error(error, path) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+    return len(numbers)
+
+
+# Trajectories
+
+
+# As EuRoC's data.csv of state_groundtruth_estimate0 begins, without velocities and biases, which a trajectory lacks.
+_EUROC = "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []\n"
+
+
+def export_trajectory(source: Exported, form: str, path: StrPath, body: str | None = None) -> Trajectory:
+    """Write a run's final trajectory in one of TRAJECTORY_FORMATS. Returns the written trajectory.
+
+    Args:
+        source: a run.
+        form: format of the file.
+        path: of the file.
+        body: "base" or "camera"; None for the body of the run. KITTI's rules ask for a camera, but its tools take any
+            body.
+
+    Raises:
+        TrajectoryError: there is none.
+        CalibrationError: it is of another body, and there is no transform between the two.
+        OutputError: the file cannot be written.
+    """
+    found = source.corrected or source.trajectory
+    if found is None:
+        fix = "give the folder of a run: wheelsight run RECORDING --out DIR"
+        raise TrajectoryError("holds no trajectory", path=source.path, fix=fix)
+    if body is not None and body != found.body:
+        calibration = source.calibration
+        if calibration is None:
+            raise TrajectoryError(f"is of the {found.body}, and no calibration is there", path=source.path)
+        found = express_for(body, found, calibration)
+    TRAJECTORY_FORMATS[form](found, path)
+    return found
+
+
+def write_euroc(trajectory: Trajectory, path: StrPath) -> None:
+    """Write EuRoC's csv, atomically: nanoseconds, position, and the quaternion with w first. Raises OutputError."""
+    q_wxyz = np.roll(so3.to_quaternion(trajectory.T_frame_body[:, :3, :3]), 1, axis=1)
+    lines = [
+        ",".join([str(nanoseconds(stamp_s)), *(f"{value:.9f}" for value in (*position, *quaternion))])
+        for stamp_s, position, quaternion in zip(
+            trajectory.stamps_s.tolist(), trajectory.positions_m, q_wxyz, strict=True
+        )
+    ]
+    write_text(Path(path), _EUROC + "".join(f"{line}\n" for line in lines))
+
+
+TRAJECTORY_FORMATS: dict[str, Callable[[Trajectory, StrPath], None]] = {
+    "euroc": write_euroc,
+    "kitti": write_kitti,
+    "tum": write_tum,
+}
+"""How each format is written, by its name."""

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from wheelsight.app.page.snapshot import Driven
-from wheelsight.app.run.drives import drive_in_map
-from wheelsight.app.run.exploring import exploring
+from wheelsight.app.run.drives import drive_in_map, exploring
 from wheelsight.config import Config, KnownMapSettings, StartSettings
 from wheelsight.core.errors import ConfigError, MapError
 from wheelsight.core.files import StrPath, make_output_folder

@@ -201,7 +201,7 @@ class PageServer:
             config=self._config, server_state=state, app_state=self._server.lifespan.state
         )
         try:
-            transport, _ = await self.loop.connect_accepted_socket(lambda: _Begun(inner, head), connection)
+            transport, _ = await self.loop.connect_accepted_socket(lambda: _HandedOver(inner, head), connection)
         except OSError:
             connection.close()
             return
@@ -318,7 +318,7 @@ class _DoorProcess:
             self.handed.shutdown(socket.SHUT_RDWR)
 
 
-class _Begun(asyncio.Protocol):
+class _HandedOver(asyncio.Protocol):
     """A protocol for connections whose first bytes the door has read."""
 
     def __init__(self, inner: asyncio.Protocol, head: bytes) -> None:
@@ -333,11 +333,11 @@ class _Begun(asyncio.Protocol):
 
 
 class _Counted(logging.Handler):
-    """Passes the log of uvicorn and asyncio line by line to `tell`; a traceback with the first of its kind."""
+    """Passes the log of uvicorn and asyncio line by line to `on_line`; a traceback with the first of its kind."""
 
-    def __init__(self, tell: Callable[[str], None]) -> None:
+    def __init__(self, on_line: Callable[[str], None]) -> None:
         super().__init__(logging.WARNING)
-        self._tell, self._traced = tell, set[str]()
+        self._on_line, self._traced = on_line, set[str]()
 
     def emit(self, record: logging.LogRecord) -> None:
         """As `logging.Handler` has it."""
@@ -349,7 +349,7 @@ class _Counted(logging.Handler):
             if kind not in self._traced and len(self._traced) < _MOST_TRACES:
                 self._traced.add(kind)
                 line += "\n" + "".join(traceback.format_exception(error)).rstrip()
-        self._tell(f"page: {line}")
+        self._on_line(f"page: {line}")
 
 
 # Application
@@ -402,8 +402,8 @@ def page_app(
     ]
 
     @asynccontextmanager
-    async def telling(app: Starlette) -> AsyncIterator[None]:
-        tasks = [asyncio.create_task(one) for one in (_tell(viewers, settings), _pulse(session))]
+    async def updating(app: Starlette) -> AsyncIterator[None]:
+        tasks = [asyncio.create_task(one) for one in (_send_updates(viewers, settings), _pulse(session))]
         try:
             yield
         finally:
@@ -411,16 +411,16 @@ def page_app(
                 task.cancel()
             await asyncio.wait(tasks)
 
-    return PageApp(Starlette(routes=routes, lifespan=telling), session, access, on_refusal)
+    return PageApp(Starlette(routes=routes, lifespan=updating), session, access, on_refusal)
 
 
-async def _tell(viewers: Viewers, settings: LivePageSettings) -> None:
+async def _send_updates(viewers: Viewers, settings: LivePageSettings) -> None:
     """Send the newest state to all pages, period by period."""
     loop, period_s = asyncio.get_running_loop(), 1 / settings.updates_hz
     due_s = loop.time()
     while True:
         try:
-            viewers.tell_all()
+            viewers.send_all()
         except Exception:
             _log.exception("no update was sent")
         # By the clock: what sending takes is no delay, and what is missed is not made up for.
@@ -503,7 +503,7 @@ class _Socket:
                     self._on_refusal(f"refused page {viewer.number}: a message that is far too large")
                 return
             text = event.get("text")
-            self._viewers.hear(viewer, event.get("bytes") if text is None else text)
+            self._viewers.receive(viewer, event.get("bytes") if text is None else text)
 
     async def _send(self, websocket: WebSocket, viewer: Viewer) -> None:
         await websocket.send_json({"welcome": {"you": viewer.number, "old_s": self._settings.old_s}})
@@ -563,7 +563,7 @@ class Viewer:
         self._refusals: deque[str] = deque(maxlen=_REFUSALS)
         self._wake = asyncio.Event()
 
-    def tell(self, text: str) -> None:
+    def send(self, text: str) -> None:
         """Queue a state, which replaces one that is not sent yet."""
         self._newest = text
         self._wake.set()
@@ -642,7 +642,7 @@ class Viewers:
         if viewer is self._driver:
             self._lose_driver()
 
-    def hear(self, viewer: Viewer, message: str | bytes | None) -> None:
+    def receive(self, viewer: Viewer, message: str | bytes | None) -> None:
         """Execute a page's message. Raises SentAwayError if the page must disconnect."""
         if isinstance(message, str) and len(message) <= _MOST_BYTES and says_stop(message):
             # Before all else, and counted after: who is in need presses often.
@@ -663,7 +663,7 @@ class Viewers:
             return
         self._do(viewer, asked)
 
-    def tell_all(self) -> None:
+    def send_all(self) -> None:
         """Send the newest state to every page, and check that the driver is connected."""
         driver = self._driver
         if driver is not None and self._now_s() - driver.heard_s > self._settings.driver_silent_s:
@@ -675,7 +675,7 @@ class Viewers:
         about = f'"age_s":{age_s:.2f},"driver":{self.driver or "null"},"viewers":{len(self)}'
         text = f'{{{about},"robot":{snapshot.text}}}'
         for viewer in self._viewers.values():
-            viewer.tell(text)
+            viewer.send(text)
 
     def _do(self, viewer: Viewer, asked: Message) -> None:
         if isinstance(asked, Alive):
@@ -691,7 +691,7 @@ class Viewers:
         elif self._driver not in (None, viewer):
             viewer.refuse("another page drives: take control first")
         else:
-            # Who asks first drives.
+            # The first page with a task drives.
             self._driver = viewer
             refused = self._session.ask(asked)
             if refused:

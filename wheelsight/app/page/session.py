@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from wheelsight.app.page.snapshot import Driven, Maps, Snapshot, Telling, Watch
+from wheelsight.app.page.snapshot import Driven, Maps, Snapshot, SnapshotMaker, Watch
 from wheelsight.app.page.stop_switch import StoppableRobot, StopSwitch, Watchdog
 from wheelsight.core.errors import ArgumentError, ConfigError, WheelsightError
 from wheelsight.core.geometry import FloatArray
@@ -216,8 +216,8 @@ class Session:
         self.silent_s = _SILENT_IN_STEP_S if paces else _SILENT_S
         self._is_driving = self._has_task = False
         self._traced = set[str]()
-        self._telling = Telling(self._robot, settings, lambda: self.wants_costmap)
-        self._latest = self._telling.of_words(self._facts("opening"))
+        self._snapshots = SnapshotMaker(self._robot, settings, lambda: self.wants_costmap)
+        self._latest = self._snapshots.of_words(self._facts("opening"))
         self._watchdog = Watchdog(self._may_be_silent_s, self.part_fails, self.say)
         self._thread = threading.Thread(target=self._run, name="wheelsight-drive", daemon=True)
 
@@ -309,13 +309,13 @@ class Session:
             if not self._over.is_set():
                 self.stop("the program that drives has ended")
                 self.say("nothing is driven any more: begin wheelsight serve again", is_problem=True)
-            self._latest = self._telling.of_words(self._facts("ended"))
+            self._latest = self._snapshots.of_words(self._facts("ended"))
 
     def _in_map(self, chosen: _Next, beat: Callable[[], None]) -> _Next | None:
         """Drive in a map until the next map; None if the driver must choose one, and at the end."""
         self._name, self._reported = chosen.name, None
-        self._telling.begin()
-        self._latest = self._telling.of_words(self._facts("opening"))
+        self._snapshots.begin()
+        self._latest = self._snapshots.of_words(self._facts("opening"))
         following, doing, has_driven = None, "the map is not opened", False
         try:
             with self._maps.opened(chosen.name, self._robot, chosen.pose, self._note) as driven:
@@ -325,7 +325,7 @@ class Session:
                 finally:
                     has_driven, self._is_driving = self._is_driving, False
                 doing = "the map is not saved" if driven.is_new else "the map is not closed"
-                self._latest = self._telling.of_words(self._facts("saving" if driven.is_new else "closing"))
+                self._latest = self._snapshots.of_words(self._facts("saving" if driven.is_new else "closing"))
         except Exception as error:
             self._fail(doing, error)
             if isinstance(error, WheelsightError) or not has_driven:
@@ -340,7 +340,7 @@ class Session:
     def _wait_for_choice(self) -> _Next | None:
         """Wait until the driver chooses a map."""
         while not self._over.is_set():
-            self._latest = self._telling.of_words(self._facts("choose"))
+            self._latest = self._snapshots.of_words(self._facts("choose"))
             try:
                 task = self._asked.get(timeout=_WAIT_S).task
             except queue.Empty:
@@ -371,7 +371,7 @@ class Session:
                     self._watch.step(feedback, driven.navigator)
                 self._report_result(driven)
                 if period % every == 0:
-                    self._latest = self._telling.of(driven, feedback, self._facts("driving", driven))
+                    self._latest = self._snapshots.of(driven, feedback, self._facts("driving", driven))
             except Exception as error:
                 failures += 1
                 self._fail("the robot is stopped; give it its task again", error)
@@ -455,7 +455,7 @@ class Session:
 
     def _on_events(self, events: Sequence[Event]) -> None:
         if self._watch is not None:
-            self._watch.hear(events)
+            self._watch.on_events(events)
 
     def _note(self, transition: Transition) -> None:
         if self._watch is not None:

@@ -62,7 +62,7 @@ class Snapshot:
     is_driving: bool = False
 
 
-class Telling:
+class SnapshotMaker:
     """Makes the snapshots of a robot that drives in one map after another.
 
     Args:
@@ -227,7 +227,7 @@ class Maps(Protocol):
 class Watch(Protocol):
     """A listener to all drives of a session, such as `wheelsight.app.viewer.DriveLog`."""
 
-    def hear(self, events: Sequence[Event]) -> None:
+    def on_events(self, events: Sequence[Event]) -> None:
         """Events of the robot's sensors."""
 
     def note(self, transition: Transition) -> None:

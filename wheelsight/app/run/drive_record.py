@@ -24,7 +24,6 @@ from wheelsight.core.trajectory import Trajectory, write_tum
 from wheelsight.mapping import OccupancyGrid
 from wheelsight.navigation import CellState, Costmap, Feedback, Footprint, MonitorState, NavigationResult, Plan
 from wheelsight.navigation.costmap import distances_m
-from wheelsight.navigation.people import Person
 from wheelsight.navigation.senses import Senses
 
 # Of what a period is to take: longer ones are late.
@@ -266,7 +265,7 @@ class DriveRecorder:
         self.stops: list[StopRecord] = []
         self.clearance_m = np.inf
 
-    def hear(self, events: Sequence[Event]) -> None:
+    def add(self, events: Sequence[Event]) -> None:
         """Add events of the robot's sensors."""
         for event in events:
             if isinstance(event, RgbdFrame):
@@ -299,7 +298,11 @@ class DriveRecorder:
             if local is not None:
                 self.clearance_m = min(self.clearance_m, self._clearance.of(local, feedback.pose))
             outline = self._footprint.at(feedback.pose)
-            self._people += [_met(one, outline, feedback.stamp_s) for one in senses.people(feedback.stamp_s)]
+            for person in senses.people(feedback.stamp_s):
+                # Distance of his circle from the outline; 0 where they overlap
+                x, y = map(float, person.position)
+                inside_m = cv2.pointPolygonTest(outline.astype(np.float32), (x, y), measureDist=True)
+                self._people.append((feedback.stamp_s, x, y, max(-inside_m - person.radius_m, 0.0)))
 
     @property
     def people(self) -> FloatArray:
@@ -392,13 +395,6 @@ class _Clearance:
         return max(nearest_m - costmap.resolution_m / 2, 0.0)
 
 
-def _met(person: Person, outline: FloatArray, stamp_s: float) -> tuple[float, float, float, float]:
-    """Stamp and place of a person, and the distance of his circle from an outline (N, 2); 0 where they overlap."""
-    x, y = map(float, person.position)
-    inside_m = cv2.pointPolygonTest(outline.astype(np.float32), (x, y), measureDist=True)
-    return stamp_s, x, y, max(-inside_m - person.radius_m, 0.0)
-
-
 # Files
 
 
@@ -416,7 +412,38 @@ def write_drive(record: DriveRecord, folder: StrPath) -> None:
 
 def drive_dict(record: DriveRecord) -> dict[str, Any]:
     """The record as nested values for JSON; unknown values are None."""
-    plans = [{"stamp_s": stamp_s, "poses": _poses(_thinned(poses))} for stamp_s, poses in record.plans]
+    goals = [
+        {
+            "name": goal.name,
+            "goal": _pose(goal.goal),
+            "arrived": goal.result.has_arrived,
+            "reason": None if goal.result.reason is None else str(goal.result.reason),
+            "detail": goal.result.detail,
+            "goal_change": goal.result.goal_change or None,
+            "end": _pose(goal.end),
+            "off_m": _number(goal.off_m),
+            "off_deg": _number(goal.off_deg),
+            "time_s": round(goal.result.time_s, 3),
+            "way_m": round(goal.result.way_m, 3),
+            "planned_m": round(goal.result.planned_m, 3),
+            "plans": goal.result.plans,
+            "recoveries": goal.result.recoveries,
+        }
+        for goal in record.goals
+    ]
+    people = None  # closest distance to a walking person and its time
+    if len(record.people):
+        nearest = zip(("stamp_s", "x_m", "y_m", "away_m"), record.people[record.people[:, 3].argmin()], strict=True)
+        periods = len(np.unique(record.people[:, 0]))
+        people = {"periods": periods, "nearest": {name: _number(float(value)) for name, value in nearest}}
+    plans = [
+        {"stamp_s": stamp_s, "poses": [[round(float(value), 3) for value in pose] for pose in _thinned(poses)]}
+        for stamp_s, poses in record.plans
+    ]
+    stops = [
+        {"begin_s": stop.begin_s, "end_s": stop.end_s, "reason": stop.reason, "pose": _pose(stop.pose)}
+        for stop in record.stops
+    ]
     transitions = [
         {"stamp_s": one.stamp_s, "before": str(one.before), "after": str(one.after), "why": one.why}
         for goal in record.goals
@@ -430,18 +457,18 @@ def drive_dict(record: DriveRecord) -> dict[str, Any]:
         "has_arrived": record.has_arrived,
         "interrupted": record.is_interrupted,
         "goals_asked": record.asked,
-        "goals": [_goal(goal) for goal in record.goals],
+        "goals": goals,
         "time_s": round(record.time_s, 3),
         "way_m": round(record.way_m, 3),
         "planned_m": round(record.planned_m, 3),
         "clearance_m": _number(record.clearance_m),
-        "people": _people(record.people),
+        "people": people,
         "periods": {
             "count": record.periods.count,
             "late": record.periods.late,
             "longest_s": round(record.periods.longest_s, 3),
         },
-        "stops": [_stop(stop) for stop in record.stops],
+        "stops": stops,
         "transitions": transitions,
         "plans": plans,
         "recognised": record.recognised,
@@ -451,52 +478,15 @@ def drive_dict(record: DriveRecord) -> dict[str, Any]:
     }
 
 
-def _goal(goal: GoalRecord) -> dict[str, Any]:
-    result = goal.result
-    return {
-        "name": goal.name,
-        "goal": _pose(goal.goal),
-        "arrived": result.has_arrived,
-        "reason": None if result.reason is None else str(result.reason),
-        "detail": result.detail,
-        "goal_change": result.goal_change or None,
-        "end": None if goal.end is None else _pose(goal.end),
-        "off_m": _number(goal.off_m),
-        "off_deg": _number(goal.off_deg),
-        "time_s": round(result.time_s, 3),
-        "way_m": round(result.way_m, 3),
-        "planned_m": round(result.planned_m, 3),
-        "plans": result.plans,
-        "recoveries": result.recoveries,
-    }
-
-
-def _people(people: FloatArray) -> dict[str, Any] | None:
-    """Closest distance to a walking person and its time; None without people."""
-    if not len(people):
+def _pose(pose: FloatArray | None) -> dict[str, float | None] | None:
+    if pose is None:
         return None
-    stamp_s, x_m, y_m, away_m = people[people[:, 3].argmin()].tolist()
-    nearest = {"stamp_s": _number(stamp_s), "x_m": _number(x_m), "y_m": _number(y_m), "away_m": _number(away_m)}
-    return {"periods": len(np.unique(people[:, 0])), "nearest": nearest}
-
-
-def _stop(stop: StopRecord) -> dict[str, Any]:
-    where = None if stop.pose is None else _pose(stop.pose)
-    return {"begin_s": stop.begin_s, "end_s": stop.end_s, "reason": stop.reason, "pose": where}
-
-
-def _pose(pose: FloatArray) -> dict[str, float | None]:
     x_m, y_m, yaw = pose.tolist()
     return {"x_m": _number(x_m), "y_m": _number(y_m), "yaw_deg": _number(math.degrees(yaw))}
 
 
 def _number(value: float) -> float | None:
     return round(value, 4) if math.isfinite(value) else None
-
-
-def _poses(poses: FloatArray) -> list[list[float]]:
-    """Rows of x, y in metres and yaw in radians."""
-    return [[round(float(value), 3) for value in pose] for pose in poses]
 
 
 def _thinned(poses: FloatArray) -> FloatArray:

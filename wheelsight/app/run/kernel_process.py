@@ -54,10 +54,10 @@ class _Counter(event.Listener):
         self._depth -= 1
         if not self._depth:
             self.kernels += 1
-            self.tell()
+            self.report()
 
-    def tell(self) -> None:
-        """One line."""
+    def report(self) -> None:
+        """Print the part and its number of kernels."""
         sys.stdout.write(f"{self.part} {self.kernels}\n")
         sys.stdout.flush()
 
@@ -73,7 +73,7 @@ def main(parts: list[str]) -> None:
             recordings.append(open_recording(Path(folder) / name))
         for part in parts:
             counter.part = part
-            counter.tell()
+            counter.report()
             for recording in recordings:
                 _rehearse(part, recording, Path(folder) / "results")
             mark_compiled(part)

@@ -20,7 +20,7 @@ from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.mapping import SurfelMap
-from wheelsight.mapping.export import Plan, cloud_of, plan_of, upward
+from wheelsight.mapping.export import MapPlan, cloud_of, plan_of, upward
 from wheelsight.mapping.surfels import Parts
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.loop_closing import ClosedLoops, corrected_by
@@ -150,7 +150,7 @@ def camera_of(T_map_body: FloatArray, T_base_camera: FloatArray | None) -> Float
     return T_map_body if T_base_camera is None else T_map_body @ T_base_camera
 
 
-def _plan(parts: Parts, T_map_body: FloatArray, calibration: Calibration) -> Plan | None:
+def _plan(parts: Parts, T_map_body: FloatArray, calibration: Calibration) -> MapPlan | None:
     if not len(T_map_body):
         return None
     T_map_camera = camera_of(T_map_body, calibration.T_base_camera)

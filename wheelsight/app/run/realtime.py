@@ -136,14 +136,14 @@ class RealTimeRecording:
         self._times = AnswerTimes()
         playing = self._playing = Playing(self._items(images), self._clock, self.settings)
         if isinstance(self.wheels, LiveWheels):
-            self.wheels.tell(self._take_live)
+            self.wheels.set_listener(self._take_live)
         try:
             while (event := playing.take()) is not None:
                 yield event
                 self._times.add(event, playing.now_s)
         finally:
             if isinstance(self.wheels, LiveWheels):
-                self.wheels.tell(None)
+                self.wheels.set_listener(None)
             playing.close()
 
     def rehearsals(self) -> tuple[RealTimeRecording]:
@@ -195,7 +195,7 @@ class RealTimeRecording:
         assert self._playing is not None
         stamp_s = self._playing.shown_s(ticks.stamp_s)
         if stamp_s is not None:
-            self._playing.hear(replace(ticks, stamp_s=stamp_s))
+            self._playing.add(replace(ticks, stamp_s=stamp_s))
         return stamp_s is not None
 
     def _items(self, images: bool) -> Iterator[Event | ListedFrame]:
@@ -341,7 +341,7 @@ class Playing:
                     return None
                 self._clock.wait(self._changed, self._due_s(math.inf if event is None else event.stamp_s))
 
-    def hear(self, event: Event) -> None:
+    def add(self, event: Event) -> None:
         """Add an external event, stamped by the recording's clock; it is due now."""
         with self._changed:
             self._external.append(event)
@@ -507,7 +507,7 @@ class LiveWheels:
             return (f"No wheel reading came from {self.where}.",)
         return tuple(f"The wheels ({self.where}) fell silent after {why}." for why in self._silences)
 
-    def tell(self, listener: Callable[[WheelTicks], bool] | None) -> None:
+    def set_listener(self, listener: Callable[[WheelTicks], bool] | None) -> None:
         """Set the listener of all further readings, which are stamped by `clock`. It returns whether it used one."""
         self._listener = listener
 

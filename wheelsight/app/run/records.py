@@ -75,6 +75,8 @@ def _record_of(track: RunTrack, passage: Passage, source: EventSource, config: C
     if truth is not None:
         evaluation, problem = _compare(estimate, truth, config, track)
     surfels, kept = _maps(track, passage, source)
+    has_faults = "wheels" in track.odometry and isinstance(source, TellsWheelFaults)
+    wheel_faults = source.wheel_faults if has_faults else ()  # type: ignore[attr-defined]
     return RunRecord(
         recording=source.name,
         format=format_of(source),
@@ -88,10 +90,7 @@ def _record_of(track: RunTrack, passage: Passage, source: EventSource, config: C
             *source.warnings,
             *passage.unused,
             *track.localizer.warnings,
-            *_interruption(track, passage),
-            *_repeats(track),
-            *(() if evaluation is None else evaluation.warnings),
-            *_map_warnings(track, passage, config),
+            *_warnings(track, passage, config, evaluation),
             *(() if kept is None else kept.warnings),
         ),
         evaluation_problem=problem,
@@ -104,7 +103,7 @@ def _record_of(track: RunTrack, passage: Passage, source: EventSource, config: C
         map=surfels,
         kept_map=kept,
         realtime=source.report() if isinstance(source, InRealTime) else None,
-        faults=(*_wheel_faults(source, track), *track.localizer.warnings),
+        faults=(*wheel_faults, *track.localizer.warnings),
         known_map=_known_map(track, passage, config),
         is_interrupted=passage.interruption is not None,
         left_out=left_out_of(source.warnings),
@@ -166,44 +165,24 @@ def _maps(track: RunTrack, passage: Passage, source: EventSource) -> tuple[MapRe
     return surfels, kept
 
 
-def _map_warnings(track: RunTrack, passage: Passage, config: Config) -> tuple[str, ...]:
-    """Warnings about an incomplete or missing map."""
+def _warnings(track: RunTrack, passage: Passage, config: Config, evaluation: Evaluation | None) -> Iterator[str]:
+    """Warnings about an interruption, repeated images, the evaluation, and an incomplete or missing map."""
+    if passage.interruption is not None:
+        why = "by the user" if isinstance(passage.interruption, KeyboardInterrupt) else f"by {passage.interruption}"
+        of_all = f" of {track.listed}" if track.listed else ""  # a live source has no known count
+        yield f"Interrupted {why} after {len(track.frames)}{of_all} {UNITS[track.odometry]}s."
+    if count := sum(frame.is_repeat for frame in track.frames):
+        repeats = f"{count} of {len(track.frames)} listed frames show the same image as the frame before"
+        yield f"{repeats} and were skipped: fewer images a second were taken than were recorded."
+    yield from () if evaluation is None else evaluation.warnings
     surfel_map = track.localizer.map
-    if surfel_map is None:
-        return ()
-    if passage.is_torn:
-        return ("The map was not kept: it was broken off in the middle of a frame.",)
-    if not surfel_map.dropped:
-        return ()
-    return (
-        f"The map had no room for all that was seen: {surfel_map.dropped:,} surfels were given up, the least useful "
-        f"first. surfels.max_surfels is {config.surfels.max_surfels:,}.",
-    )
-
-
-def _interruption(track: RunTrack, passage: Passage) -> tuple[str, ...]:
-    """A warning if the pass was interrupted."""
-    if passage.interruption is None:
-        return ()
-    why = "by the user" if isinstance(passage.interruption, KeyboardInterrupt) else f"by {passage.interruption}"
-    of_all = f" of {track.listed}" if track.listed else ""  # a live source has no known count
-    return (f"Interrupted {why} after {len(track.frames)}{of_all} {UNITS[track.odometry]}s.",)
-
-
-def _repeats(track: RunTrack) -> tuple[str, ...]:
-    """A warning if images were repeated."""
-    count = sum(frame.is_repeat for frame in track.frames)
-    if not count:
-        return ()
-    repeats = f"{count} of {len(track.frames)} listed frames show the same image as the frame before and were skipped"
-    return (f"{repeats}: fewer images a second were taken than were recorded.",)
-
-
-def _wheel_faults(source: EventSource, track: RunTrack) -> tuple[str, ...]:
-    """Known faults of the recording's wheels, if the track uses them."""
-    if "wheels" not in track.odometry or not isinstance(source, TellsWheelFaults):
-        return ()
-    return tuple(source.wheel_faults)
+    if surfel_map is not None and passage.is_torn:
+        yield "The map was not kept: it was broken off in the middle of a frame."
+    elif surfel_map is not None and surfel_map.dropped:
+        yield (
+            f"The map had no room for all that was seen: {surfel_map.dropped:,} surfels were given up, the least "
+            f"useful first. surfels.max_surfels is {config.surfels.max_surfels:,}."
+        )
 
 
 def _truth(source: EventSource, body: str) -> tuple[Trajectory | None, str | None]:

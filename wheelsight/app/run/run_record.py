@@ -21,7 +21,7 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import Evaluation, Statistics
 from wheelsight.io.recordings import AssociationReport
 from wheelsight.mapping import MapStatus
-from wheelsight.mapping.export import MapCloud, Plan
+from wheelsight.mapping.export import MapCloud, MapPlan
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +116,7 @@ class MapRecord:
     status: MapStatus
     fused: int
     file: str
-    plan: Plan | None
+    plan: MapPlan | None
     pictures: tuple[MapPicture, ...] = ()
     is_levelled: bool = True
     cloud: MapCloud | None = None
@@ -335,7 +335,7 @@ class FrameRecord:
         note: problem of the frame.
         surfels, surfels_dropped: size of the map, if there is one, and number of surfels removed to limit its memory.
         flags: of joined sensors, such as "slip".
-        told_s: stamp of the answered pose; later than the frame's if newer readings were known.
+        posed_s: stamp of the answered pose; later than the frame's if newer readings were known.
         overtaken: frames since the row before that were dropped in real time.
         is_unread: whether it was listed and could not be read.
     """
@@ -351,7 +351,7 @@ class FrameRecord:
     surfels: int | None = None
     surfels_dropped: int = 0
     flags: tuple[str, ...] = ()
-    told_s: float | None = None
+    posed_s: float | None = None
     overtaken: int = 0
     is_unread: bool = False
 
@@ -361,12 +361,12 @@ class FrameRecord:
 
         Report, terminal and metrics.json use this as "with a pose".
         """
-        return self.status in _POSED and not self.is_repeat and (self.told_s is not None or not self.is_skipped)
+        return self.status in _POSED and not self.is_repeat and (self.posed_s is not None or not self.is_skipped)
 
     @property
     def pose_s(self) -> float:
         """Stamp of its pose in the trajectory, if it has one."""
-        return self.stamp_s if self.told_s is None else self.told_s
+        return self.stamp_s if self.posed_s is None else self.posed_s
 
     @property
     def is_skipped(self) -> bool:

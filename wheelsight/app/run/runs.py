@@ -9,10 +9,11 @@ import io
 import json
 import logging
 import platform
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
+from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -99,17 +100,10 @@ def run_each(
     return records
 
 
-class _Begun(NamedTuple):
-    """Everything that a run needs before its first event; `known` is the folder of the known map."""
-
-    tracks: tuple[RunTrack, ...]
-    places: PlacesOfRun | None
-    matches: MatchesOfRun | None
-    known: MapFolder | None
-
-
-def _begin(source: EventSource, config: Config, on_code: Callable[[int, int], None], parts: OwnParts) -> _Begun:
-    """Make every track, and places and matches if requested.
+def _begin(
+    source: EventSource, config: Config, on_code: Callable[[int, int], None], parts: OwnParts
+) -> tuple[tuple[RunTrack, ...], PlacesOfRun | None, MatchesOfRun | None, MapFolder | None]:
+    """Make every track, places and matches if requested, and the folder of the known map.
 
     Raises:
         ConfigError: the source lacks requested images, wheel readings or matches.
@@ -143,7 +137,7 @@ def _begin(source: EventSource, config: Config, on_code: Callable[[int, int], No
         if folder is not None:
             folder.close()
         raise
-    return _Begun(tracks, places, matches, folder)
+    return tracks, places, matches, folder
 
 
 # Figures: metrics.json
@@ -302,8 +296,7 @@ def _rectification(found: RectificationRecord) -> dict[str, Any]:
 
 def _map(found: MapRecord) -> dict[str, Any]:
     """Figures of the map at the end."""
-    status = asdict(found.status)
-    return {"file": found.file, "frames_fused": found.fused, **status}
+    return {"file": found.file, "frames_fused": found.fused, **asdict(found.status)}
 
 
 def _finite(value: float) -> float | None:
@@ -340,15 +333,11 @@ def write_covariances(trajectory: Trajectory, path: StrPath) -> None:
 
     Raises OutputError.
     """
-    write_lines(path, _lines(trajectory))
-
-
-def _lines(trajectory: Trajectory) -> Iterator[str]:
     assert trajectory.covariances is not None
-    yield f"{_HEADER}\n"
-    for stamp_s, C in zip(trajectory.stamps_s, trajectory.covariances, strict=True):
-        numbers = ",".join(f"{value:.6g}" for value in C[_UPPER])
-        yield f"{np.format_float_positional(stamp_s, min_digits=6)},{numbers}\n"
+    stamps = (np.format_float_positional(stamp_s, min_digits=6) for stamp_s in trajectory.stamps_s)
+    rows = (",".join(f"{value:.6g}" for value in C[_UPPER]) for C in trajectory.covariances)
+    lines = (f"{stamp},{row}\n" for stamp, row in zip(stamps, rows, strict=True))
+    write_lines(path, chain([f"{_HEADER}\n"], lines))
 
 
 def with_covariances(trajectory: Trajectory, path: StrPath) -> Trajectory:

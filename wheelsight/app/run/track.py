@@ -33,7 +33,6 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight.estimation import Localizer, Places, RectifiedEstimate
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
 from wheelsight.io.recordings import Recording
-from wheelsight.mapping import SurfelMap
 from wheelsight.slam.maps import MapWriter
 from wheelsight.slam.place_recognition import KnownMap
 
@@ -283,10 +282,11 @@ class RunTrack:
         if estimate is None:
             return None
         self.last = estimate
-        if self.found is None and localizer.recognised and _is_in_map(estimate):
+        is_posed = estimate.T_odom_body is not None
+        if self.found is None and localizer.recognised and is_posed and estimate.status is not Status.INITIALIZING:
             self.found = estimate
         is_joined = self.odometry == "joined"  # the joined filter has a pose even if the event gave no motion
-        if estimate.T_odom_body is not None and (estimate.reason is None or is_joined):
+        if is_posed and (estimate.reason is None or is_joined):
             self.poses.add(estimate)
         if isinstance(event, RgbdFrame) and not localizer.note:
             self.photographer.look(event, estimate, localizer.last_matches)
@@ -296,11 +296,13 @@ class RunTrack:
         index = event.index if isinstance(event, RgbdFrame | SkippedFrame) else len(self.frames)
         flags = tuple(flag for flag in _FLAGS if getattr(estimate, flag, False))
         stamp_s = event.stamp_s if isinstance(event, RgbdFrame | SkippedFrame) else estimate.stamp_s
-        told_s = None if estimate.T_odom_body is None else estimate.stamp_s
+        posed_s = estimate.stamp_s if is_posed else None
+        surfels = localizer.map
+        size: tuple[int | None, int] = (None, 0) if surfels is None else (len(surfels), surfels.dropped)
         is_frame = isinstance(event, RgbdFrame | SkippedFrame)
         is_unread = isinstance(event, SkippedFrame) and not event.is_blind
         note, dropped = localizer.note or _why_no_depth(event, estimate), (overtaken, is_unread)
-        answer = FrameRecord(index, stamp_s, *outcome, seconds, note, *_size(localizer.map), flags, told_s, *dropped)
+        answer = FrameRecord(index, stamp_s, *outcome, seconds, note, *size, flags, posed_s, *dropped)
         if is_frame:
             self._keep(estimate)
         if is_frame or UNITS[self.odometry] == "reading":
@@ -326,11 +328,6 @@ class RunTrack:
             self.stage_seconds.setdefault(stage, array("d")).append(spent)
 
 
-def _is_in_map(estimate: Estimate) -> bool:
-    """Whether the estimate has a pose in the map, which is known after recognition."""
-    return estimate.T_odom_body is not None and estimate.status is not Status.INITIALIZING
-
-
 def _why_no_depth(event: Event, estimate: Estimate) -> str:
     """The cause of "too little depth": the image has none, or its calibration moves it out of view."""
     if not isinstance(event, RgbdFrame) or estimate.reason is not Reason.TOO_LITTLE_DEPTH:
@@ -339,11 +336,6 @@ def _why_no_depth(event: Event, estimate: Estimate) -> str:
     if share >= _ENOUGH_DEPTH:
         return DEPTH_MISPLACED
     return DEPTH_MISSING if share < _ANY_DEPTH else DEPTH_SCARCE
-
-
-def _size(surfel_map: SurfelMap | None) -> tuple[int | None, int]:
-    """Number of surfels, and of removed ones."""
-    return (None, 0) if surfel_map is None else (len(surfel_map), surfel_map.dropped)
 
 
 def _look(localizer: Localizer, estimate: Estimate) -> AreaObservation:
@@ -440,7 +432,9 @@ def follow(
             started = time.perf_counter()
         for event in _until(events, duration_s):
             yaw_rates += isinstance(event, YawRate)
-            overtaken = _overtaken(source, event, dropped)
+            overtaken = 0  # frames dropped in real time since the last frame
+            if isinstance(event, RgbdFrame | SkippedFrame) and isinstance(source, InRealTime):
+                overtaken = max(source.frames_so_far[1] - dropped, 0)
             dropped += overtaken
             with whole_step():
                 passage.is_torn = True
@@ -465,13 +459,6 @@ def follow(
     passage.elapsed_s = time.perf_counter() - started
     passage.unused = unused_of(source, config, yaw_rates)
     return passage
-
-
-def _overtaken(source: EventSource, event: Event, before: int) -> int:
-    """Number of frames dropped in real time since the last frame."""
-    if not (isinstance(event, RgbdFrame | SkippedFrame) and isinstance(source, InRealTime)):
-        return 0
-    return max(source.frames_so_far[1] - before, 0)
 
 
 def _rehearse_all(source: InRealTime, config: Config, places: Places | None) -> None:

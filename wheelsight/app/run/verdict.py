@@ -275,7 +275,13 @@ def judge(evidence: Evidence) -> RunVerdict:
     tone = found[0].tone
     if evidence.faults:  # the cause comes first
         tone = max(tone, Tone.AMBER, key=_BADNESS.__getitem__)
-        found = [*(_fault(sentence, tone) for sentence in evidence.faults), *found]
+        faults = []
+        for sentence in evidence.faults:
+            what, separator, _ = sentence.partition("; ")
+            short = (what if separator else sentence.rpartition(": ")[0] or sentence).rstrip(".")
+            remedy = "correct what this names, and run again"
+            faults.append(Finding("sensors", tone, f"{short[0].lower()}{short[1:]}", sentence, remedy))
+        found = [*faults, *found]
     return RunVerdict(_phrase(evidence, found[0]), tone, tuple(found))
 
 
@@ -417,7 +423,11 @@ def _accuracy(e: Evidence) -> Iterator[Finding]:
         tone = _graded(e.off_m / e.way_m, _OFF_THE_WAY, e.off_m, _LEAST_OFF_M)
         share = words.percent(e.off_m / e.way_m)
         sentence = f"The error (RMSE) is {words.length(e.off_m)}, {share} of the way."
-        remedy = f"{_CALIBRATE}, or close loops (--loops keyframes)" if e.is_joined else _alone_remedy(e)
+        remedy = "close loops (--loops keyframes), join wheels, or check the lens (wheelsight calibrate camera)"
+        if e.is_joined:
+            remedy = f"{_CALIBRATE}, or close loops (--loops keyframes)"
+        elif e.unit == "reading":
+            remedy = "calibrate the wheels (wheelsight calibrate wheels), or join a camera"
         short = f"{words.length(e.off_m)} off on {words.length(e.way_m)}"
         yield Finding("error", tone, short, sentence, "" if tone is Tone.GREEN else remedy)
     if e.off_m is not None and e.alone is not None and e.alone[1] > 0:
@@ -461,20 +471,10 @@ def _in_map(found: KnownMapRecord) -> Finding:
     elif found.keyframes_placed < found.keyframes:
         short, tone = "not all of the drive lies in the map", Tone.AMBER
     unplaced = found.keyframes - found.keyframes_placed
-    more = (
-        f"; where {unplaced:,} of {found.keyframes:,} keyframes lie in it is not known"
-        if unplaced and found.is_recognised
-        else ""
-    )
+    more = ""
+    if unplaced and found.is_recognised:
+        more = f"; where {unplaced:,} of {found.keyframes:,} keyframes lie in it is not known"
     return Finding("map", tone, short, f"{found.sentence}{more}.", "" if tone is Tone.GREEN else _IN_MAP)
-
-
-def _fault(sentence: str, tone: Tone) -> Finding:
-    what, separator, _ = sentence.partition("; ")
-    short = (what if separator else sentence.rpartition(": ")[0] or sentence).rstrip(".")
-    return Finding(
-        "sensors", tone, f"{short[0].lower()}{short[1:]}", sentence, "correct what this names, and run again"
-    )
 
 
 def _share_finding(about: str, share: float, limits: tuple[float, float], sentence: str, remedy: str) -> Finding:
@@ -514,12 +514,6 @@ def _remedy(e: Evidence) -> str:
     if why == NOTHING_MEASURED:
         return _REMEDIES[Reason.TOO_LITTLE_DEPTH]
     return _MISPLACED if why.startswith("the calibration puts") else _REMEDIES.get(reason, _SEE_ROWS)
-
-
-def _alone_remedy(e: Evidence) -> str:
-    if e.unit == "reading":
-        return "calibrate the wheels (wheelsight calibrate wheels), or join a camera"
-    return "close loops (--loops keyframes), join wheels, or check the lens (wheelsight calibrate camera)"
 
 
 def _phrase(e: Evidence, worst: Finding) -> str:
