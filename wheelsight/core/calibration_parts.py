@@ -1,5 +1,5 @@
-"""Parts of a calibration without cameras: depth noise, wheels, holonomic layouts and the gyroscope. Each field of
-the file is checked and reported by its name.
+"""Parts of a calibration without cameras: depth noise, wheels, holonomic layouts and the gyroscope. Errors name the
+field of the file.
 """
 
 from __future__ import annotations
@@ -17,18 +17,15 @@ from wheelsight.core.errors import CalibrationError
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.geometry.arrays import is_number
 
-# Fields of a calibration.yaml, one by one: names, numbers and motions, each refused by its name.
-
-
 Part = TypeVar("Part")
 
 
 class Range(NamedTuple):
-    """What a number may be, ends included.
+    """Allowed values of a number, ends included.
 
     Attributes:
         unit: for messages; for m and s an error suggests the value in mm and ms.
-        fix: what to do about a number outside.
+        fix: in the message.
     """
 
     least: float
@@ -38,7 +35,7 @@ class Range(NamedTuple):
 
 
 def check_range(name: str, value: float, allowed: Range) -> None:
-    """Raise CalibrationError, naming the range, for a number outside it."""
+    """Raise CalibrationError, with the range, for a number outside it."""
     least, most, unit, fix = allowed
     if least <= value <= most:
         return
@@ -49,7 +46,7 @@ def check_range(name: str, value: float, allowed: Range) -> None:
 
 
 def need_numbers(part: object, names: tuple[str, ...]) -> None:
-    """Raise CalibrationError for a field of a part that is no number, as text is."""
+    """Raise CalibrationError for a field of a part that is no number, such as text."""
     for name in names:
         value = getattr(part, name)
         if not is_number(value):
@@ -60,7 +57,7 @@ _WHOLE_UNITS = {"m": "metres", "s": "seconds"}
 
 
 def made(kind: Callable[..., Part], name: str, numbers: dict[str, Any]) -> Part:
-    """A part of these fields; what it refuses names the part."""
+    """Return a part of these fields; its errors name the part."""
     try:
         return kind(**numbers)
     except CalibrationError as error:
@@ -68,7 +65,7 @@ def made(kind: Callable[..., Part], name: str, numbers: dict[str, Any]) -> Part:
 
 
 def mapping(value: Any, name: str, known: tuple[str, ...]) -> dict[str, Any]:
-    """A mapping all of whose keys are known."""
+    """Return a mapping with known keys only. Raises CalibrationError."""
     if not isinstance(value, dict):
         raise CalibrationError(f"field {name} must hold names and values")
     for key in value:
@@ -78,7 +75,7 @@ def mapping(value: Any, name: str, known: tuple[str, ...]) -> dict[str, Any]:
 
 
 def motion(value: Any, name: str) -> FloatArray | None:
-    """A (4, 4) of four rows of four numbers, or None."""
+    """Return a (4, 4) of four rows of four numbers, or None. Raises CalibrationError."""
     if value is None:
         return None
     try:
@@ -91,7 +88,7 @@ def motion(value: Any, name: str) -> FloatArray | None:
 
 
 def whole(value: Any, name: str, of_what: str = " of pixels") -> int:
-    """A number without a fraction."""
+    """Return a number without a fraction. Raises CalibrationError."""
     found = number(value, name)
     if found != int(found):
         raise CalibrationError(f"field {name} is {value!r}, not a whole number{of_what}")
@@ -99,7 +96,7 @@ def whole(value: Any, name: str, of_what: str = " of pixels") -> int:
 
 
 def number(value: Any, name: str) -> float:
-    """A finite number."""
+    """Return a finite number. Raises CalibrationError."""
     try:
         found = float(value)  # from text too: YAML 1.1 reads 1e-3, without a dot, as text
     except (TypeError, ValueError):
@@ -109,13 +106,9 @@ def number(value: Any, name: str) -> float:
     return found
 
 
-# The parts of a calibration that are numbers alone: depth noise, wheels, gyroscope; none takes what no robot has.
-
-
 _WIDEST_COUNTER_BITS = 64
 _COUNTER_FIELDS = ("counter_bits", "counter_modulus")
-# From a toy's to a tractor's; counts a turn from those of speeds in place of ticks to fine encoders behind a gear.
-# Where wheels stand still longer than an hour, or slip by all of their way, nothing is measured.
+# From toys to tractors; counts a turn from 1, for speeds in place of ticks, to fine encoders behind a gear.
 _OF_WHEELS = {
     "left_radius_m": Range(0.005, 2.0, "m"),
     "right_radius_m": Range(0.005, 2.0, "m"),
@@ -129,16 +122,16 @@ _OF_WHEELS = {
     "drift_sigma_rad_per_m": Range(0.0, 1.0, "rad/m"),
     "turn_sigma": Range(0.0, 1.0, "", "0.01 for a track width that is known to 1 %"),
 }
-# Not stated where they are 0.
+# Optional: 0 is unknown.
 WHEEL_SIGMAS = ("scale_sigma", "drift_sigma_rad_per_m", "turn_sigma")
-# Ten turns a second are more than any robot makes, and a bias that large is a broken gyroscope's.
+# No robot makes ten turns a second, and no working gyroscope has such a bias.
 _OF_GYRO = {
     "noise_rad_per_sqrt_s": Range(0.0, 10.0, "rad/√s"),
     "bias_rad_s": Range(-10.0, 10.0, "rad/s"),
     "bias_sigma_rad_s": Range(0.0, 10.0, "rad/s"),
     "bias_walk_rad_s_per_sqrt_s": Range(0.0, 1.0, "rad/s/√s"),
 }
-# At 1 m/m² a depth of one metre is unknown by a metre; no depth camera sees further than a kilometre.
+# At 1 m/m², σ of a depth of one metre is a metre; no depth camera measures a kilometre.
 _OF_DEPTH = {
     "constant_m": Range(0.0, 1.0, "m"),
     "quadratic_per_m": Range(0.0, 1.0, "1/m"),
@@ -171,7 +164,7 @@ class DepthNoise:
             raise CalibrationError(f"depth range {self.near_m} to {self.far_m} m is empty")
 
     def sigma_m(self, depth_m: ArrayLike) -> FloatArray:
-        """Standard deviations (...) in metres of depths (...) in metres."""
+        """Return standard deviations (...) in metres of depths (...) in metres."""
         return self.constant_m + self.quadratic_per_m * np.asarray(depth_m, float) ** 2
 
 
@@ -180,23 +173,23 @@ class Wheels:
     """Two driven wheels on one axle, or two sides of a skid-steered robot, and their encoders.
 
     Attributes:
-        left_radius_m, right_radius_m: of the wheels, as they roll under load.
-        track_width_m: distance between the points where the wheels touch the ground. A skid-steered robot's
-            effective one is wider than the robot.
-        ticks_per_turn: counts of the encoder a turn of the wheel: counts a turn of the encoder × gear ratio.
-        counter_bits: width of the counters the ticks come from, 1 to 64; 0 for ticks that never roll over.
-        delay_s: delay of stamps: a reading stamped t describes the wheels at t - delay_s. May be negative.
-        slip_m_per_sqrt_m: standard deviation of a wheel's travel over one metre; its square grows with the way.
-        max_speed_m_s: fastest a wheel can roll; a step that needs more is a fault, no motion.
-        max_gap_s: longest time between readings that can be bridged.
-        scale_sigma, drift_sigma_rad_per_m, turn_sigma: how sure these sizes are, as standard deviations: the share by
-            which ways are wrong, the turn a metre that wheels of unequal size make, the share by which turns are
-            wrong. 0 if unknown; then `fusion.error_state` has typical values for a data sheet.
-        counter_modulus: how many values the counters count through before they roll over, where that is no power of
-            two, such as 9000 for 0 … 8999; 0 if `counter_bits` gives it.
+        left_radius_m, right_radius_m: of the wheels under load.
+        track_width_m: distance between the contact points of the wheels. That of a skid-steered robot is effective,
+            wider than the robot.
+        ticks_per_turn: counts of the encoder per turn of the wheel: counts per turn of the encoder × gear ratio.
+        counter_bits: width of the counters, 1 to 64; 0 for ticks that never roll over.
+        delay_s: a reading stamped t describes the wheels at t - delay_s. May be negative.
+        slip_m_per_sqrt_m: standard deviation of a wheel's travel over one metre; its square grows with the distance.
+        max_speed_m_s: largest speed of a wheel; a faster step is a fault.
+        max_gap_s: longest time between readings that odometry bridges.
+        scale_sigma, drift_sigma_rad_per_m, turn_sigma: standard deviations of these sizes: relative error of distances,
+            turn per metre by unequal wheels, relative error of turns. 0 if unknown; then the filter has typical values
+            for a data sheet.
+        counter_modulus: number of values before a counter rolls over, if no power of two, such as 9000 for 0 … 8999;
+            0 if `counter_bits` gives it.
 
     Raises:
-        CalibrationError: a value that no robot can have.
+        CalibrationError: an impossible value.
     """
 
     left_radius_m: float
@@ -234,27 +227,27 @@ class Wheels:
 
     @property
     def counter_span(self) -> int:
-        """How many values the counters count through before they roll over; 0 for ticks that never do."""
+        """Number of values before the counters roll over; 0 for never."""
         return int(self.counter_modulus) or (1 << int(self.counter_bits) if self.counter_bits else 0)
 
     @property
     def never_rolling_over(self) -> Wheels:
-        """The same, for ticks in which roll-overs have been undone."""
+        """The wheels for ticks without roll-overs."""
         return replace(self, counter_bits=0, counter_modulus=0)
 
     @property
     def left_m_per_tick(self) -> float:
-        """How far the left wheel rolls while its encoder counts one."""
+        """Travel of the left wheel per count."""
         return 2 * math.pi * self.left_radius_m / self.ticks_per_turn
 
     @property
     def right_m_per_tick(self) -> float:
-        """How far the right wheel rolls while its encoder counts one."""
+        """Travel of the right wheel per count."""
         return 2 * math.pi * self.right_radius_m / self.ticks_per_turn
 
 
 HolonomicLayout = Literal["mecanum", "omni", "increments"]
-# What each layout must be given, and what it may be given beside the fields that all have.
+# Needed and optional fields of each layout, beside `HOLONOMIC_FIELDS`.
 HOLONOMIC_LAYOUTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "mecanum": (("radius_m", "half_length_m", "half_width_m", "ticks_per_turn"), ("counter_bits",)),
     "omni": (("radius_m", "distance_m", "angles_rad", "ticks_per_turn"), ("counter_bits",)),
@@ -275,7 +268,7 @@ HOLONOMIC_FIELDS = (
     "max_gap_s",
     *WHEEL_SIGMAS,
 )
-# Omnidirectional wheels whose axles are nearly alike leave a direction of motion unmeasured.
+# Larger for nearly parallel axles, which leave a direction of motion unmeasured.
 _MOST_CONDITION = 30.0
 
 
@@ -285,21 +278,20 @@ class HolonomicWheels:
 
     Attributes:
         layout: "mecanum": four wheels at the corners of a rectangle, whose rollers form an X seen from above; "omni":
-            three or four wheels around the middle, whose axles point to it; "increments": the base's own odometry has
-            x, y and yaw ready.
+            three or four wheels around the middle, whose axles point to it; "increments": x, y and yaw by the base's
+            own odometry.
         radius_m: of all wheels.
-        ticks_per_turn: counts of an encoder a turn of its wheel.
+        ticks_per_turn: counts of an encoder per turn of its wheel.
         half_length_m, half_width_m: mecanum: from the middle to the axles, ahead and to the left.
-        distance_m: omni: from the middle to where a wheel touches the ground. Increments: the same, about, for how
-            uncertain a turn is beside a way.
-        angles_rad: omni: where around the middle each wheel stands, counter-clockwise from straight ahead. A wheel
-            turns forward when it drives the base counter-clockwise.
+        distance_m: omni: from the middle to a wheel's contact point. Increments: about the same, for the uncertainty of
+            a turn.
+        angles_rad: omni: direction of each wheel from the middle, counter-clockwise from straight ahead. A wheel turns
+            forward when it drives the base counter-clockwise.
         counter_bits, delay_s, slip_m_per_sqrt_m, max_speed_m_s, max_gap_s, scale_sigma, turn_sigma,
             drift_sigma_rad_per_m: as of `Wheels`; the slip is that of each wheel's travel.
 
     Raises:
-        CalibrationError: a value that no base can have, one that the layout lacks, or wheels that leave a direction of
-            motion unmeasured.
+        CalibrationError: an impossible value, a missing field, or wheels that leave a direction of motion unmeasured.
     """
 
     layout: HolonomicLayout
@@ -367,24 +359,24 @@ class HolonomicWheels:
 
     @property
     def wheel_names(self) -> tuple[str, ...]:
-        """Of the wheels in the order of their counts; none where increments come ready."""
+        """Names of the wheels in the order of their counts; none for increments."""
         if self.layout == "mecanum":
             return "front_left", "front_right", "rear_left", "rear_right"
         return tuple(f"wheel_{number}" for number in range(1, 1 + len(self.angles_rad)))
 
     @property
     def m_per_tick(self) -> float:
-        """How far a wheel's rim goes while its encoder counts one."""
+        """Travel of a wheel's rim per count."""
         assert self.radius_m is not None
         assert self.ticks_per_turn is not None
         return 2 * math.pi * self.radius_m / self.ticks_per_turn
 
     @cached_property
     def jacobian(self) -> FloatArray:
-        """(N, 3) how far each wheel's rim goes, metres, by the base's way ahead, way to the left, and turn.
+        """(N, 3) travel of each wheel's rim, metres, by the base's motion ahead, to the left, and its turn.
 
-        Muir & Neuman, "Kinematic modeling of wheeled mobile robots", 1987; a mecanum wheel's rollers pass what goes
-        along them, so that its rim takes half of a way at 45° to it twice.
+        Muir & Neuman, "Kinematic modeling of wheeled mobile robots", 1987. A mecanum wheel's rollers do not transmit
+        motion along their axes.
         """
         if self.layout == "mecanum":
             assert self.half_length_m is not None
@@ -397,17 +389,17 @@ class HolonomicWheels:
 
     @cached_property
     def to_base(self) -> FloatArray:
-        """(3, N) the pseudo-inverse: the base's motion that fits the wheels' ways best, by least squares."""
+        """(3, N) the pseudo-inverse: the base's motion by least squares of the wheels' travel."""
         return np.asarray(np.linalg.pinv(self.jacobian), float)
 
     @cached_property
     def contradictions(self) -> FloatArray:
-        """(N - 3, N) unit rows: by what the wheels' ways fit no motion of the base; none for three wheels."""
+        """(N - 3, N) unit rows: travel of the wheels that fits no motion of the base; none for three wheels."""
         return np.ascontiguousarray(np.linalg.svd(self.jacobian)[0][:, 3:].T)
 
     @property
     def lever_m(self) -> float:
-        """How far the wheels stand from the middle."""
+        """Distance of the wheels from the middle."""
         if self.layout == "mecanum":
             assert self.half_length_m is not None
             assert self.half_width_m is not None
@@ -417,7 +409,7 @@ class HolonomicWheels:
 
     @property
     def turn_variance_per_m(self) -> float:
-        """Variance of the base's turn, rad², after each wheel has gone one metre."""
+        """Variance of the base's turn, rad², after one metre of each wheel."""
         if self.layout == "increments":
             return self.slip_m_per_sqrt_m**2 / self.lever_m**2
         return self.slip_m_per_sqrt_m**2 * float(self.to_base[2] @ self.to_base[2])
@@ -425,13 +417,13 @@ class HolonomicWheels:
 
 @dataclass(frozen=True, slots=True)
 class Gyro:
-    """What a gyroscope's yaw rate, counter-clockwise seen from above, is worth.
+    """Noise of a gyroscope's yaw rate, counter-clockwise seen from above.
 
     Attributes:
         noise_rad_per_sqrt_s: standard deviation of the yaw integrated over one second; its square grows with time.
-        bias_rad_s: what it shows at rest; refined whenever the wheels stand still.
-        bias_sigma_rad_s: how far off that may be, as a standard deviation; 0 for a bias that is to be kept.
-        bias_walk_rad_s_per_sqrt_s: how far the bias wanders in one second; its square grows with time.
+        bias_rad_s: rate at rest; refined when the wheels stand still.
+        bias_sigma_rad_s: standard deviation of the bias; 0 for a fixed bias.
+        bias_walk_rad_s_per_sqrt_s: random walk of the bias in one second; its square grows with time.
 
     Raises:
         CalibrationError: a value that is not finite, or a negative deviation.
@@ -454,5 +446,5 @@ class Gyro:
 
 
 def least_step(ticks: int, span: int) -> int:
-    """A difference of counters that roll over after `span` values (0: never) as the least step that explains it."""
+    """Return the smallest step for a difference of counters that roll over after `span` values (0: never)."""
     return (ticks + span // 2) % span - span // 2 if span else ticks

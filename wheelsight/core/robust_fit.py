@@ -1,7 +1,7 @@
-"""Robust least squares over pieces of a drive, with a covariance that allows for what neighbouring pieces share.
+"""Robust least squares over pieces of a drive, with a covariance for errors that neighbouring pieces share.
 
-Pieces that disagree lose their weight (Geman & McClure 1985; graduated as in Yang et al., RA-L 2020): what counts as a
-disagreement is narrowed from generous to the spread found.
+Outliers lose their weight (Geman & McClure 1985; graduated as in Yang et al., RA-L 2020): the scale of the kernel
+narrows to the spread of the residuals.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ class Problem(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class RobustFit:
-    """Values (P,) with covariance (P, P); the residuals (M, 3) they leave, the weights (M,) and which are outliers.
+    """Values (P,) with covariance (P, P), residuals (M, 3), weights (M,), and which pieces are outliers.
 
-    `if_independent` (P, P) is the covariance that residuals of this spread would leave if each were by itself.
+    `if_independent` (P, P) is the covariance for independent residuals of this spread.
     """
 
     values: FloatArray
@@ -59,7 +59,7 @@ class RobustFit:
 
 
 def robust_fit(problem: Problem, start: FloatArray) -> RobustFit:
-    """The values for which most pieces agree, sought from `start` (P,)."""
+    """Return the values for which most pieces agree, from the initial ones `start` (P,)."""
     values, scales = start, np.full(3, _FIRST_SCALE)
     weights = np.ones(len(problem.residuals(start)))
     for factor in _NARROWING:
@@ -74,7 +74,7 @@ def robust_fit(problem: Problem, start: FloatArray) -> RobustFit:
 
 
 def response(problem: Problem, found: RobustFit, moved: FloatArray) -> FloatArray:
-    """How far the values found go (K, P), to first order, where residuals are moved by `moved` (K, M, 3)."""
+    """Return the changes (K, P) of the values, to first order, by changes `moved` (K, M, 3) of the residuals."""
     scales = np.maximum(spread(found.residuals), _LEAST_SCALE)
     J = _jacobian(problem, found.values) / scales[None, :, None]
     weighted = found.weights[:, None, None] * J
@@ -83,7 +83,7 @@ def response(problem: Problem, found: RobustFit, moved: FloatArray) -> FloatArra
 
 
 def spread(residuals: FloatArray) -> FloatArray:
-    """Standard deviations (K,) of (M, K) by the median, which outliers do not move."""
+    """Return robust standard deviations (K,) of (M, K), by the median."""
     return np.asarray(1.4826 * np.median(np.abs(residuals), axis=0))
 
 
@@ -101,15 +101,15 @@ def _solve(problem: Problem, start: FloatArray, scales: FloatArray, weights: Flo
 
 
 def _weights(chi2: FloatArray) -> FloatArray:
-    """Geman and McClure's weights (M,) of squared residuals (M,) in units of their scale."""
+    """Return Geman and McClure's weights (M,) of squared residuals (M,) in units of their scale."""
     return np.asarray((_OUTLIER_CHI2 / (_OUTLIER_CHI2 + chi2)) ** 2)
 
 
 def _covariances(problem: Problem, values: FloatArray, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The robust cost's inverse Hessian on both sides of its gradient's spread (Huber 1967), and alone, (P, P) each.
+    """Return the robust cost's inverse Hessian on both sides of its gradient's spread (Huber 1967), and alone.
 
-    The gradient is summed over runs of neighbouring pieces, for neighbours share a pose and so that pose's error.
-    What residuals of the least credible size would leave is added, so that data without noise hide no open direction.
+    Both (P, P). The gradient is summed over runs of neighbouring pieces, which share a pose and its error. The
+    covariance for the least spread is added, so that data without noise hide no unobservable direction.
     """
     r = problem.residuals(values) / scales
     J = _jacobian(problem, values) / scales[None, :, None]
@@ -133,7 +133,7 @@ def _covariances(problem: Problem, values: FloatArray, scales: FloatArray) -> tu
 
 
 def _jacobian(problem: Problem, values: FloatArray) -> FloatArray:
-    """Derivatives (M, 3, P) of the residuals, by central differences."""
+    """Return derivatives (M, 3, P) of the residuals, by central differences."""
     steps = 1e-6 * np.eye(len(values))
     columns = [(problem.residuals(values + h) - problem.residuals(values - h)) / 2e-6 for h in steps]
     return np.stack(columns, axis=-1)

@@ -1,6 +1,6 @@
 """Wheel odometry: encoder counts to a pose with its covariance (Trinh et al., section II; Ligocki, section 3).
 
-And how large the wheels are: by squares, or against a reference trajectory.
+Also calibration of the wheels, by squares or against a reference trajectory.
 """
 
 from wheelsight.wheels.calibration import WheelFit, WheelTrial, fit_wheels, try_calibration

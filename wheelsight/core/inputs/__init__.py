@@ -1,4 +1,4 @@
-"""Files from strangers: what is opened, and how text, YAML, JSON and headers of images are taken."""
+"""Readers of untrusted files: regular files only, text, YAML, JSON, arrays and headers of images, all bounded."""
 
 from wheelsight.core.inputs.gate import (
     ArrayFile,
