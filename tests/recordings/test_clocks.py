@@ -146,7 +146,7 @@ def test_one_frame_among_the_readings_is_not_apart() -> None:
 
 def test_stamps_too_near_for_seconds_are_told_of() -> None:
     (told,) = stamp_warnings({FRAMES: np.arange(60) / 30 / 3600})
-    assert "too near each other for seconds" in told
+    assert "too close for seconds" in told
     assert not stamp_warnings({WHEELS: np.repeat(np.arange(0.0, 10.0, 0.04), 2) + np.tile([0.0, 1e-6], 250)})
 
 

@@ -47,7 +47,7 @@ def test_a_calibration_given_stands_in_place_of_the_file(folder: Path, tmp_path:
     ("text", "problem"),
     [
         ("262 260 161\n", "holds 3 numbers where the four fx fy cx cy are expected"),
-        ("262 260 161 x\n", "holds what is no number: .*'x'"),
+        ("262 260 161 x\n", "holds an invalid number: .*'x'"),
         ("262 260 161 nan\n", "where the four fx fy cx cy are expected"),
         ("262 -260 161 118\n", "focal lengths must be positive"),
         ("", "holds 0 numbers"),

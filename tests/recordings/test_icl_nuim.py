@@ -54,8 +54,8 @@ def test_another_rate_counts_for_images_and_truth(tmp_path: Path) -> None:
     ("change", "problem"),
     [
         (lambda data: data[: len(data) // 2], "distances where 640×480 pixels need one each"),
-        (lambda data: data.replace(b" ", b" x", 1), "holds what is no number"),
-        (lambda data: b"9" * 50 + data[data.index(b" ") :], "holds what is no number"),
+        (lambda data: data.replace(b" ", b" x", 1), "holds an invalid number"),
+        (lambda data: b"9" * 50 + data[data.index(b" ") :], "holds an invalid number"),
     ],
 )
 def test_damaged_distances_spoil_one_frame(tmp_path: Path, change: object, problem: str) -> None:

@@ -78,7 +78,7 @@ def test_without_the_camera_file_it_says_where_one_is_looked_for(folder: Path) -
     ("text", "problem"),
     [
         ("1 2 3\n", r"traj.txt:1: holds 3 numbers where the sixteen"),
-        ("x " * 16, r"traj.txt:1: holds what is no number"),
+        ("x " * 16, r"traj.txt:1: holds an invalid number"),
         (" ".join(map(str, np.diag([2.0, 2, 2, 1]).ravel())), r"traj.txt:1: the first 3×3 numbers are no rotation"),
         ("", "holds no poses"),
     ],

@@ -143,7 +143,18 @@ def write_ros_map(ros_map: RosMap, path: StrPath, mode: Mode = "trinary") -> tup
     if mode not in _MODES:
         raise MapError(f"mode is {mode!r}", path=path, fix=f"one of {', '.join(_MODES)}")
     image = path.with_suffix(".png" if mode == "scale" else ".pgm")
-    written, code = cv2.imencode(image.suffix, _painted(ros_map.occupancy[::-1], mode))
+    percent = ros_map.occupancy[::-1].astype(np.int64)
+    is_known = (percent >= FREE) & (percent <= OCCUPIED)
+    if mode == "raw":
+        painted = np.where(is_known, percent, _OPAQUE).astype(np.uint8)
+    elif mode == "scale":
+        shade = np.where(is_known, np.rint(_OPAQUE * (OCCUPIED - percent) / OCCUPIED), _OPAQUE // 2).astype(np.uint8)
+        painted = np.dstack([shade, shade, shade, np.where(is_known, _OPAQUE, 0).astype(np.uint8)])
+    else:
+        limits = round(100 * FREE_THRESHOLD), round(100 * OCCUPIED_THRESHOLD)
+        grey = np.where(percent <= limits[0], _WHITE, np.where(percent >= limits[1], _BLACK, _GREY))
+        painted = np.where(is_known, grey, _GREY).astype(np.uint8)
+    written, code = cv2.imencode(image.suffix, painted)
     assert written
     try:
         path.unlink(missing_ok=True)
@@ -157,20 +168,6 @@ def write_ros_map(ros_map: RosMap, path: StrPath, mode: Mode = "trinary") -> tup
     fields |= {"occupied_thresh": occupied, "free_thresh": free}
     write_text(path, yaml.safe_dump(fields, sort_keys=False, default_flow_style=None, allow_unicode=True))
     return path, image
-
-
-def _painted(occupancy: NDArray[np.int8], mode: Mode) -> ByteArray:
-    """The image of an occupancy (H, W) whose row 0 is the top."""
-    percent = occupancy.astype(np.int64)
-    is_known = (percent >= FREE) & (percent <= OCCUPIED)
-    if mode == "raw":
-        return np.where(is_known, percent, _OPAQUE).astype(np.uint8)
-    if mode == "scale":
-        shade = np.where(is_known, np.rint(_OPAQUE * (OCCUPIED - percent) / OCCUPIED), _OPAQUE // 2).astype(np.uint8)
-        return np.dstack([shade, shade, shade, np.where(is_known, _OPAQUE, 0).astype(np.uint8)])
-    limits = round(100 * FREE_THRESHOLD), round(100 * OCCUPIED_THRESHOLD)
-    shade = np.where(percent <= limits[0], _WHITE, np.where(percent >= limits[1], _BLACK, _GREY))
-    return np.where(is_known, shade, _GREY).astype(np.uint8)
 
 
 def read_plan_image(path: StrPath) -> ByteArray:

@@ -223,7 +223,7 @@ def both() -> Drive:
 
 def test_images_without_stamps_are_stamped_by_receipt(opened) -> None:
     recording = opened(stamped(DEPTH, stamped(COLOR, both(), None), None))
-    told = [warning for warning in recording.warnings if "the time of receipt stands for it" in warning]
+    told = [warning for warning in recording.warnings if "the time of receipt is used" in warning]
     assert [warning.partition(":")[0] for warning in told] == [COLOR, DEPTH]
     frames = [event for event in recording.events() if isinstance(event, RgbdFrame)]
     assert [frame.stamp_s for frame in frames] == pytest.approx(
@@ -328,7 +328,7 @@ def test_a_camera_of_impossible_numbers_is_refused(opened, field: str) -> None:
     for _, topic, message in drive.messages:
         if topic.endswith("camera_info"):
             setattr(message, field, np.full({"d": 5, "k": 9, "p": 12}[field], 1e300))
-    with pytest.raises(InputError, match="CameraInfo holds what is no number of a camera"):
+    with pytest.raises(InputError, match="CameraInfo holds an invalid number"):
         opened(drive)
 
 

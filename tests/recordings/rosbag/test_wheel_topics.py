@@ -293,7 +293,7 @@ def test_an_odometry_that_goes_sideways_is_that_of_a_holonomic_base(
     assert recording.calibration.wheels is None
     assert recording.wheel_count == 60
     assert recording.wheel_faults == ()
-    assert any("is taken for that of a holonomic base" in warning for warning in recording.warnings)
+    assert any("is used as that of a holonomic base" in warning for warning in recording.warnings)
 
 
 def test_a_run_by_a_holonomic_base_goes_its_way(opened, tmp_path_factory) -> None:
@@ -393,7 +393,7 @@ def test_truth_in_a_bag_is_what_a_user_names(opened, kind: str) -> None:
     truth = not_none(recording.ground_truth)
     assert (len(truth), truth.body) == (60, "base")
     assert truth.T_frame_body[-1, :2, 3] == pytest.approx(circle(2.95)[:2])
-    assert any("are taken for those of the base" in w for w in recording.warnings) == kind.startswith("Pose")
+    assert any("are used as those of the base" in w for w in recording.warnings) == kind.startswith("Pose")
     odometry = WheelOdometry(not_none(recording.calibration.wheels))
     speeds = [event for event in recording.events() if isinstance(event, WheelSpeeds)]
     way = [not_none(odometry.process(event).T_odom_body) for event in speeds]

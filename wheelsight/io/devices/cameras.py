@@ -207,7 +207,7 @@ class PlayedCamera:
         return f"{self._name[0].upper()}{self._name[1:]} is played as if it were a camera.", *self._notes
 
     def read(self, timeout_s: float) -> LiveFrame | None:
-        """As `LiveCamera` has it."""
+        """See `LiveCamera`."""
         ends_s = time.monotonic() + timeout_s
         self._asked_s = host_clock.now_s()
         with self._changed:
@@ -224,27 +224,27 @@ class PlayedCamera:
                 self._changed.wait(left_s)
 
     def take(self) -> list[RgbdFrame | SkippedFrame]:
-        """As `LiveCamera` has it."""
+        """See `LiveCamera`."""
         found: list[RgbdFrame | SkippedFrame] = []
         while (live := self.read(0)) is not None:
             found.append(live.frame)
         return found
 
     def take_angular_velocities(self) -> list[AngularVelocity]:
-        """As `HasGyro` has it."""
+        """See `HasGyro`."""
         with self._changed:
             found = list(self._turns)
             self._turns.clear()
         return found
 
     def report(self) -> CameraReport:
-        """As `LiveCamera` has it."""
+        """See `LiveCamera`."""
         with self._changed:
             span_s = self._arrivals[-1] - self._arrivals[0] if len(self._arrivals) > 1 else 0.0
             return replace(self._report, rate_hz=(len(self._arrivals) - 1) / span_s if span_s > 0 else 0.0)
 
     def close(self) -> None:
-        """As `LiveCamera` has it."""
+        """See `LiveCamera`."""
         self._is_over.set()
         self._thread.join()
         self._set_status(CameraStatus.CLOSED)

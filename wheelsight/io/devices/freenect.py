@@ -86,7 +86,7 @@ class FreenectDriver:
         self._ticks: int | None = None
 
     def open(self) -> OpenedDevice:
-        """As `CameraDriver` has it."""
+        """See `CameraDriver`."""
         if (self._settings.width_px, self._settings.height_px) != _SIZE:
             raise DeviceError("a Kinect v1 gives 640×480 alone", fix="camera.width_px: 640, camera.height_px: 480")
         lib = library()
@@ -122,7 +122,7 @@ class FreenectDriver:
         return OpenedDevice(f"Kinect v1 {serial}".strip(), calibration, tuple(warnings))
 
     def read(self, timeout_s: float) -> DeviceImages | None:
-        """As `CameraDriver` has it."""
+        """See `CameraDriver`."""
         lib, ends_s = library(), time.monotonic() + timeout_s
         while not self._found:
             left_s = ends_s - time.monotonic()
@@ -136,7 +136,7 @@ class FreenectDriver:
         return self._found.pop(0)
 
     def close(self) -> None:
-        """As `CameraDriver` has it."""
+        """See `CameraDriver`."""
         context, self._context = self._context, c.c_void_p()
         device, self._device = self._device, c.c_void_p()
         if device:

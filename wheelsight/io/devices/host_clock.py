@@ -71,7 +71,7 @@ class ClockMap:
     def sigma_s(self, first_s: float) -> float:
         """The standard deviation of `host_s`, without the unknown smallest delay.
 
-        The mean distance of the kept arrivals above the line is taken for the standard deviation σ of delays. A line
+        The mean distance of the kept arrivals above the line estimates the standard deviation σ of delays. A line
         through n such points has the standard deviation 2σ/√n at its end.
 
         Args:
@@ -129,17 +129,15 @@ def slope_beneath(points: list[_Point]) -> float:
     """The slope of the lower convex hull's edge at the points' mean. `points` are sorted by their first coordinate."""
     hull: list[_Point] = []
     for point in points:
-        while len(hull) >= 2 and _turn(hull[-2], hull[-1], point) <= 0:
+        while len(hull) >= 2:
+            a, b = hull[-2:]
+            if (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0]) > 0:
+                break  # a, b and the point turn to the left
             hull.pop()
         hull.append(point)
     mean = sum(x for x, _ in points) / len(points)
     left, right = next(edge for edge in pairwise(hull) if edge[1][0] >= mean)
     return (right[1] - left[1]) / (right[0] - left[0])
-
-
-def _turn(a: _Point, b: _Point, c: _Point) -> float:
-    """A positive number where a, b, c turn to the left."""
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +170,7 @@ class CameraClock:
 
     @property
     def drift_ppm(self) -> float:
-        """As `ClockMap` has it."""
+        """See `ClockMap`."""
         return self._map.drift_ppm
 
     def stamp(self, device_s: float | None, arrival_s: float) -> Stamp:

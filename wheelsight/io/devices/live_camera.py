@@ -11,7 +11,6 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -136,9 +135,7 @@ class LiveCamera(Protocol):
     def __enter__(self) -> Self:
         """The camera, which the end of the block closes."""
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the camera."""
 
 
@@ -210,7 +207,7 @@ class StreamingCamera:
 
     @property
     def name(self) -> str:
-        """As `LiveCamera` has it."""
+        """See `LiveCamera`."""
         return self._device.name
 
     @property
@@ -220,11 +217,11 @@ class StreamingCamera:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """As `LiveCamera` has it."""
+        """See `LiveCamera`."""
         return self._device.warnings
 
     def read(self, timeout_s: float) -> LiveFrame | None:
-        """As `LiveCamera` has it. Raises DeviceError where the driver failed as no driver may."""
+        """See `LiveCamera`. Raises DeviceError after an unexpected error of the driver."""
         ends_s = time.monotonic() + timeout_s
         with self._ready:
             while True:
@@ -238,7 +235,7 @@ class StreamingCamera:
                 self._ready.wait(left_s)
 
     def take(self) -> list[RgbdFrame | SkippedFrame]:
-        """As `LiveCamera` has it. Raises DeviceError where the driver failed as no driver may."""
+        """See `LiveCamera`. Raises DeviceError after an unexpected error of the driver."""
         with self._ready:
             found = tuple(self._kept)
             self._kept.clear()
@@ -247,14 +244,14 @@ class StreamingCamera:
             return [f if isinstance(f, SkippedFrame) else f.frame for f in fresh]
 
     def take_angular_velocities(self) -> list[AngularVelocity]:
-        """As `HasGyro` has it; empty for a camera without a gyroscope."""
+        """See `HasGyro`; empty for a camera without a gyroscope."""
         with self._ready:
             found = list(self._turns)
             self._turns.clear()
         return found
 
     def report(self) -> CameraReport:
-        """As `LiveCamera` has it; a library that hangs counts as stalled."""
+        """See `LiveCamera`; a library that hangs counts as stalled."""
         with self._ready:
             now_s = host_clock.now_s()
             status, since_s = self._status, self._since_s
@@ -279,7 +276,7 @@ class StreamingCamera:
             )
 
     def close(self) -> None:
-        """As `LiveCamera` has it."""
+        """See `LiveCamera`."""
         self._is_closing.set()
         with self._ready:
             self._kept.clear()
@@ -291,9 +288,7 @@ class StreamingCamera:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _run(self) -> None:
@@ -412,7 +407,7 @@ def _checked_calibration(calibration: Calibration | None, device: OpenedDevice) 
     for name, given, own in zip(("colour", "depth"), calibration.cameras, known.cameras, strict=True):
         if (given.width, given.height) != (own.width, own.height):
             problem = f"the calibration's {name} image is {given.width}×{given.height}, the camera's"
-            fix = "ask for that size, or calibrate at this one"
+            fix = "request that size, or calibrate at this one"
             raise CalibrationError(f"{problem} {own.width}×{own.height}", fix=fix)
     if calibration.is_registered != known.is_registered:
         has, gives = ("has no", "does not register") if calibration.is_registered else ("has a", "registers")

@@ -60,7 +60,7 @@ class OniPlayer:
         self._silent_s = 0.0
 
     def open(self) -> OpenedDevice:
-        """As `CameraDriver` has it. Raises DeviceError where the file is invalid, or OpenNI2 crashes or hangs on it."""
+        """See `CameraDriver`. Raises DeviceError where the file is invalid, or OpenNI2 crashes or hangs on it."""
         open_binary(self._path, _FILE, DeviceError).close()
         self.close()
         paths = os.pathsep.join(filter(None, (str(Path(__file__).parents[3]), os.environ.get("PYTHONPATH"))))
@@ -92,7 +92,7 @@ class OniPlayer:
             raise DeviceError(problem, path=self._path, fix=_COPY) from error
 
     def read(self, timeout_s: float) -> DeviceImages | None:
-        """As `CameraDriver` has it. Raises RecordingError, which is final, where OpenNI2 fails, crashes or hangs."""
+        """See `CameraDriver`. Raises RecordingError, which is final, where OpenNI2 fails, crashes or hangs."""
         ends_s = time.monotonic() + timeout_s
         try:
             while (left_s := ends_s - time.monotonic()) > 0:
@@ -110,7 +110,7 @@ class OniPlayer:
         return None
 
     def close(self) -> None:
-        """As `CameraDriver` has it."""
+        """See `CameraDriver`."""
         process, self._process = self._process, None
         if process is not None:
             process.kill()
@@ -137,7 +137,9 @@ class OniPlayer:
                 piece = os.read(self._process.stdout.fileno(), _PIECE_BYTES)
                 if not piece:
                     code = self._process.wait()
-                    how = f"crashed by {_signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
+                    names = {number.value: number.name for number in signal.Signals}
+                    by = names.get(-code, f"signal {-code}")
+                    how = f"crashed by {by}" if code < 0 else f"ended with exit code {code}"
                     raise RecordingError(f"OpenNI2 {how} on this file", path=self._path, fix=_COPY)
                 self._got += piece
                 self._silent_s = 0.0
@@ -170,13 +172,6 @@ class OniPlayer:
         del self._got[:end]
         self._wanted = 0
         return message, data
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"
 
 
 def _shapes(message: dict[str, Any]) -> list[tuple[str, tuple[int, ...], Any]]:

@@ -342,7 +342,7 @@ class OpenNI2Driver:
         self._is_over, self._received_s = False, 0.0
 
     def open(self) -> OpenedDevice:
-        """As `CameraDriver` has it."""
+        """See `CameraDriver`."""
         self._source = self._find()
         self._device = OniDevice(self._source.uri)
         try:
@@ -352,7 +352,7 @@ class OpenNI2Driver:
             raise
 
     def read(self, timeout_s: float) -> DeviceImages | None:
-        """As `CameraDriver` has it."""
+        """See `CameraDriver`."""
         assert self._device is not None
         ends_s = time.monotonic() + timeout_s
         while (left_s := ends_s - time.monotonic()) > 0:
@@ -369,7 +369,7 @@ class OpenNI2Driver:
         return None
 
     def close(self) -> None:
-        """As `CameraDriver` has it."""
+        """See `CameraDriver`."""
         device, self._device = self._device, None
         if device is not None:
             device.close()

@@ -71,7 +71,7 @@ class RealSenseDriver:
         self._depth_scale_m = 0.001
 
     def open(self) -> OpenedDevice:
-        """As `CameraDriver` has it."""
+        """See `CameraDriver`."""
         try:
             self._rs = needed("pyrealsense2")
         except ConfigError as error:
@@ -87,7 +87,7 @@ class RealSenseDriver:
             raise
 
     def read(self, timeout_s: float) -> DeviceImages | None:
-        """As `CameraDriver` has it."""
+        """See `CameraDriver`."""
         ends_s = time.monotonic() + timeout_s
         try:
             while (left_s := ends_s - time.monotonic()) > 0:
@@ -104,14 +104,14 @@ class RealSenseDriver:
         return None
 
     def take_angular_velocities(self) -> list[DeviceAngularVelocity]:
-        """As `GyroDriver` has it."""
+        """See `GyroDriver`."""
         try:
             return [] if self._gyro is None else self._gyro.take()
         except RuntimeError as error:
             raise _device_error(error, self._where) from error
 
     def close(self) -> None:
-        """As `CameraDriver` has it."""
+        """See `CameraDriver`."""
         running, self._running, self._gyro = self._running, [], None
         for sensor in running:
             for end in (sensor.stop, sensor.close):

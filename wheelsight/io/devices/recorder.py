@@ -196,8 +196,6 @@ class LiveRecorder:
             self._waiting.clear()
 
 
-# Recording sessions
-
 THREAD = "wheelsight-capture"
 _LONGEST_WAIT_S = 0.1
 _LOOK_S = 0.5  # between two checks of the camera, the disk and the rates

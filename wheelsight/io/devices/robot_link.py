@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from types import TracebackType
 from typing import Protocol
 
 from wheelsight.core.calibration import Calibration
@@ -82,13 +81,13 @@ class LinkRobot:
 
     @property
     def now_s(self) -> float:
-        """As `Robot` has it; before the first ticks the host's time, without the delay of the line."""
+        """See `Robot`; before the first ticks the host's time, without the delay of the line."""
         after_s = self._quickest_s
         return time.time() if after_s is None else time.monotonic() - after_s
 
     @property
     def stop_reason(self) -> str:
-        """As `Robot` has it."""
+        """See `Robot`."""
         return self._control.reason
 
     def check_firmware(self) -> None:
@@ -171,9 +170,7 @@ class LinkRobot:
     def __enter__(self) -> LinkRobot:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _obey(self, ticks: WheelTicks | None, command: VelocityCommand) -> None:

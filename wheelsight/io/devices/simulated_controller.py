@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import NamedTuple
 
 from cobs import cobs
@@ -99,26 +98,20 @@ class Practice:
             self._driven_m = (self._driven_m[0] + left * seconds, self._driven_m[1] + right * seconds)
         else:
             self._passed_s += seconds
-            self._driven_m = self._practice_m()
+            length_s = sum(leg.seconds for leg in self._legs)
+            rounds, into_s = divmod(self._passed_s, length_s) if length_s else (0.0, 0.0)
+            left = rounds * sum(leg.left_m for leg in self._legs)
+            right = rounds * sum(leg.right_m for leg in self._legs)
+            for leg in self._legs if length_s else ():
+                share = min(max(into_s / leg.seconds, 0.0), 1.0)
+                done = share * share * (3 - 2 * share)  # the speed is zero at both ends of a leg
+                left, right = left + done * leg.left_m, right + done * leg.right_m
+                into_s -= leg.seconds
+            self._driven_m = left, right
         counts = [round(way / unit) for way, unit in zip(self._driven_m, self._m_per_tick, strict=True)]
         pulses = counts[0] - self._sent[0], counts[1] - self._sent[1]
         self._sent = counts[0], counts[1]
         return pulses
-
-    def _practice_m(self) -> tuple[float, float]:
-        """The distance of both wheels along the legs. The speed is zero at both ends of a leg."""
-        length_s = sum(leg.seconds for leg in self._legs)
-        if not length_s:
-            return 0.0, 0.0
-        rounds, into_s = divmod(self._passed_s, length_s)
-        left = rounds * sum(leg.left_m for leg in self._legs)
-        right = rounds * sum(leg.right_m for leg in self._legs)
-        for leg in self._legs:
-            share = min(max(into_s / leg.seconds, 0.0), 1.0)
-            done = share * share * (3 - 2 * share)
-            left, right = left + done * leg.left_m, right + done * leg.right_m
-            into_s -= leg.seconds
-        return left, right
 
 
 class SimulatedController:
@@ -218,9 +211,7 @@ class SimulatedController:
     def __enter__(self) -> SimulatedController:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _run(self) -> None:

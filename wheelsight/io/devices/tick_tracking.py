@@ -448,27 +448,22 @@ class PlainTracker:
         self._last, self._was_replugged = now, False
         stamp_s = now.arrival_s
         if now.clock_us is not None:
-            self.clock.update(1e-6 * now.clock_us, self._robust_arrival_s(now.clock_us, now.arrival_s))
+            # The map uses the earliest line of a minute, and one damaged digit of a time would shift all its stamps.
+            # Where too few lines of the last second came as early, a later arrival is used.
+            clock_s, arrival_s = 1e-6 * now.clock_us, now.arrival_s
+            early_s = self.clock.host_s(clock_s) - arrival_s
+            self._early.append((arrival_s, early_s))
+            while self._early[0][0] < arrival_s - _EARLY_WINDOW_S:
+                self._early.popleft()
+            earliest = sorted((early for _, early in self._early), reverse=True)[:_EARLY_LINES]
+            allowed_s = max(earliest[-1], 0.0) if len(earliest) == _EARLY_LINES else 0.0
+            self.clock.update(clock_s, arrival_s + max(early_s - allowed_s, 0.0) if self._has_map else arrival_s)
             self._has_map = True
             stamp_s = self.clock.stamp_s(1e-6 * now.clock_us)
         for i, (least, most) in enumerate(self._range):
             self._range[i] = min(least, now.counts[i]), max(most, now.counts[i])
         self._stamp_s = max(stamp_s, self._stamp_s + 1e-6)
         return PlainStep(self._stamp_s, *steps)
-
-    def _robust_arrival_s(self, clock_us: int, arrival_s: float) -> float:
-        """The arrival, or a later time where too few lines of the last second came as early.
-
-        The map uses the earliest line of a minute. One damaged digit of a time would otherwise shift all stamps for a
-        minute.
-        """
-        early_s = self.clock.host_s(1e-6 * clock_us) - arrival_s
-        self._early.append((arrival_s, early_s))
-        while self._early[0][0] < arrival_s - _EARLY_WINDOW_S:
-            self._early.popleft()
-        earliest = sorted((early for _, early in self._early), reverse=True)[:_EARLY_LINES]
-        allowed_s = max(earliest[-1], 0.0) if len(earliest) == _EARLY_LINES else 0.0
-        return arrival_s + max(early_s - allowed_s, 0.0) if self._has_map else arrival_s
 
 
 def _first(line: PlainReading) -> _PlainReading:
@@ -548,7 +543,10 @@ class PairClock:
             return self._growing(arrival_s, arrival_s)
         self._number += 1
         if self.period_s is None:
-            self._learn(arrival_s, following)
+            if not following:  # of pairs in one read, the last one waited least
+                self._arrivals.append((float(self._number), arrival_s))
+            if len(self._arrivals) >= 3 and self._arrivals[-1][1] - self._arrivals[0][1] >= _LEARN_S:
+                self._estimate_period()
             return self._growing(arrival_s, arrival_s)
         latest_s = arrival_s - following * self.period_s
         if self._begun:
@@ -565,12 +563,8 @@ class PairClock:
         self._late.clear()
         self._begun = False
 
-    def _learn(self, arrival_s: float, following: int) -> None:
-        """Estimate the period, once pairs have come for long enough."""
-        if not following:  # of pairs in one read, the last one waited least
-            self._arrivals.append((float(self._number), arrival_s))
-        if len(self._arrivals) < 3 or self._arrivals[-1][1] - self._arrivals[0][1] < _LEARN_S:
-            return
+    def _estimate_period(self) -> None:
+        """Estimate the period from the arrivals."""
         period_s = slope_beneath(self._arrivals)
         if _SHORTEST_PERIOD_S <= period_s <= _LONGEST_PERIOD_S:
             self.period_s = period_s

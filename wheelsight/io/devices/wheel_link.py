@@ -17,7 +17,6 @@ from enum import StrEnum
 from functools import partial
 from operator import contains
 from pathlib import Path
-from types import TracebackType
 
 from serial import Serial, SerialException, SerialTimeoutException
 from serial.tools.list_ports import comports
@@ -245,9 +244,7 @@ class WheelLink:
     def __enter__(self) -> WheelLink:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _run(self) -> None:
@@ -357,8 +354,6 @@ class WheelLink:
             if self._on_status is not None:
                 self._on_status(status)
 
-
-# Commands
 
 KEEP_ALIVE_S = 0.05
 _ANSWER_S = 0.25
@@ -481,8 +476,6 @@ class Commands:
         return sequence
 
 
-# Serial ports
-
 _READ_TIMEOUT_S = 0.006  # longer than the silence that ends a pair of bytes in the paper's format
 _WRITE_TIMEOUT_S = 0.2
 _REASONS = {
@@ -502,25 +495,18 @@ def open_port(path: str, baudrate: int) -> Serial:
     try:
         port = Serial(path, baudrate, timeout=_READ_TIMEOUT_S, write_timeout=_WRITE_TIMEOUT_S, exclusive=True)
     except SerialException as error:
-        raise _port_error(path, error) from error
+        there = sorted(port.device for port in comports())
+        ports = f"there are: {', '.join(there)}" if there else "no serial port is there: plug the controller in"
+        problem, fix = f"cannot be opened: {error}", None
+        if error.errno == errno.ENOENT:
+            problem, fix = "there is no such port", ports
+        elif error.errno in _REASONS:
+            problem, fix = _REASONS[error.errno]
+        elif Path(path).exists() and not Path(path).is_char_device():
+            problem, fix = "is not a serial port", ports
+        raise DeviceError(problem, path=path, fix=fix) from error
     except (ValueError, OverflowError) as error:
         raise DeviceError(f"the port does not know {baudrate} baud", path=path, fix="115200 is usual") from error
     with suppress(ValueError, OSError, AttributeError, NotImplementedError):  # not every driver has this mode
         port.set_low_latency_mode(True)
     return port
-
-
-def _port_error(path: str, error: SerialException) -> DeviceError:
-    if error.errno == errno.ENOENT:
-        return DeviceError("there is no such port", path=path, fix=_ports_there())
-    if error.errno in _REASONS:
-        problem, fix = _REASONS[error.errno]
-        return DeviceError(problem, path=path, fix=fix)
-    if Path(path).exists() and not Path(path).is_char_device():
-        return DeviceError("is not a serial port", path=path, fix=_ports_there())
-    return DeviceError(f"cannot be opened: {error}", path=path)
-
-
-def _ports_there() -> str:
-    there = sorted(port.device for port in comports())
-    return f"there are: {', '.join(there)}" if there else "no serial port is there: plug the controller in"

@@ -12,7 +12,6 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Protocol
 
 from wheelsight.core.errors import DeviceError, OutputError
@@ -57,7 +56,7 @@ def open_wheels(
 
 
 def is_recorded(where: StrPath) -> bool:
-    """Whether `open_wheels` reads a file, all readings of which are available at once."""
+    """Whether `open_wheels` reads a file, whose readings are all available at once."""
     path = Path(where)
     return path.is_dir() or path.is_file() or path.suffix == ".csv"
 
@@ -136,8 +135,6 @@ class TelemetryReader:
                 raise DeviceError(problem, path=self._path, fix="read the pipe of wheelsight wheels serve")
 
 
-# The pipe's writer
-
 LONGEST_LINE = 4096  # PIPE_BUF of Linux: the size of an atomic write
 _MOST_WAITING = 256
 
@@ -145,7 +142,7 @@ _Identity = tuple[int, int, int]
 
 
 class TelemetryPipe:
-    """Writes lines to a POSIX named pipe without waiting. Use it in a `with` block, the end of which removes the pipe.
+    """Writes lines to a POSIX named pipe without waiting. Use it in a `with` block, whose end removes the pipe.
 
     One reader at a time may connect; two would each get some of the lines. Lines are not kept without a reader. A slow
     reader gets whole lines with gaps: beyond the system's buffer (64 KB) and 256 lines, the oldest are dropped. A pipe
@@ -226,9 +223,7 @@ class TelemetryPipe:
     def __enter__(self) -> TelemetryPipe:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _find_reader(self) -> int | None:

@@ -186,24 +186,19 @@ def _quarter_rays(depth: KinectLens) -> FloatArray:
         undistorted = cv2.undistortPoints(px, depth.K, depth.coefficients, criteria=_UNDISTORT)
     xy: FloatArray = np.asarray(undistorted, float).reshape(-1, 2)
     focal_px, middle = depth.K[[0, 1], [0, 1]], depth.K[:2, 2]
-    off_px = np.abs(_distorted(xy, depth.coefficients) * focal_px + middle - px.reshape(-1, 2)).max(axis=1)
+    # The points are distorted again as a check. OpenCV also computes derivatives, which takes seconds.
+    k1, k2, p1, p2, k3, k4, k5, k6 = depth.coefficients
+    x, y = xy.T
+    r2 = x**2 + y**2
+    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    moved = (2 * p1 * x * y + p2 * (r2 + 2 * x**2), p1 * (r2 + 2 * y**2) + 2 * p2 * x * y)
+    distorted = np.stack([x * radial + moved[0], y * radial + moved[1]], axis=1)
+    off_px = np.abs(distorted * focal_px + middle - px.reshape(-1, 2)).max(axis=1)
     is_beyond = (off_px > _CONVERGED_PX) | (np.linalg.norm(xy, axis=1) > depth.reach)
     rays = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
     rays[is_beyond] = np.nan
     return rays
 
-
-def _distorted(xy: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """The distorted points (N, 2) of points (N, 2), both on the plane z = 1. OpenCV's projection takes far longer."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = coefficients
-    x, y = xy.T
-    r2 = x**2 + y**2
-    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    moved = (2 * p1 * x * y + p2 * (r2 + 2 * x**2), p1 * (r2 + 2 * y**2) + 2 * p2 * x * y)
-    return np.stack([x * radial + moved[0], y * radial + moved[1]], axis=1)
-
-
-# The recording
 
 _COLOR, _DEPTH = "COLOR", "DEPTH"
 _SEGMENT, _HEAD = b"\x18\x53\x80\x67", 4096

@@ -171,7 +171,7 @@ def _leap_warning(name: str, stamps_s: FloatArray) -> str | None:
     if len(steps_s) < 2:
         return None
     if name == FRAMES and steps_s.sum() < len(steps_s) / _FASTEST_CAMERA_HZ:
-        return "The frames' stamps are too near each other for seconds: no camera gives so many frames a second."
+        return "The frames' stamps are too close for seconds: no camera is that fast."
     usual_s, at = float(np.median(steps_s)), int(steps_s.argmax())
     if steps_s[at] < max(_LEAST_LEAP_S, _LEAP_PERIODS * usual_s):
         return None
@@ -415,7 +415,15 @@ class MotionClock:
             return MotionOffset(None, *shown, why_not)
         if 1 - max(others.max(initial=0.0), 0.0) ** 2 < _LEAST_RATIO * (1 - found[best] ** 2):
             return MotionOffset(None, *shown, "they agree at other differences nearly as well")
-        return MotionOffset(offset_s, _sigma_s(headings, shifts, offset_s), *shown[1:])
+        # σ: the residual of turns over their derivative by the offset.
+        turns, seen = turned
+        gain = float(turns @ seen) / max(float(turns @ turns), 1e-12)
+        ends = [_turned(headings, shifts, offset_s + side * _STEP_S)[0] for side in (-1, 1)]
+        count = min(len(turns), *map(len, ends))
+        slope = gain * (ends[1][:count] - ends[0][:count]) / (2 * _STEP_S)
+        scatter = float(np.mean((seen - gain * turns) ** 2))
+        sigma_s = float(np.sqrt(scatter / max(float(slope @ slope), 1e-12)))
+        return MotionOffset(offset_s, sigma_s, *shown[1:])
 
     def _read(self, reading: WheelTicks | WheelSpeeds | OdometryReading) -> None:
         """Integrate the turn of a wheel reading."""
@@ -460,14 +468,3 @@ def _agreement(headings: FloatArray, shifts: FloatArray, lag_s: float) -> float:
         return 0.0
     size = float(np.sqrt(np.sum(turned**2) * np.sum(seen**2)))
     return float(turned @ seen) / size if size > 0 else 0.0
-
-
-def _sigma_s(headings: FloatArray, shifts: FloatArray, offset_s: float) -> float:
-    """The standard deviation of an offset: the residual of turns over their derivative by the offset."""
-    turned, seen = _turned(headings, shifts, offset_s)
-    gain = float(turned @ seen) / max(float(turned @ turned), 1e-12)
-    ends = [_turned(headings, shifts, offset_s + side * _STEP_S)[0] for side in (-1, 1)]
-    count = min(len(turned), *map(len, ends))
-    slope = gain * (ends[1][:count] - ends[0][:count]) / (2 * _STEP_S)
-    scatter = float(np.mean((seen - gain * turned) ** 2))
-    return float(np.sqrt(scatter / max(float(slope @ slope), 1e-12)))

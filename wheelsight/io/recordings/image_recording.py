@@ -15,7 +15,7 @@ import numpy as np
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import CalibrationError, RecordingError
-from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelReading, YawRate
+from wheelsight.core.messages import Event, RgbdFrame, WheelReading, YawRate
 from wheelsight.core.stamps import associate, unit_of
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.recordings.images import (
@@ -26,7 +26,7 @@ from wheelsight.io.recordings.images import (
     read_color,
     read_depth,
 )
-from wheelsight.io.recordings.recording import AssociationReport, ListedFrame, express_for
+from wheelsight.io.recordings.recording import AssociationReport, ListedFrame, express_for, frame_or_reason
 from wheelsight.io.recordings.tables import ListedFile
 
 _FRAMES_READ_AHEAD = 4
@@ -94,7 +94,9 @@ class ImageRecording:
         """Undecoded frames and readings, in order of time."""
         stamps_s = [*(frame.stamp_s for frame in self.frames), math.inf]
         frames = (
-            ListedFrame(stamp_s, next_stamp_s, partial(self._frame_or_reason, index))
+            ListedFrame(
+                stamp_s, next_stamp_s, partial(frame_or_reason, partial(self.read_frame, index), stamp_s, index)
+            )
             for index, (stamp_s, next_stamp_s) in enumerate(pairwise(stamps_s))
         )
         return heapq.merge(self.yaw_rates, self.wheels, frames, key=lambda item: item.stamp_s)
@@ -111,12 +113,6 @@ class ImageRecording:
             raise RecordingError(problem, path=files.depth, fix="register depth to colour, or give T_color_depth")
         depth_m = corrected_depth(color, depth_m, self.calibration, (files.color, files.depth))
         return RgbdFrame(files.stamp_s, color, depth_m, index, files.depth_late_s)
-
-    def _frame_or_reason(self, index: int) -> RgbdFrame | SkippedFrame:
-        try:
-            return self.read_frame(index)
-        except RecordingError as error:
-            return SkippedFrame(self.frames[index].stamp_s, error.problem, index)
 
 
 class PairedImages(NamedTuple):

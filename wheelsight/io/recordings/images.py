@@ -75,11 +75,11 @@ def read_depth(path: Path, encoding: DepthEncoding) -> Float32Array:
             problem = f"holds {len(words)} distances where {camera.width}×{camera.height} pixels need one each"
             raise RecordingError(problem, path=path, fix="copy the file again, or give its camera with --camera")
         if max(map(len, words)) > _LONGEST_NUMBER:
-            raise RecordingError("holds what is no number", path=path, fix="copy the file again")
+            raise RecordingError("holds an invalid number", path=path, fix="copy the file again")
         try:
             distances = np.array(words).astype(np.float64).reshape(camera.height, camera.width)
         except ValueError as error:
-            raise RecordingError(f"holds what is no number: {error}", path=path, fix="copy the file again") from error
+            raise RecordingError(f"holds an invalid number: {error}", path=path, fix="copy the file again") from error
         most = encoding.factor * _FARTHEST_M
         distances[~((distances > 0) & (distances <= most))] = 0
         lengths = np.linalg.norm(camera.rays(), axis=-1)
@@ -208,8 +208,6 @@ def _check_scale(median_m: float, path: Path, encoding: DepthEncoding) -> None:
         )
 
 
-# Writing
-
 ColorFormat = Literal["png", "jpeg"]
 SUFFIXES: dict[str, str] = {"png": ".png", "jpeg": ".jpg"}
 JPEG_QUALITY = 95
@@ -242,8 +240,6 @@ def _write(path: Path, kind: str, image: NDArray[np.integer | np.floating], flag
     return int(data.size)
 
 
-# Correction
-
 _FIX = "choose another with --camera"
 
 
@@ -273,8 +269,6 @@ def _need_size(name: str, size: str, camera: PinholeCamera, path: Path, fix: str
     if size != expected:
         raise RecordingError(f"{name} image is {size}, the calibration's {expected}", path=path, fix=fix)
 
-
-# Reading ahead
 
 T = TypeVar("T")
 

@@ -94,7 +94,14 @@ class OffsetMeter:
         self._reduction = max(1, round(width / _SEARCH_WIDTH))
         size = (width // self._reduction, height // self._reduction)
         right, down = _SEARCH_PX
-        contrasts = _color_contrast(color)
+        # Gradients along x and along y (H, W), with mean 1, minus the mean of their neighbourhood.
+        grey = cv2.GaussianBlur(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.5)
+        contrasts: list[Float32Array] = []
+        for along_x in (1, 0):
+            step = np.abs(cv2.Sobel(grey, cv2.CV_32F, along_x, 1 - along_x))
+            step = np.minimum(step, np.percentile(step, 95))
+            step /= max(float(step.mean()), 1e-6)
+            contrasts.append(step - cv2.blur(step, (81, 81)))
         borders = [_borders_along_rows(depth_m), np.ascontiguousarray(_borders_along_rows(depth_m.T).T)]
         self._far.keep(contrasts, borders)
         if size[0] <= 2 * right or size[1] <= 2 * down:
@@ -228,18 +235,6 @@ def off_calibrated(offset: RegistrationOffset, calibration: Calibration, depth_m
     return float(np.median(off_px) / depth.width) if len(off_px) >= len(px) / 4 else float("nan")
 
 
-def _color_contrast(color: ByteArray) -> list[Float32Array]:
-    """Gradients along x and along y (H, W), with mean 1, minus the mean of their neighbourhood."""
-    grey = cv2.GaussianBlur(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.5)
-    images = []
-    for along_x in (1, 0):
-        step = np.abs(cv2.Sobel(grey, cv2.CV_32F, along_x, 1 - along_x))
-        step = np.minimum(step, np.percentile(step, 95))
-        step /= max(float(step.mean()), 1e-6)
-        images.append(step - cv2.blur(step, (81, 81)))
-    return images
-
-
 def _borders_along_rows(depth_m: Float32Array) -> Float32Array:
     """1 at the near side of depth steps along x (H, W), also across shadows; else 0."""
     columns = np.arange(depth_m.shape[1])
@@ -306,8 +301,6 @@ def clock_mapping(clocks: Sequence[FrameClock]) -> ClockMapping | None:
         missing=missing,
     )
 
-
-# Inspection
 
 _GAP_PERIODS = 3.0
 _DEPTH_STRIDE = 4

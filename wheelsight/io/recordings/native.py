@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Protocol
 
 import numpy as np
@@ -197,8 +196,6 @@ def camera_turns(folder: StrPath) -> tuple[list[AngularVelocity], list[str]]:
     path = Path(folder) / IMU_FILE
     return read_angular_velocities(path) if is_there(path) else ([], [])
 
-
-# Writing
 
 _IMAGE_HEADERS = {
     "rgb.txt": "# color images\n# timestamp filename\n",
@@ -496,9 +493,7 @@ class RecordingWriter(OneCaller):
     def __enter__(self) -> RecordingWriter:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _known_calibration(self) -> Calibration:

@@ -102,8 +102,6 @@ def true_poses(poses: Sequence[WrittenPose], warnings: list[str]) -> Trajectory 
     return Trajectory(np.array([pose.stamp_s for pose in known]), se3.from_parts(R, T[:, :3, 3]))
 
 
-# ICL-NUIM
-
 _TRUTH = "*.gt.freiburg"
 _FRAME = re.compile(r"(\d{1,9})\.png")
 _COLOR = re.compile(r"scene_\d+_(\d{1,9})\.png")
@@ -155,8 +153,6 @@ class IclNuimReader:
         return recording_of(folder, self.name, calibration, images, encoding, truth, warnings)
 
 
-# 7-Scenes
-
 _DEPTH = DepthEncoding(factor=1000.0, invalid=65535)
 _FILE = re.compile(r"frame-(\d{6})\.(?:(color)\.(?:png|jpe?g)|(depth)\.png|(pose)\.txt)")
 
@@ -181,7 +177,20 @@ class SevenScenesReader:
 
     def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
         """The recording in `folder`. Stamps are the frames' numbers at 30 Hz, or the rate given. Raises InputError."""
-        calibration = choose_calibration(folder, options, lambda: _calibration(folder))
+
+        def known() -> Calibration:
+            """The shipped calibration, with the depth camera of camera-intrinsics.txt if it exists."""
+            shipped, path = load_camera("seven_scenes"), folder / _INTRINSICS
+            if not is_there(path):
+                return shipped
+            try:
+                fx, fy, cx, cy = intrinsic_numbers(path)
+                depth = replace(shipped.cameras[1], fx=fx, fy=fy, cx=cx, cy=cy)
+            except (CalibrationError, RecordingError) as error:
+                raise CalibrationError(error.problem, path=path, fix="correct or remove the file") from error
+            return replace(shipped, depth=depth)
+
+        calibration = choose_calibration(folder, options, known)
         return open_frames(folder, options, self, _SEVEN_SCENES_TRUTH, lambda _: calibration)
 
 
@@ -233,22 +242,6 @@ def open_frames(
     return recording_of(folder, reader.name, calibration, images, encoding, truth, warnings)
 
 
-def _calibration(folder: Path) -> Calibration:
-    """The shipped calibration, with the depth camera of camera-intrinsics.txt if it exists."""
-    shipped = load_camera("seven_scenes")
-    path = folder / "camera-intrinsics.txt"
-    if not is_there(path):
-        return shipped
-    try:
-        fx, fy, cx, cy = intrinsic_numbers(path)
-        depth = replace(shipped.cameras[1], fx=fx, fy=fy, cx=cx, cy=cy)
-    except (CalibrationError, RecordingError) as error:
-        raise CalibrationError(error.problem, path=path, fix="correct or remove the file") from error
-    return replace(shipped, depth=depth)
-
-
-# 3DMatch
-
 _INTRINSICS = "camera-intrinsics.txt"
 _UNREGISTERED = "7-scenes"
 _THREE_D_MATCH_TRUTH = "True poses are those of the reconstructions that 3DMatch took over, not motion capture."
@@ -287,8 +280,6 @@ class ThreeDMatchReader:
 
         return open_frames(folder, options, self, _THREE_D_MATCH_TRUTH, calibration_of)
 
-
-# Redwood
 
 _COLOR_FOLDERS = ("rgb", "image", "color")
 _IMAGE = re.compile(r"(\d{1,9})(?:-\d+)?\.(?:png|jpe?g)", re.IGNORECASE)
@@ -370,8 +361,6 @@ def _pose(lines: list[Line], depth: list[ListedFile], path: Path) -> WrittenPose
     return WrittenPose(depth[count - 1].stamp_s, np.array(rows), path, first.number)
 
 
-# Replica's rooms as NICE-SLAM renders them (Zhu et al., CVPR 2022)
-
 _REPLICA_COLOR = re.compile(r"frame(\d{1,9})\.(?:jpe?g|png)")
 _REPLICA_DEPTH = re.compile(r"depth(\d{1,9})\.png")
 _REPLICA_TRUTH, _CAMERA = "traj.txt", "cam_params.json"
@@ -382,7 +371,10 @@ _JSON = Kind("a camera's description", most_mb=1)
 
 
 class ReplicaReader:
-    """Reads rendered colour and registered depth. The camera's file states the units of depth per metre."""
+    """Reads Replica's rooms as NICE-SLAM renders them (Zhu et al., CVPR 2022).
+
+    Depth is registered to colour. The camera's file states its units per metre.
+    """
 
     name = "replica"
     layout = Layout.NUMBERED
@@ -444,7 +436,7 @@ def _replica_read_truth(path: Path, rate_hz: float, warnings: list[str]) -> Traj
         try:
             T = np.array([float(word) for word in line.text.split()], np.float64)
         except ValueError as error:
-            problem = f"holds what is no number: {error}"
+            problem = f"holds an invalid number: {error}"
             raise TrajectoryError(problem, path=path, line=line.number, fix=_POSE_FIX) from error
         if T.size != 16:
             problem = f"holds {T.size} numbers where the sixteen of a 4×4 matrix are expected"

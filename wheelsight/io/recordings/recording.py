@@ -14,7 +14,7 @@ from typing import Annotated, Any, Protocol, runtime_checkable
 from pydantic import BeforeValidator, PlainSerializer, ValidationError
 
 from wheelsight.core.calibration import Calibration, load_calibration
-from wheelsight.core.errors import CalibrationError, ConfigError
+from wheelsight.core.errors import CalibrationError, ConfigError, RecordingError
 from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.inputs import is_there
@@ -107,6 +107,14 @@ class ListedFrame:
     stamp_s: float
     next_stamp_s: float
     read: Callable[[], RgbdFrame | SkippedFrame]
+
+
+def frame_or_reason(read: Callable[[], RgbdFrame], stamp_s: float, index: int) -> RgbdFrame | SkippedFrame:
+    """The decoded frame, or why it cannot be used."""
+    try:
+        return read()
+    except RecordingError as error:
+        return SkippedFrame(stamp_s, error.problem, index)
 
 
 @runtime_checkable

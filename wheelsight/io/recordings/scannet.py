@@ -18,7 +18,7 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import CalibrationError, RecordingError
 from wheelsight.core.geometry import MOST_PIXELS, FloatArray, PinholeCamera, se3
 from wheelsight.core.inputs import Kind, decompressed, open_binary
-from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame
+from wheelsight.core.messages import Event, RgbdFrame
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.recordings.images import DepthEncoding, corrected_depth, decoded_color, depth_of_units, read_ahead
 from wheelsight.io.recordings.numbered_datasets import WrittenPose, rate_of, true_poses
@@ -29,6 +29,7 @@ from wheelsight.io.recordings.recording import (
     OpenOptions,
     choose_calibration,
     express_for,
+    frame_or_reason,
 )
 
 # A .sens file is little-endian: a header, then frames. A frame is a pose (16 float32, row by row, camera to world),
@@ -271,7 +272,9 @@ class ScanNetRecording:
     def listed(self) -> Iterator[ListedFrame]:
         """Undecoded frames."""
         for index, (stamp_s, next_stamp_s) in enumerate(pairwise((*self.stamps_s, math.inf))):
-            yield ListedFrame(stamp_s, next_stamp_s, partial(self._frame_or_reason, index))
+            yield ListedFrame(
+                stamp_s, next_stamp_s, partial(frame_or_reason, partial(self.read_frame, index), stamp_s, index)
+            )
 
     def read_frame(self, index: int) -> RgbdFrame:
         """The frame at `index`. Raises RecordingError where it is unusable."""
@@ -282,16 +285,11 @@ class ScanNetRecording:
         depth_m = corrected_depth(color, depth_m, self.calibration, (self.path, self.path))
         return RgbdFrame(self.stamps_s[index], color, depth_m, index)
 
-    def _frame_or_reason(self, index: int) -> RgbdFrame | SkippedFrame:
-        try:
-            return self.read_frame(index)
-        except RecordingError as error:
-            return SkippedFrame(self.stamps_s[index], error.problem, index)
-
     def tried(self) -> ScanNetRecording:
         """The recording with its body's truth. Raises RecordingError where the first and middle frame are unusable."""
-        middle = self._frame_or_reason(len(self.frames) // 2)
-        if isinstance(middle, SkippedFrame):
+        try:
+            self.read_frame(len(self.frames) // 2)
+        except RecordingError:
             self.read_frame(0)
         if self.ground_truth is None:
             return self

@@ -36,7 +36,7 @@ from wheelsight.core.stamps import column_unit
 from wheelsight.io.recordings.recording import LeftOut
 
 _SHARE_OUT_OF_ORDER_ALLOWED = 0.01
-# Mean length of sorted stretches from which on they are taken for a clock that was set back, not for unsorted lines.
+# Least mean length of sorted stretches that show a clock that was set back, not unsorted lines.
 _FEWEST_IN_ORDER = 10
 LARGEST_STAMP = 1e20  # over a hundred years in nanoseconds; no unit has larger stamps
 _STAMP_NAME = re.compile(r"(?:time_?stamps?|stamps?|time|t)(?![a-z])", re.IGNORECASE)
@@ -97,18 +97,13 @@ def listed_lines(path: Path) -> tuple[list[Line], float]:
             per_second = unit.per_second
         if bare and not bare.startswith("#"):
             lines.append(Line(number, bare))
-    return lines[bool(lines and _is_header(lines[0], path)) :], per_second
-
-
-def _is_header(line: Line, path: Path) -> bool:
-    """Whether a list's first line names its columns, a stamp first. Raises RecordingError for an unknown unit."""
-    name = unquoted(re.split(r"[;,\t]", line.text)[0])
+    name = unquoted(re.split(r"[;,\t]", lines[0].text)[0]) if lines else ""
     if not _STAMP_NAME.match(name):
-        return False
-    if column_unit(line.text) is None and _OTHER_UNIT.search(name):
+        return lines, per_second
+    if column_unit(lines[0].text) is None and _OTHER_UNIT.search(name):
         fix = "write them in seconds, or name their unit as in stamp_ms"
-        raise RecordingError(f"stamps are {name!r}", path=path, line=line.number, fix=fix)
-    return True
+        raise RecordingError(f"stamps are {name!r}", path=path, line=lines[0].number, fix=fix)
+    return lines[1:], per_second
 
 
 def parse_stamp(word: str, path: Path, line: int) -> float:

@@ -233,8 +233,6 @@ def _is_depth_first(pairs: Sequence[tuple[_Stamped, _Stamped]], path: Path, line
     raise RecordingError(problem, path=path, line=line, fix="put depth images, of 16 bits, into a folder called depth")
 
 
-# Bonn RGB-D Dynamic
-
 _PREFIX = "rgbd_bonn_"
 # Published with the data: axes of the motion capture, and the markers' frame seen from the camera. The columns of the
 # latter have length 1.06; the nearest rigid motion is used.
@@ -275,8 +273,6 @@ class BonnReader:
         return open_lists(folder, options, self.name, lambda _: calibration, truth_of)
 
 
-# ETH3D
-
 _INTRINSICS = "calibration.txt"
 _FIX = "write fx fy cx cy in pixels, or remove the file to have the folder read as TUM's"
 
@@ -310,7 +306,7 @@ def _eth3d_calibration(path: Path, frames: tuple[FramePaths, ...]) -> Calibratio
     try:
         numbers = [float(word) for line in lines for word in line.text.split()]
     except ValueError as error:
-        raise CalibrationError(f"holds what is no number: {error}", path=path, fix=_FIX) from error
+        raise CalibrationError(f"holds an invalid number: {error}", path=path, fix=_FIX) from error
     if len(numbers) != 4 or not all(map(math.isfinite, numbers)):
         problem = f"holds {len(numbers)} numbers where the four fx fy cx cy are expected"
         raise CalibrationError(problem, path=path, fix=_FIX)
@@ -322,8 +318,6 @@ def _eth3d_calibration(path: Path, frames: tuple[FramePaths, ...]) -> Calibratio
     except CalibrationError as error:
         raise CalibrationError(error.problem, path=path, fix=_FIX) from error
 
-
-# OpenLORIS-Scene
 
 _CAMERA = "d400_color_optical_frame"
 _BASE = "base_link"

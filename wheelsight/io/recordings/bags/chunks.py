@@ -126,7 +126,7 @@ class ChunkedReader(ABC):
             self._size = self._file.seek(0, 2)
             self._file.seek(0)
             self.allowance = Allowance(self.path, self._size)
-            chunks = {chunk.place: chunk for chunk in self._read_index()}
+            chunks = {chunk.place: chunk for chunk in self.read_index()}
             self._chunks = sorted(chunks.values(), key=attrgetter("start_ns"))
             self._ended_ns = list(accumulate((chunk.end_ns for chunk in self._chunks), max))
         except BaseException:
@@ -138,15 +138,15 @@ class ChunkedReader(ABC):
         self._file.close()
 
     @abstractmethod
-    def _read_index(self) -> list[Chunk]:
+    def read_index(self) -> list[Chunk]:
         """The chunks, after `connections` were set. Raises RecordingError, ValueError, LookupError or struct.error."""
 
     @abstractmethod
-    def _content(self, place: int) -> bytes:
-        """The decompressed content of a chunk. Raises as `_read_index`."""
+    def content_at(self, place: int) -> bytes:
+        """The decompressed content of a chunk. Raises as `read_index`."""
 
     @abstractmethod
-    def _walk(self, content: bytes, most: int) -> tuple[list[ChunkMessage], int]:
+    def walk(self, content: bytes, most: int) -> tuple[list[ChunkMessage], int]:
         """The messages of a chunk in file order, and the number of records. Raises ValueError beyond `most` of them."""
 
     @property
@@ -201,8 +201,8 @@ class ChunkedReader(ABC):
         if self._last is None or self._last[0] != place:
             self._last = None
             try:
-                content = self._content(place)
-                records, count = self._walk(content, self.allowance.most_records)
+                content = self.content_at(place)
+                records, count = self.walk(content, self.allowance.most_records)
             except (ValueError, LookupError, struct.error) as error:
                 raise self._refusal(f"its chunk at byte {place:,} {error}") from error
             self.allowance.take(0, count)

@@ -148,7 +148,7 @@ def _compressed_depth(data: bytes, format_: str, path: Path) -> _Pixels:
     if not format_.lower().startswith("32fc1"):
         return raw
     if start < 12:
-        raise RecordingError("compressed depth lacks what tells its scale", path=path, fix="record it raw")
+        raise RecordingError("compressed depth lacks its scale", path=path, fix="record it raw")
     a, b = struct.unpack_from("<ff", data, start - 8)
     above = raw.astype(np.float32) - np.float32(b)
     depth_m: Float32Array = np.divide(
@@ -156,8 +156,6 @@ def _compressed_depth(data: bytes, format_: str, path: Path) -> _Pixels:
     )
     return depth_m
 
-
-# Cameras
 
 _BROWN = ("plumb_bob", "radtan", "")
 _RATIONAL = "rational_polynomial"
@@ -184,7 +182,7 @@ def camera_of(info: Any, is_rectified: bool) -> tuple[PinholeCamera, str | None]
     names = {name.lower(): name for name in ("D", "K", "P")} if hasattr(info, "K") else {n: n for n in "dkp"}
     D, K, P = (np.asarray(getattr(info, names[name]), float) for name in "dkp")
     if not are_measured((*D, *K, *P)):
-        raise CalibrationError("its CameraInfo holds what is no number of a camera", fix="give one with --camera")
+        raise CalibrationError("its CameraInfo holds an invalid number", fix="give one with --camera")
     known = P.reshape(3, 4)[:, :3] if is_rectified and P.any() else K.reshape(3, 3)
     if not known[0, 0] > 0:
         raise CalibrationError("its CameraInfo is all zero: it was not calibrated", fix="give one with --camera")

@@ -200,7 +200,7 @@ def _clocks_by_motion(
         clocks[topic] = TopicClock(clocks[topic].shift_s + offset.offset_s, clocks[topic].by_receipt)
         warnings.append(
             f"{topic}: by the turns that both show, the camera's stamps are {offset}: the clocks are apart. "
-            "The difference is taken out."
+            "The difference is removed."
         )
     return clocks, warnings
 
@@ -483,9 +483,16 @@ def up_of_gyro(bag: OpenBag, roles: Roles, robot: BagRobot) -> tuple[FloatArray,
     frame = bag.header(bag.first(roles.gyro)[0]).frame
     T = None if robot.base is None else robot.transforms.between(robot.base, frame)
     by_tf = None if T is None else T[2, :3]
-    by_gravity = _up_by_gravity(bag, roles.gyro)
+    # The mean acceleration over the first seconds, where its size is that of gravity.
+    by_gravity, stop_ns = None, bag.first(roles.gyro)[0].receipt_ns + round(1e9 * _GRAVITY_S)
+    read = [bag.decode(message).linear_acceleration for message in bag.messages([roles.gyro], stop_ns=stop_ns)]
+    measured = [(a.x, a.y, a.z) for a in read if are_measured((a.x, a.y, a.z))]
+    if measured:  # a damaged index may give later receipt times than the messages have
+        mean = np.mean(measured, axis=0)
+        size = float(np.linalg.norm(mean))
+        by_gravity = np.asarray(mean / size) if abs(size - _G_M_S2) <= _GRAVITY_SHARE * _G_M_S2 else None
     if by_tf is None and by_gravity is None:
-        return _UP, [f"{roles.gyro}: neither tf nor gravity shows which way is up; its z axis is taken."]
+        return _UP, [f"{roles.gyro}: neither tf nor gravity shows which way is up; its z axis is used."]
     if by_gravity is None or (by_tf is not None and _between_rad(by_tf, by_gravity) <= _GRAVITY_APART_RAD):
         assert by_tf is not None
         return by_tf, []
@@ -498,25 +505,8 @@ def up_of_gyro(bag: OpenBag, roles: Roles, robot: BagRobot) -> tuple[FloatArray,
     return by_gravity, [warning]
 
 
-def _up_by_gravity(bag: OpenBag, topic: str) -> FloatArray | None:
-    """The direction (3,) of the mean acceleration over the first seconds; None where its size is not gravity's."""
-    stop_ns = bag.first(topic)[0].receipt_ns + round(1e9 * _GRAVITY_S)
-    read = [bag.decode(message).linear_acceleration for message in bag.messages([topic], stop_ns=stop_ns)]
-    measured = [(a.x, a.y, a.z) for a in read if are_measured((a.x, a.y, a.z))]
-    if not measured:  # a damaged index may give later receipt times than the messages have
-        return None
-    mean = np.mean(measured, axis=0)
-    size = float(np.linalg.norm(mean))
-    if not abs(size - _G_M_S2) <= _GRAVITY_SHARE * _G_M_S2:
-        return None
-    return np.asarray(mean / size)
-
-
 def _between_rad(a: FloatArray, b: FloatArray) -> float:
     return float(np.arccos(np.clip(a @ b, -1, 1)))
-
-
-# Ground truth
 
 
 def _truth(
@@ -557,12 +547,10 @@ def _truth(
     T_child_body = robot.transforms.between(child, frame) if child and frame else None
     if T_child_body is None and child != frame:
         of = f"of {child!r}, which tf does not join with it" if child else "without a child frame"
-        warnings.append(f"{name}: its poses, {of}, are taken for those of the {body}.")
+        warnings.append(f"{name}: its poses, {of}, are used as those of the {body}.")
     T = np.stack(poses) if T_child_body is None else se3.compose(np.stack(poses), T_child_body)
     return Trajectory(np.array(stamps_s), T, body=body), warnings
 
-
-# The tree of tf
 
 # Largest deviation of a quaternion's norm from 1.
 _LONGEST_QUATERNION_OFF = 0.1

@@ -18,7 +18,7 @@ import numpy as np
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import RecordingError
 from wheelsight.core.geometry import FloatArray
-from wheelsight.core.messages import WHEEL_READINGS, Event, Match, RgbdFrame, SkippedFrame, SpeedVariances, YawRate
+from wheelsight.core.messages import WHEEL_READINGS, Event, Match, RgbdFrame, SpeedVariances, YawRate
 from wheelsight.core.stamps import associate
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.recordings.bags.chunks import are_measured
@@ -29,7 +29,14 @@ from wheelsight.io.recordings.bags.topics import Roles
 from wheelsight.io.recordings.bags.wheel_readings import CountsApart, SpeedReader
 from wheelsight.io.recordings.clock_checks import MotionClock
 from wheelsight.io.recordings.images import corrected_depth, read_ahead
-from wheelsight.io.recordings.recording import AssociationReport, LeftOut, ListedFrame, OpenOptions, RecordedTopic
+from wheelsight.io.recordings.recording import (
+    AssociationReport,
+    LeftOut,
+    ListedFrame,
+    OpenOptions,
+    RecordedTopic,
+    frame_or_reason,
+)
 
 _FRAMES_READ_AHEAD = 4
 _WHEELS = ("wheels", "right wheel")
@@ -222,7 +229,11 @@ class BagRecording:
             passing = _Pass(bag, self._plan)
             for item in passing.items(images):
                 if isinstance(item, ImagePair):
-                    yield ListedFrame(item.stamp_s, math.inf, partial(self._frame_or_reason, bag, item))
+                    yield ListedFrame(
+                        item.stamp_s,
+                        math.inf,
+                        partial(frame_or_reason, partial(self._read, bag, item), item.stamp_s, item.index),
+                    )
                 else:
                     yield item
         self._pass_warnings = _warnings_of(passing)
@@ -231,12 +242,6 @@ class BagRecording:
             color, depth = (self._counts.get(role, 0) for role in ("color", "depth"))
             pairs = pairing.pairs - passing.events.late[ImagePair.__name__]
             self._found = AssociationReport(color, depth, pairs, gap_s, pairing.largest_gap_s)
-
-    def _frame_or_reason(self, bag: OpenBag, frame: ImagePair) -> RgbdFrame | SkippedFrame:
-        try:
-            return self._read(bag, frame)
-        except RecordingError as error:
-            return SkippedFrame(frame.stamp_s, error.problem, frame.index)
 
     def _read(self, bag: OpenBag, frame: ImagePair) -> RgbdFrame:
         """The decoded frame. Raises RecordingError naming the bag and what makes it unusable."""

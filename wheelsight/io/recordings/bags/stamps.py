@@ -291,6 +291,18 @@ class _Head:
     stamps: FloatArray
     why_not: str
 
+    @classmethod
+    def of(cls, stamps: Sequence[tuple[float, float]]) -> _Head:
+        """The valid ones of a topic's first (header, receipt), or why its headers are rejected."""
+        unstamped = sum(not header_s for header_s, _ in stamps)
+        if unstamped > len(stamps) / 2:
+            return cls(np.zeros((0, 2)), "headers have no stamp")
+        run = _longest_run(stamps)
+        if len(stamps) > 2 and len(run) < len(stamps) / 2:
+            shown = ", ".join(f"{header_s:.3f}" for header_s, _ in stamps[:4])
+            return cls(np.zeros((0, 2)), f"headers ({shown}, …) do not grow as a clock does")
+        return cls(np.array([stamps[place] for place in run], float).reshape(-1, 2), "")
+
     @property
     def rate(self) -> float:
         return _rate_of(self.stamps)
@@ -315,21 +327,21 @@ def clocks_of(
         lasts: header and receipt of each topic's last message.
         images: topics of one camera, which share a clock.
     """
-    heads = {topic: _head(stamps) for topic, stamps in firsts.items()}
-    believed = _of_one_rate({topic: head for topic, head in heads.items() if not head.why_not}, heads)
-    if any(image not in believed for image in images if image in heads):
-        why = next(heads[image].why_not for image in images if image not in believed)
-        for image in set(images) & set(believed):
+    heads = {topic: _Head.of(stamps) for topic, stamps in firsts.items()}
+    accepted = _of_one_rate({topic: head for topic, head in heads.items() if not head.why_not}, heads)
+    if any(image not in accepted for image in images if image in heads):
+        why = next(heads[image].why_not for image in images if image not in accepted)
+        for image in set(images) & set(accepted):
             heads[image] = _Head(heads[image].stamps, f"the other images of its camera: {why}")
-            del believed[image]
+            del accepted[image]
     # Header seconds per second of receipt over the bag, of the slowest topic: a clock that was set looks faster.
     rates = []
-    for topic, head in believed.items():
+    for topic, head in accepted.items():
         (first_s, first_receipt_s), (last_s, last_receipt_s) = head.stamps[0].tolist(), lasts[topic]
         if last_receipt_s > first_receipt_s:
             rates.append((last_s - first_s) / (last_receipt_s - first_receipt_s))
-    shifts_s, reference = _shifts(believed, images, APART_S * max(1.0, min(rates, default=1.0)))
-    lag_s = believed[reference].lag_s if reference else 0.0
+    shifts_s, reference = _shifts(accepted, images, APART_S * max(1.0, min(rates, default=1.0)))
+    lag_s = accepted[reference].lag_s if reference else 0.0
     end_lag_s = lasts[reference][1] - lasts[reference][0] if reference else 0.0
     warnings = []
     clocks: dict[str, TopicClock] = {}
@@ -340,71 +352,59 @@ def clocks_of(
                 side = "before" if shifts_s[topic] > 0 else "after"
                 warnings.append(
                     f"{topic}: headers are {abs(shifts_s[topic]):.3f} s {side} those of {reference} that are received "
-                    f"at the same time (median of {len(head.stamps)}): the clocks are apart. The difference is taken "
-                    "out, to within the delay of receipt."
+                    f"at the same time (median of {len(head.stamps)}): the clocks are apart. The difference is "
+                    "removed, to within the delay of receipt."
                 )
         else:
             clocks[topic] = TopicClock(-lag_s if abs(lag_s) > _MOST_APART_S else 0.0, by_receipt=True)
-            warnings.append(f"{topic}: {head.why_not}; the time of receipt stands for it.")
+            warnings.append(f"{topic}: {head.why_not}; the time of receipt is used.")
     if abs(end_lag_s - lag_s) > _MOST_APART_S:
         warnings.append(
             f"{reference}: receipt is {lag_s:.3f} s after the headers at the beginning, {end_lag_s:.3f} s at the end; "
-            "the headers grow as a clock does, and are believed."
+            "the headers increase like a clock, and are used."
         )
     elif abs(lag_s) > _MOST_APART_S:
-        what = "All headers are" if len(believed) == len(heads) and not any(shifts_s.values()) else "Headers are"
+        what = "All headers are" if len(accepted) == len(heads) and not any(shifts_s.values()) else "Headers are"
         apart = f"{abs(lag_s):.0f} s {'before' if lag_s > 0 else 'after'}"
-        warnings.append(f"{what} stamped {apart} receipt: a replay was recorded. They are believed.")
+        warnings.append(f"{what} stamped {apart} receipt: a replay was recorded. They are used.")
     return clocks, tuple(warnings)
 
 
-def _head(stamps: Sequence[tuple[float, float]]) -> _Head:
-    """The valid ones of a topic's first (header, receipt), or why its headers are rejected."""
-    unstamped = sum(not header_s for header_s, _ in stamps)
-    if unstamped > len(stamps) / 2:
-        return _Head(np.zeros((0, 2)), "headers have no stamp")
-    run = _longest_run(stamps)
-    if len(stamps) > 2 and len(run) < len(stamps) / 2:
-        shown = ", ".join(f"{header_s:.3f}" for header_s, _ in stamps[:4])
-        return _Head(np.zeros((0, 2)), f"headers ({shown}, …) do not grow as a clock does")
-    return _Head(np.array([stamps[place] for place in run], float).reshape(-1, 2), "")
-
-
-def _of_one_rate(believed: dict[str, _Head], heads: dict[str, _Head]) -> dict[str, _Head]:
+def _of_one_rate(accepted: dict[str, _Head], heads: dict[str, _Head]) -> dict[str, _Head]:
     """The topics whose headers have the rate nearest to receipt's. Rejects the others in `heads`."""
-    if len(believed) < 2:
-        return believed
-    best = min(believed, key=lambda topic: abs(np.log(believed[topic].rate)))
-    rate = believed[best].rate
-    for topic, head in list(believed.items()):
+    if len(accepted) < 2:
+        return accepted
+    best = min(accepted, key=lambda topic: abs(np.log(accepted[topic].rate)))
+    rate = accepted[best].rate
+    for topic, head in list(accepted.items()):
         if len(head.stamps) >= _RATE_SAMPLES and not 1 / _RATES_ALIKE <= head.rate / rate <= _RATES_ALIKE:
             why = f"headers grow by {head.rate:.3g} a second of receipt, those of {best} by {rate:.3g}"
             heads[topic] = _Head(head.stamps, why)
-            del believed[topic]
-    return believed
+            del accepted[topic]
+    return accepted
 
 
-def _shifts(believed: Mapping[str, _Head], images: Sequence[str], most_s: float) -> tuple[dict[str, float], str]:
+def _shifts(accepted: Mapping[str, _Head], images: Sequence[str], most_s: float) -> tuple[dict[str, float], str]:
     """The shift of each topic's headers, and the topic of the reference clock: that of most sensors, or of receipt.
 
     Args:
-        believed: topics whose headers are used.
+        accepted: topics whose headers are used.
         images: topics of one camera.
         most_s: the largest offset of topics with one clock, in header seconds.
     """
-    if not believed:
+    if not accepted:
         return {}, ""
-    camera = [image for image in images if image in believed]
-    sensors = [topic for topic in believed if topic not in camera[1:]]
+    camera = [image for image in images if image in accepted]
+    sensors = [topic for topic in accepted if topic not in camera[1:]]
     first = sensors[0]
-    behind_s = {topic: _behind_s(believed[topic], believed[first]) for topic in sensors}
+    behind_s = {topic: _behind_s(accepted[topic], accepted[first]) for topic in sensors}
     groups: list[list[str]] = []
     for topic in sorted(sensors, key=lambda name: behind_s[name]):
         if groups and behind_s[topic] - behind_s[groups[-1][-1]] <= most_s:
             groups[-1].append(topic)
         else:
             groups.append([topic])
-    group = min(groups, key=lambda names: (-len(names), abs(believed[names[0]].lag_s)))
+    group = min(groups, key=lambda names: (-len(names), abs(accepted[names[0]].lag_s)))
     reference = group[0]
     shifts_s = {}
     for names in groups:
@@ -440,17 +440,17 @@ def clock_findings(topic: str, clock: TopicClock, count: int) -> list[str]:
         warning = f"{topic}: {clock.left_out:,} messages were left out: their {why}."
         found.append(LeftOut(warning, clock.left_out, count, f"{topic}: {why}"))
     if clock.unstamped:
-        found.append(f"{topic}: {clock.unstamped:,} headers are 0; receipt stands for them.")
+        found.append(f"{topic}: {clock.unstamped:,} headers are 0; receipt is used.")
     for after_s, by_s in clock.set_back[:3]:
         found.append(
             f"{topic}: the clock of the recorder was set back by about {by_s:.1f} s after {after_s:.3f} s: its times "
-            "of receipt come twice. Headers go on, and are believed."
+            "of receipt come twice. Headers continue, and are used."
         )
     for after_s, by_s in clock.settings[:3]:
         way = "forward" if by_s > 0 else "back"
         found.append(
             f"{topic}: the clock was set {way} by {abs(by_s):.3f} s after {after_s:.3f} s, as receipt shows; "
-            "that is taken out."
+            "that is removed."
         )
     if len(clock.settings) > 3:
         found.append(f"{topic}: the clock was set {len(clock.settings):,} times.")

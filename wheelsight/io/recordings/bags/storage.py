@@ -304,8 +304,6 @@ def _refusal(path: Path, error: Exception) -> Exception:
     return RecordingError(f"is damaged, or no bag ({cause})", path=path, fix="check what wrote it, and copy it again")
 
 
-# Files of a bag
-
 METADATA = "metadata.yaml"
 SUFFIXES = (".bag", ".mcap", ".db3")
 _PACKED = ".zstd"

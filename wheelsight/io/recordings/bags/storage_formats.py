@@ -49,7 +49,8 @@ _LANGUAGES = {"ros2msg": "MSG", "ros2idl": "IDL", "omgidl": "IDL"}
 class McapReader(ChunkedReader):
     """An MCAP file, read by its index, or by a scan of its records where it has none."""
 
-    def _read_index(self) -> list[Chunk]:
+    def read_index(self) -> list[Chunk]:
+        """See `ChunkedReader`."""
         self._schemas: dict[int, tuple[str, str, str]] = {}  # name, language and text of a type
         self._channels: dict[int, tuple[int, str]] = {}  # schema and topic
         self._bounds: dict[int, int] = {}  # ends of runs of messages outside of chunks, by their offsets
@@ -180,7 +181,8 @@ class McapReader(ChunkedReader):
         messages = [(record.connection, record.time_ns) for record in records]
         return [_chunk_of(place, messages)] if messages else []
 
-    def _content(self, place: int) -> bytes:
+    def content_at(self, place: int) -> bytes:
+        """See `ChunkedReader`."""
         self._file.seek(place)
         if place in self._bounds:
             return self._exactly(self._bounds[place] - place, MOST_CHUNK)
@@ -199,7 +201,8 @@ class McapReader(ChunkedReader):
             raise ValueError("has a wrong checksum")
         return content
 
-    def _walk(self, content: bytes, most: int) -> tuple[list[ChunkMessage], int]:
+    def walk(self, content: bytes, most: int) -> tuple[list[ChunkMessage], int]:
+        """See `ChunkedReader`."""
         found: list[ChunkMessage] = []
         at = count = 0
         while at < len(content):
@@ -272,7 +275,8 @@ class Ros1Reader(ChunkedReader):
         super().__init__(path)
         self._format = needed("rosbags.rosbag1.reader")
 
-    def _read_index(self) -> list[Chunk]:
+    def read_index(self) -> list[Chunk]:
+        """See `ChunkedReader`."""
         magic = self._file.read(len(_MAGIC))
         if not magic:
             raise RecordingError("is empty", path=self.path, fix="record again")
@@ -311,7 +315,8 @@ class Ros1Reader(ChunkedReader):
         size = self._exactly(4, 4)
         return size + self._exactly(_U32.unpack(size)[0], _MOST_HEADER)
 
-    def _content(self, place: int) -> bytes:
+    def content_at(self, place: int) -> bytes:
+        """See `ChunkedReader`."""
         if place > self._size:
             raise ValueError("lies behind the end of the file")
         self._file.seek(place)
@@ -322,7 +327,8 @@ class Ros1Reader(ChunkedReader):
         data = self._exactly(_U32.unpack(self._exactly(4, 4))[0], MOST_CHUNK)
         return self.allowance.unpacked(data, _WAYS.get(name, name), stated)
 
-    def _walk(self, content: bytes, most: int) -> tuple[list[ChunkMessage], int]:
+    def walk(self, content: bytes, most: int) -> tuple[list[ChunkMessage], int]:
+        """See `ChunkedReader`."""
         found: list[ChunkMessage] = []
         fields = _FieldOffsets((b"op=", b"conn=", b"time="))
         at = count = 0
@@ -428,7 +434,7 @@ class SqliteReader:
         try:
             self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(_LONGEST_VALUE, max(self._size, 1 << 20)))
             self._database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
-            self._database.set_progress_handler(self._is_too_long, _STEPS_PER_CHECK)
+            self._database.set_progress_handler(self._count_steps, _STEPS_PER_CHECK)
             self._steps_left = 0
             for pragma in ("trusted_schema = OFF", "cell_size_check = ON"):
                 self._database.execute(f"PRAGMA {pragma}")
@@ -468,7 +474,7 @@ class SqliteReader:
         except (sqlite3.Error, TypeError) as error:
             raise self._refusal(error) from error
 
-    def _is_too_long(self) -> bool:
+    def _count_steps(self) -> bool:
         """Count steps of a query. Returns whether sqlite has to stop it."""
         self._steps_left -= _STEPS_PER_CHECK
         return self._steps_left < 0

@@ -222,7 +222,7 @@ def roles_of(
         found = [topic.name for topic in filled if topic.type == IMU]
         gyro = found[0] if found else None
         if len(found) > 1:
-            warnings.append(f"{gyro} is taken for the gyroscope, not {', '.join(found[1:])}: see --topic gyro=….")
+            warnings.append(f"{gyro} is used as the gyroscope, not {', '.join(found[1:])}: see --topic gyro=….")
     elif gyro == NONE:
         gyro = None
     if source is not None and gyro is not None and "gyro" not in chosen and is_fused(source):
@@ -271,7 +271,7 @@ def _cameras(
     (best, color, depth), others = pairs[0], pairs[1:]
     equals = [f"{c} with {d}" for unlikely, c, d in others if unlikely == best and _base(d) != _base(depth)]
     if equals:
-        taken = f"{color} with {depth} is taken, by its name alone"
+        taken = f"{color} with {depth} is used, by its name alone"
         warnings.append(f"There are several cameras: {taken}, not {equals[0]}. Choose by --topic color=… and depth=….")
     return by_name[color], by_name[depth]
 
@@ -356,10 +356,10 @@ def _wheels(
             warnings.append(f"{taken.topic.name} is left out: {how}; {fix}.")
             taken = None
     if taken is not None:
-        warnings += [f"{taken.topic.name} is taken for the wheels' odometry, {taken.doubt}."] if taken.doubt else []
+        warnings += [f"{taken.topic.name} is used as the wheels' odometry, {taken.doubt}."] if taken.doubt else []
     if taken is not None and others:
         names = ", ".join(f"{source.topic.name} ({source.why_not(knows_wheels)})" for source in others)
-        warnings.append(f"{taken.topic.name} is taken for the wheels, not {names}: see --topic wheels=….")
+        warnings.append(f"{taken.topic.name} is used for the wheels, not {names}: see --topic wheels=….")
     elif others:
         names = ", ".join(f"{source.topic.name} ({source.why_not(knows_wheels)})" for source in others)
         warnings.append(f"Wheels are not used: {names}.")
@@ -380,7 +380,7 @@ def _as_it_moves(
     if knows_wheels:
         return source, f"{how}, which two wheels cannot show"
     fix = "give a calibration.yaml with its wheels if it has two"
-    warnings.append(f"{source.topic.name} is taken for that of a holonomic base: {how} ({fix}).")
+    warnings.append(f"{source.topic.name} is used as that of a holonomic base: {how} ({fix}).")
     return replace(source, is_holonomic=True), None
 
 
@@ -406,7 +406,7 @@ def _holonomic(
         raise ConfigError(problem, fix="name a topic of all its wheels, or of its odometry")
     if others:
         names = ", ".join(source.topic.name for source in others)
-        what = "Wheels are not used" if taken is None else f"{taken.topic.name} is taken for the wheels, not {names}"
+        what = "Wheels are not used" if taken is None else f"{taken.topic.name} is used for the wheels, not {names}"
         warnings.append(f"{what}: see --topic wheels=….")
     return None if taken is None else replace(taken, is_holonomic=True)
 

@@ -193,8 +193,6 @@ class LiveBag:
             raise problem from error
 
 
-# Bag files
-
 WRITTEN = (".mcap", ".bag")
 _FOREVER = (9223372036, 854775807)  # rmw's "infinite", in seconds and nanoseconds
 
@@ -349,8 +347,6 @@ def _writer(made: Path, folder: Path) -> Any:
     return rosbag2.Writer(folder / "bag", version=9, storage_plugin=rosbag2.StoragePlugin.MCAP)
 
 
-# Topics of a robot
-
 ImageForm = Literal["raw", "png", "jpeg"]
 BASE, LINK = "base_link", "camera_link"
 COLOR_FRAME, DEPTH_FRAME = "camera_color_optical_frame", "camera_depth_optical_frame"
@@ -504,8 +500,6 @@ def _encoded(kind: str, image: np.ndarray, flags: tuple[int, ...]) -> ByteArray:
         raise RecordingError(f"the image cannot be encoded as {kind[1:].upper()}")
     return np.asarray(code, np.uint8).ravel()
 
-
-# Messages of ROS 1 and ROS 2
 
 _TF = "tf2_msgs/msg/TFMessage"
 # sensor_msgs/PointField
