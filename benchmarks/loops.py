@@ -20,7 +20,7 @@ from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.estimation import Localizer
 from wheelsight.evaluation import ate
-from wheelsight.io.recordings import GivesMatches, OpenOptions, matches_of, open_recording
+from wheelsight.io.recordings import HasMatches, OpenOptions, matches_of, open_recording
 from wheelsight.slam.graph import PoseGraph, Prior, RelativePose
 from wheelsight.slam.loop_closing import correct
 from wheelsight.slam.loop_gate import LoopCloser, LoopReport
@@ -152,7 +152,7 @@ def corridor(folder: Path, solver: str) -> str:
     posed = [a for a in answers if a is not None and a.T_odom_body is not None and a.reason is None]
     stamps_s, T, C = ([getattr(a, name) for a in posed] for name in ("stamp_s", "T_filter_body", "filter_covariance"))
     lived = Trajectory(np.array(stamps_s), np.array(T), np.array(C), "base", "odom")
-    stated = recording.speed_variances if isinstance(recording, GivesMatches) else None
+    stated = recording.speed_variances if isinstance(recording, HasMatches) else None
     started = time.perf_counter()
     found = correct(lived, matches_of(recording)[0], stated=stated, graph=SOLVERS[solver]())
     seconds, truth = time.perf_counter() - started, recording.ground_truth

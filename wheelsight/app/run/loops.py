@@ -19,7 +19,7 @@ from wheelsight.core.robots import EventSource
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.estimation import Localizer
 from wheelsight.evaluation import Evaluation
-from wheelsight.io.recordings import MATCHES_FILE, GivesMatches, Recording, matches_of, read_matches
+from wheelsight.io.recordings import MATCHES_FILE, HasMatches, Recording, matches_of, read_matches
 from wheelsight.slam.loop_closing import Correction, correct, corrected_by
 from wheelsight.slam.settings import FROM_KEYFRAMES, FROM_MATCHES, FROM_NOWHERE
 from wheelsight.wheels import WheelOdometry
@@ -102,7 +102,7 @@ def matches_of_run(source: EventSource, config: Config) -> MatchesOfRun | None:
     asked = config.loops.source
     if asked == FROM_NOWHERE:
         return None
-    stated = source.speed_variances if isinstance(source, GivesMatches) else None
+    stated = source.speed_variances if isinstance(source, HasMatches) else None
     if asked == FROM_KEYFRAMES:
         # The localizer closes loops; the run evaluates them at its end.
         if set(config.odometry) <= {"wheels"}:

@@ -27,7 +27,7 @@ from wheelsight.core.robots import EventSource
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import Evaluation, evaluate
 from wheelsight.io.recordings import Recording, express_for
-from wheelsight.io.recordings.recording import TellsWheelFaults, left_out_of
+from wheelsight.io.recordings.recording import HasWheelFaults, left_out_of
 from wheelsight.slam.maps import DRIVE, MAP_FOLDER, MapFolder, MapWriter, discard_map
 from wheelsight.slam.maps.folder import SURFELS_FILE
 
@@ -75,7 +75,7 @@ def _record_of(track: RunTrack, passage: Passage, source: EventSource, config: C
     if truth is not None:
         evaluation, problem = _compare(estimate, truth, config, track)
     surfels, kept = _maps(track, passage, source)
-    has_faults = "wheels" in track.odometry and isinstance(source, TellsWheelFaults)
+    has_faults = "wheels" in track.odometry and isinstance(source, HasWheelFaults)
     wheel_faults = source.wheel_faults if has_faults else ()  # type: ignore[attr-defined]
     return RunRecord(
         recording=source.name,

@@ -25,7 +25,7 @@ from wheelsight.core.messages import (
     YawRate,
 )
 from wheelsight.core.stamps import NUMBERS, StampUnit, unit_of
-from wheelsight.io.recordings.recording import ListedFrame, ListsFrames, Recording, TellsEnds
+from wheelsight.io.recordings.recording import HasEndStamps, ListedFrame, ListsFrames, Recording
 
 FRAMES, WHEELS, TRUTH = "frames", "wheels", "ground truth"
 # Streams of one drive overlap nearly completely. A smaller share means that one was cut, or that clocks differ.
@@ -43,7 +43,7 @@ def listed_stamps(recording: Recording) -> dict[str, FloatArray]:
 
     For a recording that is too long to list, only the first few and the last.
     """
-    if isinstance(recording, TellsEnds):
+    if isinstance(recording, HasEndStamps):
         return dict(recording.end_stamps())
     stamps: dict[str, list[float]] = {FRAMES: [], WHEELS: []}
     lists = recording.listed() if isinstance(recording, ListsFrames) else recording.events(images=False)

@@ -41,7 +41,7 @@ from wheelsight.core.trajectory import Trajectory, tum_header, tum_lines, write_
 from wheelsight.io.recordings.image_recording import ImageRecording, recording_of
 from wheelsight.io.recordings.images import SUFFIXES, ColorFormat, DepthEncoding, write_color, write_units
 from wheelsight.io.recordings.recording import (
-    GivesMatches,
+    HasMatches,
     Layout,
     OpenOptions,
     Recording,
@@ -702,7 +702,7 @@ def _match(row: Row, has: set[str]) -> Match:
 
 def matches_of(recording: Recording) -> tuple[list[Match], list[str]]:
     """The matches of a recording and of the loops.csv in its folder, and warnings. Raises RecordingError."""
-    own = list(recording.matches) if isinstance(recording, GivesMatches) else []
+    own = list(recording.matches) if isinstance(recording, HasMatches) else []
     path = recording.path / MATCHES_FILE
     if not is_there(path):
         return own, []

@@ -126,7 +126,7 @@ class ListsFrames(Protocol):
 
 
 @runtime_checkable
-class GivesMatches(Protocol):
+class HasMatches(Protocol):
     """A recording with matches of places from an external source, or with variances of its odometry's speeds."""
 
     @property
@@ -193,7 +193,7 @@ class ListsTopics(Protocol):
 
 
 @runtime_checkable
-class TellsWheelFaults(Protocol):
+class HasWheelFaults(Protocol):
     """A recording that can report why poses by its wheels are wrong."""
 
     @property
@@ -202,7 +202,7 @@ class TellsWheelFaults(Protocol):
 
 
 @runtime_checkable
-class TellsEnds(Protocol):
+class HasEndStamps(Protocol):
     """A recording that is too long to list before it is read, but has the end stamps of its streams."""
 
     def end_stamps(self) -> Mapping[str, FloatArray]:

@@ -151,7 +151,7 @@ class BagRecording:
 
     @property
     def wheel_faults(self) -> tuple[str, ...]:
-        """See `TellsWheelFaults`."""
+        """See `HasWheelFaults`."""
         return self._plan.roles.faults
 
     @property
@@ -160,7 +160,7 @@ class BagRecording:
         return (*self._open_warnings, *self._pass_warnings)
 
     def end_stamps(self) -> Mapping[str, FloatArray]:
-        """See `TellsEnds`."""
+        """See `HasEndStamps`."""
         return self._ends
 
     def events(self, *, images: bool = True) -> Iterator[Event]:
