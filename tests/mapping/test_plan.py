@@ -9,7 +9,7 @@ import pytest
 
 from wheelsight.core.geometry import FloatArray, se3, so3
 from wheelsight.mapping import Surfels
-from wheelsight.mapping.export import Plan, plan_of
+from wheelsight.mapping.export import MapPlan, plan_of
 
 UP, RIGHT = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 NOWHERE = np.empty((0, 3))
@@ -44,12 +44,12 @@ def pieces_of(surfels: Surfels) -> list[Surfels]:
     return [Surfels(*(getattr(surfels, name)[cut] for name in Surfels.__slots__)) for cut in cuts]
 
 
-def color_at(plan: Plan, *p_map: float) -> list[int]:
+def color_at(plan: MapPlan, *p_map: float) -> list[int]:
     ((u, v),) = np.rint(plan.project(np.array([p_map]))).astype(int)
     return plan.image[v, u].tolist()
 
 
-def made(surfels: Surfels, up: FloatArray = UP, below_m: float = 1.5, **others: FloatArray) -> Plan:
+def made(surfels: Surfels, up: FloatArray = UP, below_m: float = 1.5, **others: FloatArray) -> MapPlan:
     plan = plan_of(lambda: pieces_of(surfels), up, below_m, others.get("shown", NOWHERE), others.get("right", RIGHT))
     assert plan is not None
     return plan

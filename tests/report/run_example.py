@@ -18,7 +18,7 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import evaluate
 from wheelsight.io.recordings import AssociationReport
 from wheelsight.mapping import MapStatus
-from wheelsight.mapping.export import MapCloud, Plan
+from wheelsight.mapping.export import MapCloud, MapPlan
 from wheelsight.wheels import integrate_log
 
 START_S = 1305031102.17
@@ -121,7 +121,7 @@ def example_map(pictures: int = 2, **others: Any) -> MapRecord:
     rng = np.random.default_rng(4)
     shots = [rng.integers(0, 255, (60, 80, 3), np.uint8) for _ in range(2 * pictures)]
     views = tuple(MapPicture(START_S + k, shots[2 * k], shots[2 * k + 1]) for k in range(pictures))
-    plan = Plan(image, is_known, 0.01, np.eye(3), np.array([-4.0, 3.0]))
+    plan = MapPlan(image, is_known, 0.01, np.eye(3), np.array([-4.0, 3.0]))
     status = MapStatus(412_345, 300_000, 412_345, 0, 72_000_000)
     plain = MapRecord(status, 480, "map.surfels", plan, views, cloud=example_cloud())
     return replace(plain, **others)

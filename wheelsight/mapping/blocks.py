@@ -132,11 +132,16 @@ class Blocks:
             if cells >= len(self.cell_xyz) or 2 * cells >= len(self._table):
                 self._grow_cells()
                 continue
-            # The pages are full.
+            # The pages are full: drop the least useful tenth of all surfels, once.
             if has_dropped:
                 self.dropped += len(new.geometry) - done
                 return done
-            self._drop_least_useful(now_s, rules)
+            bins = np.zeros(_BINS, np.int64)
+            pages = int(self._counters[PAGES])
+            kernels.count_usefulness(self.geometry, self.seen_s, self.page_fill, pages, now_s, rules[2], bins)
+            before = np.concatenate([[0], np.cumsum(bins)[:-1]])
+            quota = np.clip(np.ceil(_DROPPED_AT_ONCE * self.alive).astype(np.int64) - before, 0, bins)
+            self.dropped += self._compact(0, cells, np.iinfo(np.int64).max, now_s, rules, quota)[0]
             has_dropped = True
 
     def sweep(self, now_s: float, rules: FloatArray) -> int:
@@ -191,17 +196,6 @@ class Blocks:
         """Free the slots of all dead surfels."""
         everything = int(self._counters[CELLS]), np.iinfo(np.int64).max
         self._compact(0, *everything, now_s, _NONE_GOES, np.zeros(0, np.int64))
-
-    def _drop_least_useful(self, now_s: float, rules: FloatArray) -> None:
-        """Drop the least useful tenth of all surfels."""
-        bins = np.zeros(_BINS, np.int64)
-        kernels.count_usefulness(
-            self.geometry, self.seen_s, self.page_fill, int(self._counters[PAGES]), now_s, rules[2], bins
-        )
-        before = np.concatenate([[0], np.cumsum(bins)[:-1]])
-        quota = np.clip(np.ceil(_DROPPED_AT_ONCE * self.alive).astype(np.int64) - before, 0, bins)
-        everything = int(self._counters[CELLS]), np.iinfo(np.int64).max
-        self.dropped += self._compact(0, *everything, now_s, rules, quota)[0]
 
     def _compact(
         self, begin: int, end: int, budget: int, now_s: float, rules: FloatArray, quota: np.ndarray

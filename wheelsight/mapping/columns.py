@@ -91,12 +91,7 @@ def columns_of(surfels: Surfels, stamp_s: float, stable_confidence: float) -> Co
         *ages,
     )
     columns = {name: np.asarray(column, dtype) for (name, dtype), column in zip(COLUMNS, found, strict=True)}
-    order = _order(columns)
-    return {name: column[order] for name, column in columns.items()}
-
-
-def _order(columns: Columns) -> IntArray:
-    """Return the order (n,) of surfels: surface by surface, in strips."""
+    # Surface by surface, in strips.
     axis, side = _axes(columns["normal_u"], columns["normal_v"])
     surface = (columns["keyframe"].astype(np.int64) * 3 + axis) * 2 + side
     surface = surface << 16 | _coarser(columns["radius"])
@@ -104,7 +99,8 @@ def _order(columns: Columns) -> IntArray:
     for column in columns.values():
         every = every * _MIX + column.astype(np.uint64)
     strip = columns["across_2"] >> _STRIP_BITS
-    return np.lexsort((every, columns["across_2"], columns["across_1"], strip, surface))
+    order = np.lexsort((every, columns["across_2"], columns["across_1"], strip, surface))
+    return {name: column[order] for name, column in columns.items()}
 
 
 def _position_steps(
@@ -125,9 +121,16 @@ def _position_steps(
 def surfels_of(columns: Columns, stamp_s: float, stable_confidence: float) -> Surfels:
     """Return the surfels of columns. Impossible values become infinite or out of range, for the caller to reject."""
     normal = _direction_of(columns["normal_u"], columns["normal_v"])
+    axis, _ = _axes(columns["normal_u"], columns["normal_v"])
+    rows, position = np.arange(len(axis)), np.empty((len(axis), 3), np.float32)
+    position[rows, axis] = columns["along"] * STEP_M
+    with np.errstate(over="ignore", invalid="ignore"):  # of an impossible radius
+        step_m = np.ldexp(STEP_M, _coarser(columns["radius"]))
+        for turn, name in ((1, "across_1"), (2, "across_2")):
+            position[rows, (axis + turn) % 3] = columns[name] * step_m
     red_green, green, blue_green, grey = (columns[name] for name in ("red_green", "green", "blue_green", "grey"))
     return Surfels(
-        position=_positions(columns),
+        position=position,
         normal=np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True), np.float32),
         radius_m=_powers(columns["radius"], _RADIUS_M, _PER_OCTAVE_OF_RADIUS),
         color=np.stack([red_green + green, green, blue_green + green], axis=-1).astype(np.float32),
@@ -138,18 +141,6 @@ def surfels_of(columns: Columns, stamp_s: float, stable_confidence: float) -> Su
         last_s=_seen_s(stamp_s, columns["last_age"]),
         keyframe=columns["keyframe"].astype(np.int32),
     )
-
-
-def _positions(columns: Columns) -> Float32Array:
-    """Return positions (n, 3) of columns."""
-    axis, _ = _axes(columns["normal_u"], columns["normal_v"])
-    rows, position = np.arange(len(axis)), np.empty((len(axis), 3), np.float32)
-    position[rows, axis] = columns["along"] * STEP_M
-    with np.errstate(over="ignore", invalid="ignore"):  # of an impossible radius
-        step_m = np.ldexp(STEP_M, _coarser(columns["radius"]))
-        for turn, name in ((1, "across_1"), (2, "across_2")):
-            position[rows, (axis + turn) % 3] = columns[name] * step_m
-    return position
 
 
 def packed(column: NDArray[np.signedinteger]) -> bytes:

@@ -307,7 +307,7 @@ _SHADE = 0.55
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class MapPlan:
     """A map seen from above.
 
     Attributes:
@@ -330,7 +330,7 @@ class Plan:
         return np.stack([p_plan[:, 0] - self.corner_m[0], self.corner_m[1] - p_plan[:, 1]], axis=-1) / self.m_per_px
 
 
-def plan_of(parts: Parts, up: FloatArray, below_m: float, shown: FloatArray, right: FloatArray) -> Plan | None:
+def plan_of(parts: Parts, up: FloatArray, below_m: float, shown: FloatArray, right: FloatArray) -> MapPlan | None:
     """Return the plan of a map; None without surfels.
 
     Args:
@@ -352,7 +352,7 @@ def plan_of(parts: Parts, up: FloatArray, below_m: float, shown: FloatArray, rig
     m_per_px = max(float((high - low).max()) / _LONGER_SIDE_PX, _FINEST_M)
     width, height = (int(n) for n in np.ceil((high - low) / m_per_px).astype(int) + 1)
     blank = np.full((height, width, 3), 255, np.uint8), np.zeros((height, width), bool)
-    plan = Plan(*blank, m_per_px, R_plan_map, np.array([low[0], high[1]]))
+    plan = MapPlan(*blank, m_per_px, R_plan_map, np.array([low[0], high[1]]))
     top_m = np.full(height * width, -np.inf)
     for surfels in parts():
         _draw(surfels, _is_drawn(surfels, up, below_m), plan, top_m)
@@ -363,7 +363,7 @@ def _is_drawn(surfels: Surfels, up: FloatArray, below_m: float) -> BoolArray:
     return (surfels.normal.astype(float) @ up > _CEILING) & (surfels.position.astype(float) @ up < below_m)
 
 
-def _draw(surfels: Surfels, kept: BoolArray, plan: Plan, top_m: FloatArray) -> None:
+def _draw(surfels: Surfels, kept: BoolArray, plan: MapPlan, top_m: FloatArray) -> None:
     """Draw kept surfels over the plan where they are higher than `top_m` (h · w,), and update it."""
     position, up = surfels.position[kept].astype(float), plan.R_plan_map[2]
     px = np.rint(plan.project(position)).astype(np.int64)

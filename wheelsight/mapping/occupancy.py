@@ -214,6 +214,8 @@ class OccupancyMapper:
         self._errs = kernels.RayNoise(n.constant_m, n.quadratic_per_m, _MARGIN_SIGMAS)
         self._reach = math.ceil(s.far_m / s.resolution_m) + 1
         self._window = _window(2 * self._reach + 1, self._channels)
+        self._low: IntArray  # row and column of cell (0, 0), relative to the map's origin
+        self._log_odds: NDArray[np.int8]
         self._clear()
 
     def __contains__(self, number: object) -> bool:
@@ -263,7 +265,16 @@ class OccupancyMapper:
         was = self._T_map_keyframe
         if now.keys() == was.keys() and all((now[number] == was[number]).all() for number in now):
             return False
-        self._rebuild(now)
+        before = self._low, self._log_odds
+        self._clear()
+        try:
+            self._make_room(np.array([*now.values()]).reshape(-1, 4, 4))
+            for number, one in now.items():
+                self._put(self._seen[number], one)
+        except MapError:
+            self._low, self._log_odds = before
+            raise
+        self._T_map_keyframe = now
         return True
 
     def update(self, store: KeyframeStore, least_shift_m: float = 0.0) -> bool:
@@ -287,7 +298,14 @@ class OccupancyMapper:
     def grid(self) -> OccupancyGrid:
         """Return the grid, cropped to the known cells; a single unknown cell if there are none."""
         size_m = self.settings.resolution_m
-        kind, is_free = _kinds(self._log_odds, _log_odds(_OCCUPIED))
+        occupied = _log_odds(_OCCUPIED)
+        ground, layers, above = self._log_odds[..., 0], self._log_odds[..., 1:-1].max(axis=2), self._log_odds[..., -1]
+        # A cell that was hit and not yet passed often enough, or only hidden, stays unknown.
+        is_free = np.asarray((ground >= occupied) & (layers <= 0), bool)
+        kind = np.where(is_free, CellKind.FREE, CellKind.UNKNOWN)
+        kind = np.where(above >= occupied, CellKind.OVERHANG, kind)
+        kind = np.where(ground <= -occupied, CellKind.DROP_OFF, kind)
+        kind = np.where(layers >= occupied, CellKind.OBSTACLE, kind).astype(np.uint8)
         rows, columns = (np.flatnonzero((kind != CellKind.UNKNOWN).any(axis=axis)) for axis in (1, 0))
         if not len(rows):
             return OccupancyGrid.of_kinds(np.zeros((1, 1), np.uint8), np.zeros((1, 1), bool), size_m, (0.0, 0.0))
@@ -301,20 +319,8 @@ class OccupancyMapper:
         return self.settings.layers + 2
 
     def _clear(self) -> None:
-        self._low: IntArray = np.zeros(2, np.int64)  # row and column of cell (0, 0), relative to the map's origin
+        self._low = np.zeros(2, np.int64)
         self._log_odds = np.zeros((0, 0, self._channels), np.int8)
-
-    def _rebuild(self, T_map_keyframe: dict[KeyframeId, FloatArray]) -> None:
-        before = self._low, self._log_odds
-        self._clear()
-        try:
-            self._make_room(np.array([*T_map_keyframe.values()]).reshape(-1, 4, 4))
-            for number, T in T_map_keyframe.items():
-                self._put(self._seen[number], T)
-        except MapError:
-            self._low, self._log_odds = before
-            raise
-        self._T_map_keyframe = T_map_keyframe
 
     def _put(self, seen: SeenDepth, T_map_keyframe: FloatArray) -> None:
         """Add the depth of a keyframe, within the allocated cells."""
@@ -364,18 +370,6 @@ def _window(side: int, channels: int) -> kernels.Window:
     """Return an empty window."""
     seen, is_touched = np.zeros((side, side, channels), np.uint8), np.zeros((side, side), np.uint8)
     return kernels.Window(seen, is_touched, np.zeros((side * side, 2), np.int32), np.zeros(1, np.int64))
-
-
-def _kinds(log_odds: NDArray[np.int8], occupied: int) -> tuple[NDArray[np.uint8], BoolArray]:
-    """Return kinds (H, W), and where the floor has nothing in the robot's way, from log-odds (H, W, channels)."""
-    ground, layers, above = log_odds[..., 0], log_odds[..., 1:-1].max(axis=2), log_odds[..., -1]
-    # A cell that was hit and not yet passed often enough, or only hidden, stays unknown.
-    is_free = (ground >= occupied) & (layers <= 0)
-    kind = np.where(is_free, CellKind.FREE, CellKind.UNKNOWN)
-    kind = np.where(above >= occupied, CellKind.OVERHANG, kind)
-    kind = np.where(ground <= -occupied, CellKind.DROP_OFF, kind)
-    kind = np.where(layers >= occupied, CellKind.OBSTACLE, kind)
-    return kind.astype(np.uint8), np.asarray(is_free, bool)
 
 
 def _log_odds(probability: float) -> int:
@@ -450,11 +444,23 @@ class SeenDepths:
 
     def __setitem__(self, number: KeyframeId, seen: SeenDepth) -> None:
         self._all[number] = seen
-        if len(self._all) > self._most and self._has_disk:
-            try:
-                self._all[number] = self._written(seen)
-            except OSError:
-                self._has_disk = False
+        if len(self._all) <= self._most or not self._has_disk:
+            return
+        data = memoryview(b"".join(array.tobytes() for array in (seen.depth, seen.slope_x, seen.slope_y)))
+        begin = self._end
+        try:
+            if self._file is None:
+                self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - open as long as the mapper exists
+                weakref.finalize(self, self._file.close)
+            self._file.seek(begin)
+            while data:  # a nearly full disk accepts only a part
+                data = data[self._file.write(data) :]
+            self._end = self._file.tell()
+        except OSError:
+            self._has_disk = False
+            return
+        height, width = seen.depth.shape
+        self._all[number] = _OnDisk(begin, (height, width))
 
     def __getitem__(self, number: KeyframeId) -> SeenDepth:
         """Return the depth of a keyframe. Raises MapError if the file has lost it."""
@@ -473,19 +479,6 @@ class SeenDepths:
         slopes = np.frombuffer(data, np.float32, width + height, sizes[0])
         depth = np.frombuffer(data, np.uint16, height * width).reshape(height, width)
         return SeenDepth(depth, slopes[:width], slopes[width:])
-
-    def _written(self, seen: SeenDepth) -> _OnDisk:
-        if self._file is None:
-            self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - open as long as the mapper exists
-            weakref.finalize(self, self._file.close)
-        data = memoryview(b"".join(array.tobytes() for array in (seen.depth, seen.slope_x, seen.slope_y)))
-        begin = self._end
-        self._file.seek(begin)
-        while data:  # a nearly full disk accepts only a part
-            data = data[self._file.write(data) :]
-        self._end = self._file.tell()
-        height, width = seen.depth.shape
-        return _OnDisk(begin, (height, width))
 
 
 def camera_over_floor(calibration: Calibration) -> FloatArray:

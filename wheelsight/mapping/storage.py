@@ -144,7 +144,17 @@ def load_map(path: StrPath) -> SurfelMap:
         surfels, T_map_keyframe = _contents(version, header, body, settings)
         del data, body  # in old versions, as large as the map
         _refuse_impossible(surfels, T_map_keyframe)
-        return _map_of(header, surfels, T_map_keyframe, settings)
+        stamp_s, dropped, n = header["stamp_s"], header["dropped"], len(surfels.grey)
+        if not _is_count(dropped):
+            raise MapError(f"dropped is {dropped!r}, not a count", fix=_DAMAGED)
+        stamp_s = -math.inf if stamp_s is None else float(stamp_s)
+        if math.isnan(stamp_s) or (n and (surfels.last_s.max() > stamp_s or (surfels.first_s > surfels.last_s).any())):
+            raise MapError("its surfels were seen after it ends, or before they were first seen", fix=_DAMAGED)
+        surfel_map = SurfelMap(settings)
+        surfel_map.restore(dropped, T_map_keyframe)
+        if surfel_map.add(surfels, stamp_s) != n:
+            raise MapError(f"{n} surfels find no room in a map of {settings.max_surfels}", fix=_DAMAGED)
+        return surfel_map
     except MapError as error:
         raise MapError(error.problem, path=path, fix=error.fix) from error
     except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -168,22 +178,13 @@ def _split(data: bytes) -> tuple[str, dict[str, Any], memoryview]:
         raise MapError(f"its header is invalid: {error}", fix=_DAMAGED) from error
     if not isinstance(header, dict):
         raise MapError("its header is not a JSON object", fix=_DAMAGED)
-    if version == FORMAT:
-        is_known = header["columns"] == [list(column) for column in COLUMNS]
-    else:
-        is_known = _has_known_fields(header, version)
+    if version == FIRST_FORMAT:  # without these entries
+        header |= {"frame": FRAME, "keyframes": 0}
+    known = COLUMNS if version == FORMAT else _FIELDS[:-1] if version == FIRST_FORMAT else _FIELDS
+    is_known = header["columns" if version == FORMAT else "fields"] == [list(column) for column in known]
     if header["frame"] != FRAME or not is_known or not all(_is_count(header[name], _MOST[name]) for name in _COUNTS):
         raise MapError(f"its frame, fields or counts are not those of {version}", fix=_DAMAGED)
     return version, header, memoryview(data)[len(name) + len(text) + 2 :]
-
-
-def _has_known_fields(header: dict[str, Any], version: str) -> bool:
-    """Return whether a header has the fields of its version. Adds the missing entries of version 1."""
-    known = _FIELDS
-    if version == FIRST_FORMAT:
-        header |= {"frame": FRAME, "keyframes": 0}
-        known = _FIELDS[:-1]
-    return bool(header["fields"] == [list(field) for field in known])
 
 
 def _is_count(value: object, most: float = math.inf) -> bool:
@@ -268,19 +269,3 @@ def _refuse_impossible(surfels: Surfels, T_map_keyframe: FloatArray) -> None:
     numbers = surfels.keyframe
     if len(numbers) and not (numbers.min() >= -1 and numbers.max() < len(T_map_keyframe)):
         raise MapError(f"keyframe holds numbers beyond the {len(T_map_keyframe)} there are", fix=_DAMAGED)
-
-
-def _map_of(
-    header: dict[str, Any], surfels: Surfels, T_map_keyframe: FloatArray, settings: SurfelSettings
-) -> SurfelMap:
-    stamp_s, dropped, n = header["stamp_s"], header["dropped"], len(surfels.grey)
-    if not _is_count(dropped):
-        raise MapError(f"dropped is {dropped!r}, not a count", fix=_DAMAGED)
-    stamp_s = -math.inf if stamp_s is None else float(stamp_s)
-    if math.isnan(stamp_s) or (n and (surfels.last_s.max() > stamp_s or (surfels.first_s > surfels.last_s).any())):
-        raise MapError("its surfels were seen after it ends, or before they were first seen", fix=_DAMAGED)
-    surfel_map = SurfelMap(settings)
-    surfel_map.restore(dropped, T_map_keyframe)
-    if surfel_map.add(surfels, stamp_s) != n:
-        raise MapError(f"{n} surfels find no room in a map of {settings.max_surfels}", fix=_DAMAGED)
-    return surfel_map

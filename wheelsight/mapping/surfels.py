@@ -194,8 +194,15 @@ class SurfelMap:
         self.stamp_s, dropped = float(stamp_s), self.blocks.dropped
         self._come_near(pose)
         sensor = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
-        camera = Camera(pose.T32, pose.grid32, *rays_of(pose.grid, frame.depth_m.shape), pose.pitch, sensor)
-        seen = self._readings(frame, camera, pose.grid, frames)
+        shape, size = frame.depth_m.shape, frame.depth_m.size
+        camera = Camera(pose.T32, pose.grid32, *rays_of(pose.grid, shape), pose.pitch, sensor)
+        reading = self._room("reading", (size, READING), np.float32)
+        radius = self._room("radius", (size,), np.float32)
+        looks = (frame.color.reshape(-1, 3), frame.grey.reshape(-1))
+        since_s = self.stamp_s - np.array([*self._lifetime_s, self.settings.active_s])
+        seen = FrameReadings(frame.depth_m, reading, radius, *looks, self.stamp_s, np.float32(frames), since_s)
+        given = (seen, frame.normal, self._weight(pose.grid, shape), camera, self._rules_for(camera.noise))
+        self._rows.share(shape[0], lambda a, b: fusion.read(a, b, *given))
         matched, removed, merged, is_new = self._average(seen, camera, pose)
         n = int(np.count_nonzero(is_new))
         images = np.empty((n, 8), np.float32), np.empty((n, 4), np.float32), np.empty((n, 2))
@@ -206,18 +213,6 @@ class SurfelMap:
         self.frames += 1
         removed += self.blocks.sweep(self.stamp_s, self._rules)
         return FusedFrame(matched, added, removed, merged, self.blocks.dropped - dropped)
-
-    def _readings(self, frame: Frame, camera: Camera, grid: FloatArray, frames: int) -> FrameReadings:
-        """Return the depth, colour and weight of each pixel, and the radius of a surfel there."""
-        height, width = frame.depth_m.shape
-        reading = self._room("reading", (frame.depth_m.size, READING), np.float32)
-        radius = self._room("radius", (frame.depth_m.size,), np.float32)
-        looks = (frame.color.reshape(-1, 3), frame.grey.reshape(-1))
-        since_s = self.stamp_s - np.array([*self._lifetime_s, self.settings.active_s])
-        seen = FrameReadings(frame.depth_m, reading, radius, *looks, self.stamp_s, np.float32(frames), since_s)
-        given = (seen, frame.normal, self._weight(grid, (height, width)), camera, self._rules_for(camera.noise))
-        self._rows.share(height, lambda a, b: fusion.read(a, b, *given))
-        return seen
 
     def _weight(self, grid: FloatArray, shape: tuple[int, int]) -> Float32Array:
         """Return the weight of readings (h, w) by distance from the image centre; Keller et al. 2013, section 4.2."""

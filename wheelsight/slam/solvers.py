@@ -186,12 +186,12 @@ _LEAST_GAIN_OF_OWN = 1e-7
 _SIDE = np.arange(6)
 
 
-class _Problem(NamedTuple):
+class _GraphArrays(NamedTuple):
     edges: EdgeArrays
     priors: tuple[IntArray, FloatArray, FloatArray]
 
 
-class _Linear(NamedTuple):
+class _NormalEquations(NamedTuple):
     information: sparse.csc_array
     gradient: FloatArray
 
@@ -205,7 +205,7 @@ class OwnPoseGraph(GraphContents):
     def __init__(self) -> None:
         super().__init__()
         self._held_factor: tuple[SuperLU | None, IntArray] | None = None
-        self._problem: _Problem | None = None
+        self._problem: _GraphArrays | None = None
 
     def update(self) -> None:
         """Do some iterations from the current poses."""
@@ -271,10 +271,10 @@ class OwnPoseGraph(GraphContents):
         row = np.where(is_held, np.cumsum(is_held) - 1, -1)
         return _factor(information[rows][:, rows].tocsc()), row
 
-    def _as_arrays(self) -> _Problem:
+    def _as_arrays(self) -> _GraphArrays:
         self._need_prior()
         if self._problem is None:
-            self._problem = _Problem(arrays_of(self._edges), arrays_of_priors(self._priors))
+            self._problem = _GraphArrays(arrays_of(self._edges), arrays_of_priors(self._priors))
         return self._problem
 
     def _changed(self) -> None:
@@ -290,7 +290,7 @@ def _factor(information: sparse.csc_array) -> SuperLU | None:
         return None
 
 
-def _cost(T: FloatArray, problem: _Problem) -> float:
+def _cost(T: FloatArray, problem: _GraphArrays) -> float:
     edges, (at, T_inverse, W) = problem.edges, problem.priors
     chi2 = _squares(edge_errors(T, edges), edges.whitening)
     loss = np.where(edges.is_loop, cauchy_loss(chi2), chi2 / 2)
@@ -301,7 +301,7 @@ def _squares(errors: FloatArray, whitening: FloatArray) -> FloatArray:
     return np.asarray(((whitening @ errors[..., None])[..., 0] ** 2).sum(axis=-1))
 
 
-def _linearised(T: FloatArray, problem: _Problem) -> _Linear:
+def _linearised(T: FloatArray, problem: _GraphArrays) -> _NormalEquations:
     """Return the normal equations, with robust weights of loops."""
     edges, (at, T_inverse, W_prior), n = problem.edges, problem.priors, len(T)
     r = edge_errors(T, edges)
@@ -325,4 +325,4 @@ def _linearised(T: FloatArray, problem: _Problem) -> _Linear:
     j = np.broadcast_to((6 * columns[:, None] + _SIDE)[:, None, :], all_blocks.shape)
     # Blocks in the same place are summed.
     information = sparse.coo_array((all_blocks.ravel(), (i.ravel(), j.ravel())), shape=(6 * n, 6 * n)).tocsc()
-    return _Linear(information, gradient.ravel())
+    return _NormalEquations(information, gradient.ravel())
