@@ -32,7 +32,7 @@ from wheelsight_sim.drivers import (
 )
 from wheelsight_sim.readings import GYRO_PERIOD_S, Encoders, Gyroscope, Reckoning, is_during
 from wheelsight_sim.robot import TICK_PERIOD_S, Drive, Robot, WheelFaults, WheelSizeSettings
-from wheelsight_sim.settings import Realism, SimulationSettings
+from wheelsight_sim.settings import Realism, SimulationSettings, realism_of, stream
 from wheelsight_sim.wheelchair import TIMESTEP_S, Chair, Underfoot
 from wheelsight_sim.world import World
 
@@ -385,6 +385,7 @@ def owned_wheels(settings: SimulationSettings, sizes: WheelSizeSettings, rng: np
     wheels, (scale, turn) = nominal_wheels(settings), rng.standard_normal(2) * (sizes.scale_sigma, sizes.turn_sigma)
     known: dict[str, Any] = {
         "scale_sigma": sizes.scale_sigma,
+        "drift_sigma_rad_per_m": sizes.drift_sigma_rad_per_m,
         "turn_sigma": math.hypot(sizes.scale_sigma, sizes.turn_sigma),
     }
     if wheels.layout == "increments":
@@ -452,6 +453,12 @@ def _counts(settings: SimulationSettings, steps: FloatArray, poses: FloatArray, 
     """(N, wheels) whole counts, of wheels that slip where they may."""
     wheels, faults = _true_wheels(settings), settings.faults
     ways_m = steps @ wheels.jacobian.T
+    realism = realism_of(settings.realism)
+    if realism is not None:
+        # A calibration has one radius for all wheels, so the wheels differ: driving ahead turns the base.
+        turn_by_each = np.linalg.norm(wheels.to_base[2] * wheels.jacobian[:, 0])
+        unequal = stream(settings.seed, "unequal wheels").standard_normal(len(wheels.jacobian))
+        ways_m *= 1 + realism.wheel_sizes.drift_sigma_rad_per_m / turn_by_each * unequal
     if settings.has_slip:
         ways_m += wheels.slip_m_per_sqrt_m * np.sqrt(np.abs(ways_m)) * rng.standard_normal(ways_m.shape)
     ways_m[_on_ice(poses[:-1], faults), 0] *= 1 + _SPINNING
