@@ -180,7 +180,7 @@ def test_what_a_holonomic_base_has_not_is_refused() -> None:
 
 @pytest.mark.parametrize("base", mostly_slow(["mecanum", "omni-3", "omni-4"], ["mecanum"]))
 def test_wheels_of_a_real_unit_are_unequal_by_what_its_calibration_states(base: BaseName) -> None:
-    """The turn by a metre ahead, of 24 units, has the stated σ; 99.9 % of such spreads are within 0.57 and 1.5 of it."""
+    """The turn by a metre ahead, of 24 units, has the stated σ: 99.9 % of such spreads are 0.57 to 1.5 of it."""
     wheels, sizes = nominal_wheels(of(base=base)), WheelSizeSettings()
     assert owned_wheels(of(base=base), sizes, np.random.default_rng(1)).drift_sigma_rad_per_m == 0.001
     drifts_rad_per_m = []
