@@ -77,8 +77,7 @@ def of_page(page: str) -> Iterator[tuple[int, str]]:
 def plain(text: str) -> str:
     """Without names in backticks, targets of links and terms; lines joined."""
     text = re.sub(r"`[^`\n]*`|\]\([^)]*\)", "` ", text)
-    for term in TERMS:
-        text = text.replace(term, "")
+    text = re.sub("|".join(TERMS), "", text, flags=re.IGNORECASE)
     return re.sub(r"\s+(?:# )?", " ", text)
 
 
