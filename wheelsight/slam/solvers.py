@@ -119,9 +119,24 @@ class GtsamPoseGraph(GraphContents):
         if self._own is None:
             # On long paths with loops of little weight, GTSAM's Cholesky factors lose precision; ours are LU.
             with suppress(RuntimeError):
-                source = self._source()
+                is_current = self._isam is not None and self._held == (
+                    len(self),
+                    len(self._edges),
+                    len(self._priors),
+                )
+                if not is_current and self._marginals is None and not self.unanchored().any():
+                    self._marginals = self._gtsam.Marginals(self._factors(0, 0), self._values(0))
+                source = self._isam if is_current else self._marginals
                 if source is not None:
-                    return self._covariance_of(source, keyframes)
+                    keys = [int(one) for one in keyframes]
+                    if len(keys) == 1:
+                        blocks = [[source.marginalCovariance(keys[0])]]
+                    else:
+                        found = source.jointMarginalCovariance(keys)
+                        blocks = [[found.at(a, b) for b in keys] for a in keys]
+                    Ad = se3.adjoint(self._T[keyframes])
+                    ours = Ad[:, None] @ np.array(blocks)[:, :, _SWAPPED][..., _SWAPPED] @ np.swapaxes(Ad, 1, 2)
+                    return np.concatenate(np.concatenate(ours, axis=1), axis=1)
             self._own = OwnPoseGraph()
             for T in self._T:
                 self._own.add(se3.nearest(T))
@@ -129,25 +144,6 @@ class GtsamPoseGraph(GraphContents):
                 self._own.add_prior(prior)
             self._own.add_edges(self._edges)
         return self._own.marginal(*keyframes) if len(keyframes) == 1 else self._own.joint(*keyframes)
-
-    def _source(self) -> Any:
-        """Return iSAM2 if it is up to date, else GTSAM's marginals; None if a component has no prior."""
-        if self._isam is not None and self._held == (len(self), len(self._edges), len(self._priors)):
-            return self._isam
-        if self._marginals is None and not self.unanchored().any():
-            self._marginals = self._gtsam.Marginals(self._factors(0, 0), self._values(0))
-        return self._marginals
-
-    def _covariance_of(self, source: Any, keyframes: list[KeyframeId]) -> FloatArray:
-        keys = [int(one) for one in keyframes]
-        if len(keys) == 1:
-            blocks = [[source.marginalCovariance(keys[0])]]
-        else:
-            found = source.jointMarginalCovariance(keys)
-            blocks = [[found.at(a, b) for b in keys] for a in keys]
-        Ad = se3.adjoint(self._T[keyframes])
-        ours = Ad[:, None] @ np.array(blocks)[:, :, _SWAPPED][..., _SWAPPED] @ np.swapaxes(Ad, 1, 2)
-        return np.concatenate(np.concatenate(ours, axis=1), axis=1)
 
     def _factors(self, from_edge: int, from_prior: int) -> Any:
         gtsam, graph = self._gtsam, self._gtsam.NonlinearFactorGraph()
@@ -249,7 +245,11 @@ class OwnPoseGraph(GraphContents):
 
     def _covariance(self, keyframes: Sequence[KeyframeId]) -> FloatArray | None:
         if self._held_factor is None:
-            self._held_factor = self._factor_of_held()
+            # Of keyframes connected to a prior: an unconnected one would make the whole matrix singular.
+            information, is_held = _linearised(self._T, self._as_arrays()).information, self.unanchored() == 0
+            of_held = np.flatnonzero(np.repeat(is_held, 6))
+            factor = _factor(information[of_held][:, of_held].tocsc())
+            self._held_factor = factor, np.where(is_held, np.cumsum(is_held) - 1, -1)
         factor, row = self._held_factor
         if factor is None or (row[keyframes] < 0).any():
             return None
@@ -259,17 +259,6 @@ class OwnPoseGraph(GraphContents):
         C = factor.solve(unit)[rows]
         is_valid = np.isfinite(C).all() and (np.diag(C) > 0).all()
         return np.asarray((C + C.T) / 2) if is_valid else None
-
-    def _factor_of_held(self) -> tuple[SuperLU | None, IntArray]:
-        """Factor the information of keyframes connected to a prior; return it with the row (N,) of each keyframe, or
-        -1.
-
-        An unconnected keyframe would make the whole matrix singular.
-        """
-        information, is_held = _linearised(self._T, self._as_arrays()).information, self.unanchored() == 0
-        rows = np.flatnonzero(np.repeat(is_held, 6))
-        row = np.where(is_held, np.cumsum(is_held) - 1, -1)
-        return _factor(information[rows][:, rows].tocsc()), row
 
     def _as_arrays(self) -> _GraphArrays:
         self._need_prior()

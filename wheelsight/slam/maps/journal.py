@@ -156,7 +156,14 @@ def read_journal(path: StrPath) -> JournalContents:
     """
     path = Path(path)
     data = memoryview(read_bytes(path, _JOURNAL, MapError))
-    begin = _first_record(data, path)
+    begin = 0
+    if len(data) >= FIRST_RECORD and _is_sound(data[:FIRST_RECORD]):
+        name, version = _FILE_HEAD.unpack_from(data)
+        if name != _NAME:
+            raise MapError("is no journal of a map", path=path, fix=_JOURNAL.fix)
+        if version > VERSION:
+            raise MapError(f"is of version {version}, newer than {VERSION}", path=path, fix=_NEWER)
+        begin = FIRST_RECORD
     records, damages = list[tuple[Record, memoryview]](), list[Damage]()
     end = begin
     for record in _whole_records(data, begin, path):
@@ -183,18 +190,6 @@ def read_record(path: StrPath, record: Record) -> bytes:
     if len(content) != record.length or zlib.crc32(content) != record.crc:
         raise MapError(f"its record at byte {record.offset:,} is damaged", path=path, fix=_DAMAGED)
     return content
-
-
-def _first_record(data: memoryview, path: Path) -> int:
-    """Return the offset of the first record: after a valid file head, else 0. Raises MapError."""
-    if len(data) < FIRST_RECORD or not _is_sound(data[:FIRST_RECORD]):
-        return 0
-    name, version = _FILE_HEAD.unpack_from(data)
-    if name != _NAME:
-        raise MapError("is no journal of a map", path=path, fix=_JOURNAL.fix)
-    if version > VERSION:
-        raise MapError(f"is of version {version}, newer than {VERSION}", path=path, fix=_NEWER)
-    return FIRST_RECORD
 
 
 def _whole_records(data: memoryview, begin: int, path: Path) -> Iterator[Record]:
