@@ -61,7 +61,7 @@ def test_quantiles_are_those_of_numpy(rng):
     samples = np.empty((120, 162), np.float32)
     compiled.sample_depth(depth_m, 8.0, samples)
     out = np.empty((4, 6, 6), np.float32)
-    compiled.tell_depth(samples, np.full((2, 120, 162), np.nan, np.float32), 8.0, out)
+    compiled.describe_depth(samples, np.full((2, 120, 162), np.nan, np.float32), 8.0, out)
     for row, column in ((0, 0), (2, 3), (3, 5)):
         cell = samples[30 * row : 30 * row + 30, 27 * column : 27 * column + 27]
         np.testing.assert_allclose(out[row, column, :3], np.quantile(cell, compiled.QUANTILES), atol=8 / 64)
@@ -158,10 +158,10 @@ def test_compiled_kernels_tell_what_plain_python_tells(rng):
         kernels.normals_of(depth_m, 0.9, 0.75, normals)
         of_color, of_depth = np.empty((2, 3, 6), np.float32), np.empty((2, 3, 6), np.float32)
         profile, grey_shares, depth_shares, sides = (np.zeros(s, np.float32) for s in ((4, 2), 5, 5, (3, 3)))
-        kernels.tell_color(color, of_color)
-        kernels.tell_depth(depth_m, normals, 8.0, of_depth)
-        kernels.tell_profile(depth_m, 8.0, profile)
-        kernels.tell_whole(color, depth_m, normals, 8.0, grey_shares, depth_shares, sides)
+        kernels.describe_color(color, of_color)
+        kernels.describe_depth(depth_m, normals, 8.0, of_depth)
+        kernels.describe_profile(depth_m, 8.0, profile)
+        kernels.describe_whole(color, depth_m, normals, 8.0, grey_shares, depth_shares, sides)
         parts = (color, depth_m, normals, of_color, of_depth, profile, grey_shares, depth_shares, sides)
         results.append((found, *parts))
     for one, other in zip(*results, strict=True):

@@ -164,7 +164,7 @@ def normals_of(depth_m: Any, focal: float, aspect: float, out: Any) -> Any:
 
 
 @kernel
-def tell_color(samples: Any, out: Any) -> Any:
+def describe_color(samples: Any, out: Any) -> Any:
     """Fill `out` (rows, columns, 6): mean and deviation of grey, its mean step across and down, mean chromaticities."""
     rows, columns = out.shape[:2]
     tall, wide = samples.shape[1] // rows, samples.shape[2] // columns
@@ -187,7 +187,7 @@ def tell_color(samples: Any, out: Any) -> Any:
 
 
 @kernel
-def tell_depth(depth_m: Any, normals: Any, far_m: float, out: Any) -> Any:
+def describe_depth(depth_m: Any, normals: Any, far_m: float, out: Any) -> Any:
     """Fill `out` (rows, columns, 6): three quantiles of depth, share of holes, mean x and y of normals."""
     rows, columns = out.shape[:2]
     tall, wide = depth_m.shape[0] // rows, depth_m.shape[1] // columns
@@ -209,7 +209,7 @@ def tell_depth(depth_m: Any, normals: Any, far_m: float, out: Any) -> Any:
 
 
 @kernel
-def tell_profile(depth_m: Any, far_m: float, out: Any) -> Any:
+def describe_profile(depth_m: Any, far_m: float, out: Any) -> Any:
     """Fill `out` (columns, 2): median and eight tenths of depth in upright strips of the image's middle third.
 
     About what a laser scanner at the camera's height would see: the walls' distances, little floor or ceiling.
@@ -225,7 +225,7 @@ def tell_profile(depth_m: Any, far_m: float, out: Any) -> Any:
 
 
 @kernel
-def tell_whole(samples: Any, depth_m: Any, normals: Any, far_m: float, grey: Any, depth: Any, sides: Any) -> Any:
+def describe_whole(samples: Any, depth_m: Any, normals: Any, far_m: float, grey: Any, depth: Any, sides: Any) -> Any:
     """Fill shares of the whole frame: standardised grey (B,), depth (B,) and normals (S, S) by x and y."""
     h, w = depth_m.shape
     share = 1.0 / (h * w)

@@ -17,13 +17,13 @@ from wheelsight.places.describer_kernels import (
     OF_COLOR,
     OF_DEPTH,
     count_frame,
+    describe_color,
+    describe_depth,
+    describe_profile,
+    describe_whole,
     normals_of,
     sample_color,
     sample_depth,
-    tell_color,
-    tell_depth,
-    tell_profile,
-    tell_whole,
 )
 
 FrameSize = tuple[int, int, int, int]
@@ -251,8 +251,8 @@ class LayoutDescriber:
         of_color, of_depth = (np.empty((s.rows, s.columns, n), np.float32) for n in (len(_OF_COLOR), len(_OF_DEPTH)))
         profile = np.empty((self._profile, len(_PROFILE)), np.float32)
         grey, depth, sides = (np.zeros(shape, np.float32) for shape in (s.bins, s.bins, (s.sides, s.sides)))
-        tell_color(color, of_color)
-        tell_depth(depth_m, normals, s.far_m, of_depth)
-        tell_profile(depth_m, s.far_m, profile)
-        tell_whole(color, depth_m, normals, s.far_m, grey, depth, sides)
+        describe_color(color, of_color)
+        describe_depth(depth_m, normals, s.far_m, of_depth)
+        describe_profile(depth_m, s.far_m, profile)
+        describe_whole(color, depth_m, normals, s.far_m, grey, depth, sides)
         return np.concatenate([part.ravel() for part in (of_color, of_depth, profile, grey, depth, sides)])
