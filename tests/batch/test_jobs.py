@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from batch_jobs import write_wheels
 
-from wheelsight.app.batch import BatchSettings, jobs, named_recordings, plan_of
+from wheelsight.app.batch import jobs, named_recordings, plan_of
 from wheelsight.app.batch.jobs import digest_of, is_random, short_names
 from wheelsight.config import load_config
 from wheelsight.core.errors import ConfigError
@@ -61,22 +61,26 @@ def test_a_file_that_settings_name_shapes_it_too(drive: Path, tmp_path: Path, mo
     assert list(plan_of([drive], [Path("settings.yaml")], 1).jobs) != [made.id]
 
 
-def test_large_files_are_told_by_their_ends_their_middle_and_their_time(tmp_path: Path) -> None:
-    settings, path = BatchSettings(whole_bytes=100, piece_bytes=10), tmp_path / "large"
+def test_large_files_are_compared_by_their_ends_their_middle_and_their_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("wheelsight.app.batch.jobs._WHOLE_BYTES", 100)
+    monkeypatch.setattr("wheelsight.app.batch.jobs._PIECE_BYTES", 10)
+    path = tmp_path / "large"
     path.write_bytes(bytes(1000))
     os.utime(path, ns=(1, 1))
-    first = digest_of(path, settings)
+    first = digest_of(path)
     assert first.size == 1000
     for place in (3, 500, 995):
         changed = bytearray(1000)
         changed[place] = 1
         path.write_bytes(bytes(changed))
         os.utime(path, ns=(1, 1))
-        assert digest_of(path, settings) != first
+        assert digest_of(path) != first
     path.write_bytes(bytes(1000))
-    assert digest_of(path, settings) != first
+    assert digest_of(path) != first
     os.utime(path, ns=(1, 1))
-    assert digest_of(path, settings) == first
+    assert digest_of(path) == first
 
 
 def test_seeds_are_of_what_is_random_alone() -> None:

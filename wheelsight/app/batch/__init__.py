@@ -1,7 +1,7 @@
 """Runs many recordings on the cores of this computer or on many computers, and makes one table of the results."""
 
 from wheelsight.app.batch.batches import PAGE_FILE, TABLE_FILE, Done, run_batch, run_job
-from wheelsight.app.batch.jobs import BatchPlan, BatchSettings, Case, Job, Outcome, named_recordings, plan_of
+from wheelsight.app.batch.jobs import BatchPlan, Case, Job, Outcome, named_recordings, plan_of
 from wheelsight.app.batch.pool import run_on_fleet, run_on_processes
 from wheelsight.app.batch.table import BatchRow, Comparison, Spread, compare, read_rows
 
@@ -10,7 +10,6 @@ __all__ = [
     "TABLE_FILE",
     "BatchPlan",
     "BatchRow",
-    "BatchSettings",
     "Case",
     "Comparison",
     "Done",

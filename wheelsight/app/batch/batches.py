@@ -152,8 +152,10 @@ def run_job(job: Job) -> Outcome:
         with tempfile.TemporaryDirectory(prefix="wheelsight-") as folder:
             run_each(recording, config, folder)
             metrics = json.loads((Path(folder) / "metrics.json").read_text(encoding="utf-8"))
-        peak_mb = _peak_mb()
-        metrics["peak_memory_mb"] = metrics["peak_memory_mb"] if peak_mb is None else peak_mb
+        with suppress(OSError):  # the peak since, where the system reports it
+            status = Path("/proc/self/status").read_text()
+            if (found := re.search(r"^VmHWM:\s*(\d+) kB", status, re.MULTILINE)) is not None:
+                metrics["peak_memory_mb"] = int(found[1]) * 1024 / 1e6
         figures = figures_of(metrics, main_track(config))
         return Outcome(job.id, figures=figures, metrics=metrics, elapsed_s=time.perf_counter() - began_s)
     except Exception as error:  # the jobs after this one must be run
@@ -164,24 +166,16 @@ def figures_of(metrics: Mapping[str, Any], track: str) -> dict[str, float | None
     """The figures of a table, from a metrics.json and its main track."""
     own = metrics["odometry"][track] if "odometry" in metrics else metrics
     counts = own["frames"] if "frames" in own else own["wheel_readings"]
+    errors = own["evaluation"] or {}
+
+    def rmse(name: str) -> float | None:
+        return None if errors.get(name) is None else float(errors[name]["rmse"])
+
     return {
-        "ate_m": _error(own, "ate_m"),
-        "rpe_m": _error(own, "rpe_per_second_m"),
-        "rpe_deg": _error(own, "rpe_per_second_deg"),
+        "ate_m": rmse("ate_m"),
+        "rpe_m": rmse("rpe_per_second_m"),
+        "rpe_deg": rmse("rpe_per_second_deg"),
         "tracked": counts["with_pose_share"],
         "frame_ms": own["timing"]["frame_median_ms"],
         "memory_mb": metrics["peak_memory_mb"],
     }
-
-
-def _error(own: Mapping[str, Any], name: str) -> float | None:
-    found = (own["evaluation"] or {}).get(name)
-    return None if found is None else float(found["rmse"])
-
-
-def _peak_mb() -> float | None:
-    """Peak of memory since; None where the system does not report it."""
-    with suppress(OSError):
-        found = re.search(r"^VmHWM:\s*(\d+) kB", Path("/proc/self/status").read_text(), re.MULTILINE)
-        return None if found is None else int(found[1]) * 1024 / 1e6
-    return None

@@ -1,5 +1,5 @@
-"""Jobs of a batch: one recording, one configuration and one seed. A digest of all inputs names the job. Holds the
-settings of a batch and Outcome, too.
+"""Jobs of a batch: one recording, one configuration and one seed. A digest of all inputs names the job. Holds
+Outcome, too.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from wheelsight.app.run.verdict import JOINED
 from wheelsight.config import Config, load_config
 from wheelsight.core.errors import ConfigError, WheelsightError
 from wheelsight.core.files import StrPath
-from wheelsight.core.settings import CHOSEN, Settings, setting
 from wheelsight.io.recordings import find_recordings, open_recording
 from wheelsight.slam.settings import FROM_KEYFRAMES, FROM_MATCHES, FROM_NOWHERE
 
@@ -87,9 +86,7 @@ class BatchPlan(NamedTuple):
     jobs: dict[str, Job]
 
 
-def plan_of(
-    recordings: Sequence[StrPath], configs: Sequence[StrPath], seeds: int, settings: BatchSettings | None = None
-) -> BatchPlan:
+def plan_of(recordings: Sequence[StrPath], configs: Sequence[StrPath], seeds: int) -> BatchPlan:
     """Open each recording, resolve each configuration for it, and list the jobs.
 
     A recording that cannot be opened or run becomes a case with a problem.
@@ -98,7 +95,6 @@ def plan_of(
         recordings: as of `named_recordings`.
         configs: files of settings; without any, the defaults.
         seeds: number of seeds a case; one if nothing is random.
-        settings: how changed files are found.
 
     Raises:
         ConfigError: a file of settings is invalid for every recording.
@@ -115,7 +111,7 @@ def plan_of(
     config_names = [DEFAULTS] if not given else short_names([file.with_suffix("") for file in given])
     cases, jobs = [], dict[str, Job]()
     for path, name in zip(paths, short_names(paths), strict=True):
-        digest = _answer_of(partial(digest_of, path, settings))
+        digest = _answer_of(partial(digest_of, path))
         for file, config_name in zip(files, config_names, strict=True):
             case, made = _case(path, file, Case(name, config_name), digest, seeds)
             cases.append(case)
@@ -177,42 +173,32 @@ def _jobs(path: Path, file: Path | None, digest: Digest, seeds: int) -> tuple[Co
     """The resolved configuration, and a job for each seed. Raises InputError."""
     config = load_config(file, {"dense.threads": 1, "surfels.threads": 1})
     recording = open_recording(path, config.recording)
-    config = _absolute(resolved(recording, config))
-    # Digests of all files in the settings
-    found = list[str]()
+    config = resolved(recording, config)
+    # Digests of all files in the settings, with absolute paths: another process may have another working folder
+    files, absolute = list[str](), {}
     for section, names in _FILES.items():
+        old, changed = getattr(config, section), dict[str, Any]()
         for name in names:
-            value = getattr(getattr(config, section), name)
-            found += [digest_of(one).text for one in (value if isinstance(value, tuple) else (value,)) if _is_file(one)]
-    files = tuple(found)
-    return config, [_job(path, one, seed, digest, files) for seed, one in enumerate(seeded(config, seeds))]
-
-
-def _absolute(config: Config) -> Config:
-    """The configuration with absolute paths, since another process may have another working folder."""
-    changed = {}
-    for section, names in _FILES.items():
-        old = getattr(config, section)
-        values = {name: _whole(getattr(old, name)) for name in names}
-        changed[section] = old.model_copy(update=values)
-    return config.model_copy(update=changed)
-
-
-def _whole(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return tuple(_whole(one) for one in value)
-    return str(Path(value).absolute()) if _is_file(value) else value
-
-
-def _is_file(value: Any) -> bool:
-    return isinstance(value, str) and value not in _NO_FILES and Path(value).exists()
-
-
-def _job(path: Path, config: Config, seed: int, digest: Digest, files: tuple[str, ...]) -> Job:
-    settings, code = config.to_dict(), code_digest()
-    shaping = json.dumps([digest.text, settings, files, code], sort_keys=True)
-    name = hashlib.sha256(shaping.encode()).hexdigest()[:20]
-    return Job(name, str(path.absolute()), settings, seed, code, digest.size)
+            value = getattr(old, name)
+            found = [
+                str(Path(one).absolute())
+                if isinstance(one, str) and one not in _NO_FILES and Path(one).exists()
+                else None
+                for one in (value if isinstance(value, tuple) else (value,))
+            ]
+            files += [digest_of(one).text for one in found if one is not None]
+            if isinstance(value, tuple):
+                changed[name] = tuple(new or one for new, one in zip(found, value, strict=True))
+            else:
+                changed[name] = found[0] or value
+        absolute[section] = old.model_copy(update=changed)
+    jobs, code = list[Job](), code_digest()
+    for seed, one in enumerate(seeded(config.model_copy(update=absolute), seeds)):
+        settings = one.to_dict()
+        shaping = json.dumps([digest.text, settings, files, code], sort_keys=True)
+        name = hashlib.sha256(shaping.encode()).hexdigest()[:20]
+        jobs.append(Job(name, str(path.absolute()), settings, seed, code, digest.size))
+    return config, jobs
 
 
 def main_track(config: Config) -> str:
@@ -221,58 +207,13 @@ def main_track(config: Config) -> str:
     return next((track for track in (JOINED, "rectified") if track in tracks), tracks[0])
 
 
-# Settings
-
-
-class BatchSettings(Settings):
-    """How changed recordings are found, and when a figure is worse than before.
-
-    Of a batch, not of a run: nothing here changes what a run finds, so it is no part of `Config`.
-    """
-
-    whole_bytes: int = setting(
-        1 << 20,
-        "files up to so many bytes are read whole to tell whether they changed: images and lists are smaller, and a "
-        "run reads them anyway",
-        CHOSEN,
-        ge=1,
-        le=1 << 40,
-    )
-    piece_bytes: int = setting(
-        1 << 16,
-        "of a larger one, such as a bag, its beginning, middle and end of so many bytes are, with its size and when it "
-        "was written",
-        CHOSEN,
-        ge=1,
-        le=1 << 30,
-    )
-    tries: int = setting(
-        2,
-        "a job whose process was killed is run so many times in all: memory may have been short by chance",
-        CHOSEN,
-        ge=1,
-        le=10,
-    )
-    tolerance: float = setting(
-        0.1, "share by which a figure may be worse than the baseline's", "asked for by issue 34", ge=0, le=100
-    )
-    least_error: float = setting(
-        1e-4,
-        "an error that grew by less is not worse, metres or degrees: two versions of a library differ so",
-        CHOSEN,
-        ge=0,
-        le=1,
-    )
-    least_share: float = setting(
-        0.005, "likewise, of the share of frames with a pose: a frame or two of a short recording", CHOSEN, ge=0, le=1
-    )
-    connect_s: float = setting(10.0, "how long a scheduler may take to answer, seconds", CHOSEN, gt=0, le=3600)
-
-
 # Recordings and their digests
 
 
 _ROOT = Path(__file__).resolve().parents[3]
+# Files up to this size are read whole to find changes: images and lists are smaller, and a run reads them anyway. Of a
+# larger one, such as a bag, its beginning, middle and end are read.
+_WHOLE_BYTES, _PIECE_BYTES = 1 << 20, 1 << 16
 
 
 class Digest(NamedTuple):
@@ -303,33 +244,28 @@ def named_recordings(names: Sequence[str]) -> tuple[Path, ...]:
     return tuple(found.values())
 
 
-def digest_of(path: StrPath, settings: BatchSettings | None = None) -> Digest:
+def digest_of(path: StrPath) -> Digest:
     """A digest of a file, or of all files in a folder: relative names, sizes and content.
 
     Raises:
         OSError: a file cannot be read.
     """
-    root, limits = Path(path), settings or BatchSettings()
-    whole, size = hashlib.sha256(), 0
+    root, whole, size = Path(path), hashlib.sha256(), 0
     for file in [path for path in sorted(root.rglob("*")) if path.is_file()] if root.is_dir() else [root]:
         about = file.stat()
         size += about.st_size
         name = file.relative_to(root).as_posix() if file != root else ""
         whole.update(f"{name}\0{about.st_size}\0".encode(errors="surrogateescape"))
-        if about.st_size <= limits.whole_bytes:
+        if about.st_size <= _WHOLE_BYTES:
             whole.update(hashlib.sha256(file.read_bytes()).digest())
         else:
             whole.update(f"{about.st_mtime_ns}\0".encode())
-            for piece in _pieces(file, about.st_size, limits.piece_bytes):
-                whole.update(piece)
+            with file.open("rb") as stream:
+                middle, end = about.st_size // 2 - _PIECE_BYTES // 2, about.st_size - _PIECE_BYTES
+                for begin in (0, max(middle, 0), max(end, 0)):
+                    stream.seek(begin)
+                    whole.update(stream.read(_PIECE_BYTES))
     return Digest(whole.hexdigest(), size)
-
-
-def _pieces(file: Path, size: int, length: int) -> Iterator[bytes]:
-    with file.open("rb") as stream:
-        for begin in (0, max(size // 2 - length // 2, 0), max(size - length, 0)):
-            stream.seek(begin)
-            yield stream.read(length)
 
 
 @cache

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from wheelsight.app.batch.jobs import BatchSettings, Case, Outcome
+from wheelsight.app.batch.jobs import Case, Outcome
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.files import StrPath
 from wheelsight.core.inputs import Kind, read_text
@@ -96,16 +96,13 @@ def _row(case: Case, outcomes: Sequence[Outcome]) -> BatchRow:
     if not well:
         status = BROKEN
     problem = case.problem or next(iter(broken), "")
-    spreads = {figure.name: _spread(figure, well) for figure in FIGURES}
-    figures = {name: spread for name, spread in spreads.items() if spread is not None}
+    figures = {}
+    for figure in FIGURES:
+        values = [value for outcome in well if (value := outcome.figures.get(figure.name)) is not None]
+        if values:
+            worst = min(values) if figure.grows_better else max(values)
+            figures[figure.name] = Spread(statistics.median(values), worst)
     return BatchRow(case.recording, case.config, case.odometry, len(well), status, problem, figures)
-
-
-def _spread(figure: Figure, outcomes: Sequence[Outcome]) -> Spread | None:
-    values = [value for outcome in outcomes if (value := outcome.figures.get(figure.name)) is not None]
-    if not values:
-        return None
-    return Spread(statistics.median(values), min(values) if figure.grows_better else max(values))
 
 
 def shown(figure: Figure, value: float) -> str:
@@ -181,6 +178,11 @@ def _spread_in(cells: Mapping[str, str], name: str) -> Spread | None:
 # Comparison with a baseline
 
 
+# Growth of an error, metres or degrees, that is not worse: two versions of a library differ so. And of the share of
+# frames with a pose: a frame or two of a short recording.
+_LEAST_ERROR, _LEAST_SHARE = 1e-4, 0.005
+
+
 @dataclass(frozen=True, slots=True)
 class Comparison:
     """A comparison with a baseline.
@@ -201,7 +203,6 @@ def compare(
     baseline: Sequence[BatchRow],
     tolerance: float,
     cost_tolerance: float | None = None,
-    settings: BatchSettings | None = None,
 ) -> Comparison:
     """Compare medians and worst seeds with the baseline's row of the same recording and configuration.
 
@@ -210,24 +211,20 @@ def compare(
         baseline: earlier rows.
         tolerance: allowed relative growth of errors, and allowed drop of the share of frames with a pose.
         cost_tolerance: likewise for time and memory; None: not compared, for another computer.
-        settings: changes that are too small to count.
     """
-    settings = settings or BatchSettings()
     now, before = ({(row.recording, row.config): row for row in one} for one in (rows, baseline))
     worse = [
         f"{row.recording}, {row.config}: {what}"
         for key, row in now.items()
         if key in before
-        for what in _worse(row, before[key], tolerance, cost_tolerance, settings)
+        for what in _worse(row, before[key], tolerance, cost_tolerance)
     ]
     lonely = [f"{', '.join(key)}: not in the baseline" for key in now if key not in before]
     lonely += [f"{', '.join(key)}: in the baseline alone" for key in before if key not in now]
     return Comparison(tuple(worse), tuple(lonely), len(now.keys() & before.keys()))
 
 
-def _worse(
-    row: BatchRow, before: BatchRow, tolerance: float, cost_tolerance: float | None, settings: BatchSettings
-) -> Iterator[str]:
+def _worse(row: BatchRow, before: BatchRow, tolerance: float, cost_tolerance: float | None) -> Iterator[str]:
     if not row.seeds:
         if before.seeds:
             yield "broken"
@@ -243,8 +240,7 @@ def _worse(
         for name in Spread._fields:
             old, new = getattr(was, name), getattr(found, name)
             grown = old - new if figure.grows_better else new - old
-            least = 0.0 if figure.is_cost else settings.least_share if figure.grows_better else settings.least_error
-            is_worse = grown > max(least, allowed * abs(old))
-            if is_worse:
+            least = 0.0 if figure.is_cost else _LEAST_SHARE if figure.grows_better else _LEAST_ERROR
+            if grown > max(least, allowed * abs(old)):
                 yield f"{figure.title} {name} {shown(figure, new)}, was {shown(figure, old)}"
                 break

@@ -16,7 +16,7 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.runtime import exit_code
 
 if TYPE_CHECKING:
-    from wheelsight.app.batch import BatchRow, BatchSettings
+    from wheelsight.app.batch import BatchRow
 
 
 _WORSE = 1
@@ -50,18 +50,17 @@ def batch(
 
     wheelsight batch data --scheduler tcp://192.168.1.5:8786 --out table
     """
-    from wheelsight.app.batch import PAGE_FILE, TABLE_FILE, BatchSettings, named_recordings, plan_of, read_rows
+    from wheelsight.app.batch import PAGE_FILE, TABLE_FILE, named_recordings, plan_of, read_rows
     from wheelsight.app.batch.table import DONE
     from wheelsight.app.cli.batch_run import batch_table, notes_on, run_plan
     from wheelsight.app.cli.console import console, print_note
 
-    settings = BatchSettings()
     allowed = share(tolerance, "--tolerance")
     allowed_cost = None if cost_tolerance is None else share(cost_tolerance, "--cost-tolerance")
     before = None if baseline is None else read_rows(baseline)
-    plan = plan_of(named_recordings(recordings), tuple(config or ()), seeds, settings)
+    plan = plan_of(named_recordings(recordings), tuple(config or ()), seeds)
     try:
-        rows = run_plan(plan, out, jobs or cores(), scheduler, settings, notes_on(plan, seeds))
+        rows = run_plan(plan, out, jobs or cores(), scheduler, notes_on(plan, seeds))
     except KeyboardInterrupt as interruption:
         print_note(f"interrupted; what is done is kept in {out}, and the same command goes on")
         raise typer.Exit(exit_code()) from interruption
@@ -73,7 +72,7 @@ def batch(
     stdout.print(
         f"{len(rows) - len(broken)} of {len(rows)} rows are whole; table: {out / TABLE_FILE}, {out / PAGE_FILE}"
     )
-    is_worse = before is not None and _is_worse(rows, before, allowed, allowed_cost, settings)
+    is_worse = before is not None and _is_worse(rows, before, allowed, allowed_cost)
     if broken or is_worse:
         raise typer.Exit(INPUT_IS_WRONG if broken else _WORSE)
 
@@ -83,14 +82,13 @@ def _is_worse(
     before: Sequence[BatchRow],
     tolerance: float,
     cost_tolerance: float | None,
-    settings: BatchSettings,
 ) -> bool:
     """Name what is worse than the baseline. Raises ConfigError where nothing can be compared."""
     from wheelsight.app.batch import compare
     from wheelsight.app.cli.console import console, print_warning
     from wheelsight.core.errors import ConfigError
 
-    found = compare(rows, before, tolerance, cost_tolerance, settings)
+    found = compare(rows, before, tolerance, cost_tolerance)
     if not found.compared:
         raise ConfigError("the baseline has none of these recordings and configurations", fix="give another --baseline")
     for line in found.unmatched:

@@ -18,7 +18,6 @@ from rich.text import Text
 from wheelsight.app.batch import (
     BatchPlan,
     BatchRow,
-    BatchSettings,
     Done,
     Job,
     Outcome,
@@ -41,7 +40,6 @@ def run_plan(
     out: Path,
     processes: int,
     scheduler: str | None,
-    settings: BatchSettings,
     notes: Sequence[str] = (),
 ) -> Sequence[BatchRow]:
     """Rows of the table, with progress on stderr, after some notes; what is done already is not run again."""
@@ -56,9 +54,8 @@ def run_plan(
 
         def runner(jobs: Sequence[Job]) -> Generator[Outcome]:
             if scheduler is not None:
-                return run_on_fleet(jobs, scheduler, run_job, connect_s=settings.connect_s, on_note=progress.warn)
-            tries = settings.tries
-            return run_on_processes(jobs, processes, run_job, Path(scratch), tries=tries, on_death=again)
+                return run_on_fleet(jobs, scheduler, run_job, on_note=progress.warn)
+            return run_on_processes(jobs, processes, run_job, Path(scratch), on_death=again)
 
         def again(job: Job, why: str) -> None:
             progress.warn(f"{_name(job)}: {why}; it is tried again")
