@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -60,69 +61,44 @@ class Prior:
     covariance: FloatArray
 
 
-class PoseGraph(Protocol):
+class PoseGraph(ABC):
     """Keyframe poses, and measurements of them.
 
     Keyframes are numbered from 0 in the order in which they are added. Poses are T_map_keyframe. Covariances are those
     of their left perturbations (v, ω) at the current linearization point, with loops at their robust weights.
     """
 
-    @property
-    def poses(self) -> FloatArray:
-        """T_map_keyframe (N, 4, 4) by the last `update` or `optimise`; newer keyframes have their initial pose."""
+    def __init__(self) -> None:
+        self._room, self._count = np.zeros((16, 4, 4)), 0
+        self._edges: list[RelativePose] = []
+        self._priors: list[Prior] = []
 
-    @property
-    def edges(self) -> tuple[RelativePose, ...]:
-        """All edges, in the order in which they were added."""
-
-    def add(self, T_map_keyframe: FloatArray) -> KeyframeId:
-        """Add a keyframe with an initial pose (4, 4), and return its number."""
-
-    def add_prior(self, prior: Prior) -> None:
-        """Add a prior; a graph needs at least one, to fix the map frame. Raises ArgumentError."""
-
-    def add_edges(self, edges: Sequence[RelativePose]) -> None:
-        """Add measurements. Raises ArgumentError for an unknown keyframe or an invalid covariance."""
-
-    def remove_edges(self, edges: Sequence[RelativePose]) -> None:
-        """Remove edges by identity, not by value. Raises ArgumentError."""
-
-    def remove_prior(self, prior: Prior) -> None:
-        """Remove a prior by identity. Raises ArgumentError."""
-
-    def unanchored(self, without: Sequence[RelativePose] = ()) -> IntArray:
-        """Return (N,) 0 for keyframes connected to a prior by edges, else the number of their component.
-
-        Edges in `without` are ignored. The poses of unconnected components are unobservable.
-        """
-
+    @abstractmethod
     def update(self) -> None:
         """Optimise incrementally from the current poses: cheap, for use while driving."""
 
+    @abstractmethod
     def optimise(self, T_start: FloatArray | None = None) -> float:
         """Optimise fully from poses (N, 4, 4) or from the current ones; return half of the squared error."""
 
     def marginal(self, keyframe: KeyframeId) -> FloatArray | None:
         """Return the covariance (6, 6) of a pose; None if it is unobservable or numerically singular."""
+        return self.covariance([keyframe])
 
     def joint(self, first: KeyframeId, second: KeyframeId) -> FloatArray | None:
         """Return the covariance (12, 12) of two poses, the first one's perturbation first; None as in `marginal`."""
+        return self.covariance([first, second])
 
-
-class GraphContents:
-    """Keyframes, edges and priors with validation, shared by all solvers."""
-
-    def __init__(self) -> None:
-        self._room, self._count = np.zeros((16, 4, 4)), 0
-        self._edges: list[RelativePose] = []
-        self._priors: list[Prior] = []
+    @abstractmethod
+    def covariance(self, keyframes: list[KeyframeId]) -> FloatArray | None:
+        """Return the joint covariance (6 K, 6 K) of poses; None as in `marginal`."""
 
     def __len__(self) -> int:
         return self._count
 
     @property
     def poses(self) -> FloatArray:
-        """T_map_keyframe (N, 4, 4), a copy."""
+        """A copy of T_map_keyframe (N, 4, 4) by the last optimisation; newer keyframes have their initial pose."""
         return self._T.copy()
 
     @property
@@ -131,7 +107,7 @@ class GraphContents:
         return tuple(self._edges)
 
     def add(self, T_map_keyframe: FloatArray) -> KeyframeId:
-        """Add a keyframe with an initial pose. Raises ArgumentError."""
+        """Add a keyframe with an initial pose (4, 4), and return its number. Raises ArgumentError."""
         if not se3.is_valid(T_map_keyframe):
             raise ArgumentError("T_map_keyframe is not a rigid motion", fix="give a finite (4, 4) of SE(3)")
         if self._count == len(self._room):
@@ -142,13 +118,13 @@ class GraphContents:
         return KeyframeId(self._count - 1)
 
     def add_prior(self, prior: Prior) -> None:
-        """See `PoseGraph`."""
+        """Add a prior; a graph needs at least one, to fix the map frame. Raises ArgumentError."""
         self._check([prior.keyframe], prior.T_map_keyframe, prior.covariance)
         self._priors.append(prior)
         self._changed()
 
     def add_edges(self, edges: Sequence[RelativePose]) -> None:
-        """See `PoseGraph`."""
+        """Add measurements. Raises ArgumentError for an unknown keyframe or an invalid covariance."""
         for edge in edges:
             self._check([edge.first, edge.second], edge.T_first_second, edge.covariance)
             if edge.first == edge.second:
@@ -157,7 +133,7 @@ class GraphContents:
         self._changed()
 
     def remove_edges(self, edges: Sequence[RelativePose]) -> None:
-        """See `PoseGraph`."""
+        """Remove edges by identity, not by value. Raises ArgumentError."""
         gone = {id(edge) for edge in edges}
         kept = [edge for edge in self._edges if id(edge) not in gone]
         if len(kept) + len(gone) != len(self._edges):
@@ -166,7 +142,7 @@ class GraphContents:
         self._changed()
 
     def remove_prior(self, prior: Prior) -> None:
-        """See `PoseGraph`."""
+        """Remove a prior by identity. Raises ArgumentError."""
         kept = [one for one in self._priors if one is not prior]
         if len(kept) == len(self._priors):
             raise ArgumentError("the graph has no such prior", fix="give one that was added")
@@ -174,7 +150,10 @@ class GraphContents:
         self._changed()
 
     def unanchored(self, without: Sequence[RelativePose] = ()) -> IntArray:
-        """See `PoseGraph`."""
+        """Return (N,) 0 for keyframes connected to a prior by edges, else the number of their component.
+
+        Edges in `without` are ignored. The poses of unconnected components are unobservable.
+        """
         gone = {id(edge) for edge in without}
         ends = np.array([(edge.first, edge.second) for edge in self._edges if id(edge) not in gone], np.int64)
         first, second = ends.reshape(-1, 2).T
@@ -191,8 +170,9 @@ class GraphContents:
     def _T(self, T: FloatArray) -> None:
         self._room[: self._count] = T
 
+    @abstractmethod
     def _changed(self) -> None:
-        """Invalidate results that depend on the contents. Solvers override it."""
+        """Invalidate results that depend on the contents."""
 
     def _check(self, keyframes: Sequence[KeyframeId], T: FloatArray, covariance: FloatArray) -> None:
         for keyframe in keyframes:

@@ -16,7 +16,6 @@ from wheelsight.core.runtime import needed, why_missing
 from wheelsight.slam.graph import (
     CAUCHY_SCALE,
     EdgeArrays,
-    GraphContents,
     PoseGraph,
     Prior,
     RelativePose,
@@ -41,7 +40,7 @@ def new_pose_graph() -> PoseGraph:
     return OwnPoseGraph() if why_missing("gtsam") else GtsamPoseGraph()
 
 
-class GtsamPoseGraph(GraphContents):
+class GtsamPoseGraph(PoseGraph):
     """Pose graph solved by GTSAM (4.3 or newer): iSAM2 in `update`, Levenberg-Marquardt in `optimise`.
 
     Raises ConfigError if GTSAM is not installed.
@@ -93,14 +92,6 @@ class GtsamPoseGraph(GraphContents):
         self._marginals = self._own = None
         return float(graph.error(found))
 
-    def marginal(self, keyframe: KeyframeId) -> FloatArray | None:
-        """See `PoseGraph`."""
-        return self._covariance([keyframe])
-
-    def joint(self, first: KeyframeId, second: KeyframeId) -> FloatArray | None:
-        """See `PoseGraph`."""
-        return self._covariance([first, second])
-
     def remove_edges(self, edges: Sequence[RelativePose]) -> None:
         """See `PoseGraph`."""
         super().remove_edges(edges)
@@ -114,7 +105,8 @@ class GtsamPoseGraph(GraphContents):
     def _changed(self) -> None:
         self._marginals = self._own = None
 
-    def _covariance(self, keyframes: list[KeyframeId]) -> FloatArray | None:
+    def covariance(self, keyframes: list[KeyframeId]) -> FloatArray | None:
+        """See `PoseGraph`."""
         self._need_prior()
         if self._own is None:
             # On long paths with loops of little weight, GTSAM's Cholesky factors lose precision; ours are LU.
@@ -143,7 +135,7 @@ class GtsamPoseGraph(GraphContents):
             for prior in self._priors:
                 self._own.add_prior(prior)
             self._own.add_edges(self._edges)
-        return self._own.marginal(*keyframes) if len(keyframes) == 1 else self._own.joint(*keyframes)
+        return self._own.covariance(keyframes)
 
     def _factors(self, from_edge: int, from_prior: int) -> Any:
         gtsam, graph = self._gtsam, self._gtsam.NonlinearFactorGraph()
@@ -192,7 +184,7 @@ class _NormalEquations(NamedTuple):
     gradient: FloatArray
 
 
-class OwnPoseGraph(GraphContents):
+class OwnPoseGraph(PoseGraph):
     """Pose graph solved by Levenberg-Marquardt with scipy's sparse factors.
 
     It is used where GTSAM has no wheel, and tests compare GTSAM's results with it.
@@ -235,15 +227,8 @@ class OwnPoseGraph(GraphContents):
         self._held_factor = None
         return cost
 
-    def marginal(self, keyframe: KeyframeId) -> FloatArray | None:
+    def covariance(self, keyframes: list[KeyframeId]) -> FloatArray | None:
         """See `PoseGraph`."""
-        return self._covariance([keyframe])
-
-    def joint(self, first: KeyframeId, second: KeyframeId) -> FloatArray | None:
-        """See `PoseGraph`."""
-        return self._covariance([first, second])
-
-    def _covariance(self, keyframes: Sequence[KeyframeId]) -> FloatArray | None:
         if self._held_factor is None:
             # Of keyframes connected to a prior: an unconnected one would make the whole matrix singular.
             information, is_held = _linearised(self._T, self._as_arrays()).information, self.unanchored() == 0
