@@ -40,7 +40,7 @@ def test_a_drive_that_both_tell_of_alike_is_agreed_on() -> None:
     assert (verdict.found, verdict.is_sure, verdict.left_out, verdict.warnings) == ([], False, None, ())
 
 
-@pytest.mark.parametrize(("setting", "value"), [("_ENOUGH_M", 5.0), ("_ENOUGH_RAD", 5.0)])
+@pytest.mark.parametrize(("setting", "value"), [("ENOUGH_M", 5.0), ("_ENOUGH_RAD", 5.0)])
 def test_less_is_not_enough(setting: str, value: float, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(consistency_check, setting, value)
     assert not judged(4.0, 1.0).has_agreed

@@ -272,7 +272,7 @@ def camera_odometry(
 
     The map starts at the base if `T_base_camera` is known. A custom visual odometry replaces dense and feature
     odometry. In an existing map the camera starts at the given prior, or apart from the map without one. With wheels,
-    frames are aligned with keyframes only (docs/decisions/0061).
+    frames are aligned with keyframes only (docs/decisions/filter.md).
     """
     store, T_map_first = (
         (None, calibration.T_base_camera) if known is None else (known.store, begin_in(known, calibration))

@@ -2,8 +2,8 @@
 
 `BaseCheck` compares the motions of wheels and camera over the first metres, as `calibrate base` does. A wrong
 calibration (scale of depth, mount, ticks per turn, swapped wheels) contradicts the other sensor all along, by more than
-a filter may allow for sensor noise. A certain finding leaves the sensor out. `ReadmissionCheck` repeats the test for a
-camera that was left out. `ColorCheck` detects colour images that are older than the depth of the same frame.
+a filter may allow for sensor noise. A certain finding leaves the sensor out. `ColorCheck` detects colour images that
+are older than the depth of the same frame. These end with their verdict.
 
 `KidnapDetection` and `UncertainRestart` watch the whole drive, for a pose that is no longer known.
 """
@@ -26,7 +26,6 @@ from wheelsight.core.estimates import Estimate, FusedEstimate, WheelEstimate
 from wheelsight.core.geometry import Float32Array, FloatArray, interpolate_at, se3
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.estimation.camera_localizer import RESTART_AFTER, CameraOdometry
 from wheelsight.estimation.fault_detection import COVERED_SIGMAS, covering_pose
 from wheelsight.estimation.filter import ErrorStateFilter
 from wheelsight.vision.extrinsics import (
@@ -38,7 +37,7 @@ from wheelsight.vision.extrinsics import (
 )
 
 # Comparison after which wheels and camera agree; later disagreements are slip, which the filter detects.
-_ENOUGH_M, _ENOUGH_RAD = 3.0, 1.5  # found on the simulator
+ENOUGH_M, _ENOUGH_RAD = 3.0, 1.5  # found on the simulator
 # Difference that makes a factor likely. Clocks that are 0.1 s apart look like one, at 0.5 m/s and 1 rad/s.
 _LIKELY_M, _LIKELY_RAD = 0.05, 0.1
 # Segments, and way or turns, after which a finding is certain (simulator). Wheels also slip by a factor.
@@ -48,14 +47,12 @@ _BLIND_M, _BLIND_SHARE = 1.0, 0.2
 # The floor: median of the lowest views, rows of each, and the factor of the camera's height that is wrong. It no longer
 # counts once the sensors agree over a way. Mount, tilt and objects on the floor make less than the factor (simulator).
 _FLOOR_VIEWS, _FLOOR_ROWS, _FLOOR_FACTOR, _FLOOR_AGREED_M = 5, 30, 1.2, 0.3
-# A comparison of a camera that was left out starts over after a multiple of `_ENOUGH_M`, and after some keyframes.
-_AGAIN_WAYS, _AGAIN_KEYFRAMES = 3.0, 20
 _KEPT_S = 3.0  # history of wheel poses for frames that arrive late
 _WAITING_FRAMES = 100  # frames that wait for silent wheels: 3 s of most cameras
 _SILENT_S = 0.5  # older poses of the wheels count no more, as a calibration's `max_gap_s`
 _GYRO_AFTER_S = 0.1  # age of the gyroscope's last reading at the end of a segment
 # A camera that has moved less, by the wheels, still sees the same view; a turn by a radian counts as 1.5 m. After the
-# dark it recognises the last view within the second distance: 43 of 44 views in three recordings (decision 50).
+# dark it recognises the last view within the second distance: 43 of 44 views in three recordings.
 _SAME_VIEW_M, _RECOGNISED_M = 0.3, 0.7
 DARK_S = 1.0  # without a known view; wheels alone hardly drift in less
 # A base that stays within this distance stands. After so long it may stand in an elevator, whose doors take as long.
@@ -112,12 +109,7 @@ class BaseCheck:
         verdict: which sensor is wrong.
     """
 
-    def __init__(
-        self,
-        calibration: Calibration,
-        T_base_camera: FloatArray,
-        by_wheels: ErrorStateFilter,
-    ) -> None:
+    def __init__(self, calibration: Calibration, T_base_camera: FloatArray, by_wheels: ErrorStateFilter) -> None:
         assert calibration.any_wheels is not None
         self.by_wheels: ErrorStateFilter | None = by_wheels
         self.verdict = Verdict()
@@ -280,48 +272,6 @@ class BaseCheck:
             self.by_wheels = None
 
 
-class ReadmissionCheck:
-    """Compares a camera that was left out with the wheels again, so that it is not left out for longer than necessary.
-
-    What looked like a wrong calibration may have been people, slip or a wall. A separate odometry tracks the camera,
-    without the wheels and without a map, until a new `BaseCheck` finds that both agree.
-
-    Args:
-        new_check: makes a new comparison.
-        new_camera: makes a new camera odometry.
-
-    Attributes:
-        check: the current comparison, which needs the wheels as well; None before the first frame.
-    """
-
-    def __init__(self, new_check: Callable[[], BaseCheck], new_camera: Callable[[], CameraOdometry]) -> None:
-        self._new_check, self._new_camera = new_check, new_camera
-        self.check: BaseCheck | None = None
-        self._camera: CameraOdometry | None = None
-        self._begins, self._failed = True, 0
-
-    def agrees(self, frame: RgbdFrame) -> bool:
-        """Add a frame that is newer than the previous one; return whether wheels and camera agree by now."""
-        check = self.check
-        # A new comparison starts after a verdict, or after a long way without one.
-        if check is None or check.verdict.left_out is not None or check.agreement.way_m > _AGAIN_WAYS * _ENOUGH_M:
-            check, self._begins = self._new_check(), True
-            self.check = check
-        if self._camera is None or self._failed >= RESTART_AFTER or len(self._camera.store) > _AGAIN_KEYFRAMES:
-            self._camera, self._begins, self._failed = self._new_camera(), True, 0
-        seen = self._camera.process(frame)
-        check.add_frame(frame)
-        if seen.T_odom_body is None:
-            self._failed += 1
-            return False
-        self._failed = 0
-        if self._begins:
-            check.begin(frame, seen, np.eye(4))
-            self._begins = False
-        check.add_tracked(frame, seen, shows_all=seen.motion.shows_all)
-        return check.has_agreed
-
-
 class Verdict:
     """Decides which sensor is wrong, and how certain that is.
 
@@ -345,7 +295,7 @@ class Verdict:
         self.is_sure = bool(self.found) and all(_is_certain(one, agreement) for one in self.found)
         if self.is_sure and len({one.culprit for one in self.found}) == 1:
             self.left_out = self.found[0].culprit
-        is_enough = agreement.way_m > _ENOUGH_M and agreement.turn_rad > _ENOUGH_RAD
+        is_enough = agreement.way_m > ENOUGH_M and agreement.turn_rad > _ENOUGH_RAD
         if not self.found and is_enough and agreement.agrees():
             self.has_agreed = True
         return bool(explanations)
@@ -620,7 +570,7 @@ class ColorCheck:
 
     When the robot turns, both images shift sideways in proportion to the turn of the wheels. The shift lags by the
     delay of the camera's clock, which both share, and for colour by its delay in frames. If colour lags by whole frames
-    more than depth, surfaces and grey values contradict each other at the begin and end of a turn (decision 3).
+    more than depth, surfaces and grey values contradict each other at the begin and end of a turn.
 
     Attributes:
         late: likely delay of colour in frames; else 0.
@@ -754,9 +704,6 @@ class KidnapDetection:
     It may have been carried while the camera was dark, or by an elevator, whose cabin looks the same while its doors
     are closed. A person who steps in front of a standing robot also changes the view. While the wheels stand, the
     camera therefore waits for the known view to return.
-
-    Attributes:
-        is_kidnapped: whether the last frames show a kidnapping, or the pose after one is still unknown.
     """
 
     def __init__(self) -> None:
@@ -769,7 +716,7 @@ class KidnapDetection:
 
     @property
     def is_kidnapped(self) -> bool:
-        """See the class."""
+        """Whether the last frames show a kidnapping, or the pose after one is still unknown."""
         return self._from is not None
 
     @property

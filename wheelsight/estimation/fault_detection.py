@@ -40,7 +40,7 @@ from wheelsight.estimation.pose_belief import (
     Odometer,
     PoseBelief,
     Preintegration,
-    RelativePose,
+    RelativeMotion,
     Updates,
     WheelNoise,
     changed,
@@ -85,7 +85,7 @@ class LastMeasurement:
     """The last measurement and the odometer at that time, kept to detect jumps at the next one."""
 
     stamp_s: float
-    measurement: RelativePose
+    measurement: RelativeMotion
     odometer: Odometer
     camera: Speed | None = None
     wheels: Speed | None = None
@@ -172,7 +172,7 @@ def gate_of(wrongly: float) -> float:
 
 
 def updated(
-    detection: FaultDetection, stamp_s: float, measurement: RelativePose, settings: FilterParameters
+    detection: FaultDetection, stamp_s: float, measurement: RelativeMotion, settings: FilterParameters
 ) -> tuple[FaultDetection, Reason | None]:
     """Return the detection after a measurement, and why it was rejected, or None."""
     most = gate(settings, len(measurement.covariance))
@@ -223,7 +223,7 @@ def end_undecided(detection: FaultDetection, stamp_s: float, settings: FilterPar
 def _update_sound(
     detection: FaultDetection,
     stamp_s: float,
-    measurement: RelativePose,
+    measurement: RelativeMotion,
     usual: Innovation,
     most: float,
     settings: FilterParameters,
@@ -249,7 +249,7 @@ def _update_sound(
 def _update_undecided(
     detection: FaultDetection,
     stamp_s: float,
-    measurement: RelativePose,
+    measurement: RelativeMotion,
     log_ratio: float,
     agrees: bool,
     settings: FilterParameters,
@@ -271,7 +271,7 @@ def _update_undecided(
 
 
 def _update_failing(
-    detection: FaultDetection, stamp_s: float, measurement: RelativePose, log_ratio: float, settings: FilterParameters
+    detection: FaultDetection, stamp_s: float, measurement: RelativeMotion, log_ratio: float, settings: FilterParameters
 ) -> tuple[FaultDetection, Reason | None]:
     """Follow the wheels while vision fails; end that after enough measurements that agree, or decide for slip."""
     if detection.agreed >= settings.agreements:
@@ -320,7 +320,7 @@ def _with_fault(detection: FaultDetection, fault: Fault, stamp_s: float) -> Faul
 
 
 def _slip_hypothesis(
-    belief: PoseBelief, stamp_s: float, measurement: RelativePose, settings: FilterParameters
+    belief: PoseBelief, stamp_s: float, measurement: RelativeMotion, settings: FilterParameters
 ) -> PoseBelief | None:
     """Return the belief if wheels slipped since the measurement's reference; None if that does not explain it."""
     since_s = belief.remembered[belief.reference(measurement.name) - 1].stamp_s
@@ -330,7 +330,7 @@ def _slip_hypothesis(
 
 
 def _compare(
-    detection: FaultDetection, stamp_s: float, measurement: RelativePose, settings: FilterParameters
+    detection: FaultDetection, stamp_s: float, measurement: RelativeMotion, settings: FilterParameters
 ) -> tuple[LastMeasurement, float]:
     """Return this measurement as the last one, and the log-likelihood ratio by jumps and by the gyroscope."""
     last = detection.last
@@ -358,7 +358,7 @@ def _rate_nats(speed: Speed, rate_rad_s: float, seconds: float, settings: Filter
 
 
 def _motion_since(
-    last: LastMeasurement, measurement: RelativePose, belief: PoseBelief
+    last: LastMeasurement, measurement: RelativeMotion, belief: PoseBelief
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return the camera's motion since the last measurement, and its covariance (3, 3); None for other references."""
     reference_s = belief.remembered[belief.reference(measurement.name) - 1].stamp_s
@@ -371,11 +371,11 @@ def _motion_since(
     return T, spread[IN_PLANE]
 
 
-def _shows_all(measurement: RelativePose) -> bool:
+def _shows_all(measurement: RelativeMotion) -> bool:
     return len(measurement.covariance) == 6
 
 
-def _is_healthy(detection: FaultDetection, measurement: RelativePose, settings: FilterParameters) -> bool:
+def _is_healthy(detection: FaultDetection, measurement: RelativeMotion, settings: FilterParameters) -> bool:
     """Whether a measurement that contradicts the wheels may be correct: usual inliers, and the whole view fits.
 
     A person who walks past closely has most inliers, and the room behind is left out or does not fit. With slipping

@@ -61,7 +61,7 @@ from wheelsight.estimation.pose_belief import (
     Mount,
     PoseBelief,
     Preintegration,
-    RelativePose,
+    RelativeMotion,
     WheelStep,
     changed,
     covariance_of,
@@ -505,7 +505,7 @@ class FilterEvent:
     stamp_s: float
     wheels: WheelStep | None = None
     yaw_rate_rad_s: float | None = None
-    measurement: RelativePose | None = None
+    measurement: RelativeMotion | None = None
     failure: Reason | None = None
     position: tuple[FloatArray, FloatArray] | None = None
     gyro_bias: tuple[float, float] | None = None
@@ -616,7 +616,7 @@ def _predict(
 
 
 def _update_relative(
-    state: FusionState, measurement: RelativePose, stamp_s: float, settings: FilterParameters
+    state: FusionState, measurement: RelativeMotion, stamp_s: float, settings: FilterParameters
 ) -> FusionState:
     """Update by a camera measurement."""
     if not state.detection.primary.place_of(measurement.name):

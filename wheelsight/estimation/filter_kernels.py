@@ -20,9 +20,9 @@ from wheelsight.core.geometry.motion_kernels import (
     times,
 )
 
-# How a PoseBelief goes on with the wheels, or without them, is corrected and answered; numba over arrays and numbers.
+# Prediction and correction.
 #
-# T (1 + K, 4, 4), rest (17,) and P (n, n) are as `_pose_belief` lays them out.
+# T (1 + K, 4, 4), rest (17,) and P (n, n) are those of a `PoseBelief`.
 
 
 _REST, _PLANE = 17, (0, 1, 5)
@@ -30,7 +30,7 @@ _REST, _PLANE = 17, (0, 1, 5)
 
 @kernel
 def _depend(P: FloatArray, errors: int, to_pose: FloatArray, to_twist: FloatArray) -> None:
-    """Add to the pose, and put in the twist's place, what the wheels' errors (3,) do to it: (6, 3) and (3, 3)."""
+    """Add the effect of the wheels' errors (3,) to the pose, by (6, 3), and set that on the twist, by (3, 3)."""
     twist = errors - 3
     old = P[errors : errors + 3].copy()
     P[:6] += times(to_pose, old)
@@ -42,10 +42,10 @@ def _depend(P: FloatArray, errors: int, to_pose: FloatArray, to_twist: FloatArra
 
 @kernel
 def by_wheel_errors(raw: FloatArray, known_way: FloatArray) -> FloatArray:
-    """How a step (6,) changes with the wheels' errors (6, 3), by the way (3,) that its speed before makes; NaN: none.
+    """Return the derivative (6, 3) of a step (6,) by the wheels' errors, at the motion (3,) by the known speed; or NaN.
 
-    By its own numbers, a step that is too long by chance would be one more that calls for a smaller scale, and the
-    errors would be drawn towards those that leave no motion at all.
+    At its own motion, a step that is too long by chance would indicate a smaller scale, and the errors would tend to
+    values that leave no motion at all.
     """
     by_errors = np.zeros((6, 3))
     ahead, left, turn = raw[0], raw[1], raw[5]
@@ -56,15 +56,15 @@ def by_wheel_errors(raw: FloatArray, known_way: FloatArray) -> FloatArray:
     return by_errors
 
 
-class Step(NamedTuple):
+class StepPart(NamedTuple):
     """A share of a step of the wheels.
 
     Attributes:
         xi: (6,) the whole step.
-        noise: (6, 6) of its left perturbation.
+        noise: (6, 6) covariance of its left perturbation.
         share: of the whole.
-        dt_s: how long the share lasts.
-        known_twist: (3,) as known before, NaN where it is not.
+        dt_s: duration of the share.
+        known_twist: (3,) as known before the step; NaN if unknown.
     """
 
     xi: FloatArray
@@ -74,14 +74,13 @@ class Step(NamedTuple):
     known_twist: FloatArray
 
 
-class Unseen(NamedTuple):
-    """What happens on the way that no wheel tells.
+class UnmeasuredMotion(NamedTuple):
+    """Noise of motion that wheels do not measure, and random walks of the errors.
 
     Attributes:
-        unseen: (6, 6) noise that a metre of the way of a point `lever_m` aside adds.
-        walks: (14,) that it adds to the variances of the errors of wheels and camera; the last is of the gyroscope's
-            bias, in a second.
-        fades: (14,) the share of them that it takes back.
+        unseen: (6, 6) covariance per metre of a point `lever_m` beside the base.
+        walks: (14,) growth per metre of the variances of the errors; the last is of the gyroscope's bias, per second.
+        fades: (14,) share of the errors that fades, likewise.
         lever_m: see above.
     """
 
@@ -93,14 +92,11 @@ class Unseen(NamedTuple):
 
 @kernel
 def wheel_step(
-    T: FloatArray, rest: FloatArray, P: FloatArray, step: Step, unseen: Unseen
+    T: FloatArray, rest: FloatArray, P: FloatArray, step: StepPart, unseen: UnmeasuredMotion
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
-    """T, rest and P after a share of a step of the wheels.
+    """Return T, rest and P after a share of a step, its derivative (6, 3) by the wheels' errors, and its way.
 
-    A part of a step has the twist of the whole, and is as uncertain of it; what is learned of that goes back over the
-    part alone.
-
-    Returns (6, 3), too: how the wheels' errors move the pose by this step, as a left perturbation; and the way.
+    A part of a step has the twist of the whole, and the same uncertainty. Updates of the twist move the part alone.
     """
     T, rest, P, share, dt_s = T.copy(), rest.copy(), P.copy(), step.share, step.dt_s
     raw = step.xi * share
@@ -127,8 +123,8 @@ def wheel_step(
 
 
 @kernel
-def _wander(rest: FloatArray, P: FloatArray, unseen: Unseen, way_m: float, dt_s: float) -> None:
-    """Let the errors of wheels, camera and gyroscope wander, and fade, along a way and a time."""
+def _wander(rest: FloatArray, P: FloatArray, unseen: UnmeasuredMotion, way_m: float, dt_s: float) -> None:
+    """Apply random walk and fading of the errors of wheels, camera and gyroscope, over a way and a time."""
     errors = len(P) - _REST + 3
     for i in range(len(unseen.walks)):
         k, far = errors + i, way_m if errors + i < len(P) - 1 else dt_s
@@ -143,7 +139,7 @@ def _wander(rest: FloatArray, P: FloatArray, unseen: Unseen, way_m: float, dt_s:
 def odometer_kernel(
     T: FloatArray, C: FloatArray, xi: FloatArray, Q: FloatArray, share: float
 ) -> tuple[FloatArray, FloatArray]:
-    """A motion (4, 4) and its covariance (6, 6) after a share of a step ξ (6,) with covariance Q (6, 6)."""
+    """Return a motion (4, 4) and its covariance (6, 6) after a share of a step ξ (6,) with covariance Q (6, 6)."""
     return times(T, exp(xi * share)), C + carried(T, Q * share)
 
 
@@ -151,7 +147,7 @@ def odometer_kernel(
 def coast(
     T: FloatArray, rest: FloatArray, P: FloatArray, q: FloatArray, Q: FloatArray, dt_s: float, walk: float
 ) -> tuple[FloatArray, FloatArray]:
-    """T and P after the twist went on, with white noise of acceleration q (3,), and noise Q (6, 6) of the step."""
+    """Return T and P at constant twist, with white noise of acceleration q (3,) and covariance Q (6, 6) of the step."""
     T, P = T.copy(), P.copy()
     n = len(P)
     twist, errors = n - _REST, n - _REST + 3
@@ -175,7 +171,7 @@ def coast(
 
 @kernel
 def speed_kernel(T: FloatArray, covariance: FloatArray, seconds: float) -> tuple[FloatArray, FloatArray]:
-    """Mean velocity (3,) in the plane of a motion (4, 4) that took so long, and its covariance (3, 3)."""
+    """Return the mean velocity (3,) in the plane of a motion (4, 4) over a time, and its covariance (3, 3)."""
     xi, mean = log(T), np.zeros(3)
     for i in range(3):
         mean[i] = xi[_PLANE[i]] / seconds
@@ -186,7 +182,7 @@ def speed_kernel(T: FloatArray, covariance: FloatArray, seconds: float) -> tuple
 def leap_kernel(
     now: FloatArray, C_now: FloatArray, before: FloatArray, C_before: FloatArray, usual: tuple[float, float, float]
 ) -> float:
-    """χ² of a change of velocity (3,), known so well, where changes of `usual` standard deviations happen."""
+    """Return χ² of a change of velocity (3,), for changes with `usual` standard deviations."""
     covariance = C_now + C_before
     for i in range(3):
         covariance[i, i] += usual[i] ** 2
@@ -198,7 +194,7 @@ def leap_kernel(
 def answered(
     T: FloatArray, rest: FloatArray, P: FloatArray, clock_s: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The pose now (4, 4) and its covariance (6, 6), the twist (3,) and its own, with stamps that are uncertain so."""
+    """Return pose (4, 4), covariance (6, 6), twist (3,) and its covariance, for stamps with a σ of `clock_s`."""
     Ad, late, at = adjoint(T[0]), np.zeros((6, 1)), len(P) - _REST
     for i in range(6):
         for j in range(3):
@@ -210,10 +206,10 @@ def answered(
 def correct(
     T: FloatArray, rest: FloatArray, P: FloatArray, PHt: FloatArray, S: FloatArray, residual: FloatArray, kept: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """T, rest and P after the Kalman update, of which the numbers `kept` of the state (k,) learn nothing."""
+    """Return T, rest and P after a Kalman update that leaves the numbers `kept` (k,) of the state as they are."""
     gain: FloatArray = np.linalg.solve(S, np.ascontiguousarray(PHt.T)).T.astype(np.float64)
     lost = times(gain, PHt.T)
-    less = (P + P.T - lost - lost.T) / 2  # what rounding makes askew would grow
+    less = (P + P.T - lost - lost.T) / 2  # rounding makes it asymmetric, and that would grow
     x = np.zeros(len(P))
     for i in range(len(P)):
         for j in range(len(residual)):
@@ -228,40 +224,38 @@ def correct(
 
 @kernel
 def perturb(T: FloatArray, rest: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """All poses perturbed, and the rest shifted, by x (n,)."""
+    """Return all poses perturbed, and the rest shifted, by x (n,)."""
     moved = np.empty_like(T)
     for i in range(len(T)):
         moved[i] = times(exp(x[6 * i : 6 * i + 6]), T[i])
     return moved, rest + x[6 * len(T) :]
 
 
-# What the camera says of a PoseBelief; numba over arrays and numbers.
+# Measurements of the camera.
 #
-# T (1 + K, 4, 4), rest (17,) and P (n, n) are as `_pose_belief` lays them out.
+# T (1 + K, 4, 4), rest (17,) and P (n, n) are those of a `PoseBelief`.
 
 
 # Of `rest`: twist 3, the wheels' errors 3, the camera's 9, how late its stamps are, the gyroscope's bias.
 _CAMERA, _LAG = 9, 15
-_MOUNT = (0, 1, 3, 4, 5)  # on a floor nothing tells how high a camera sits
+_MOUNT = (0, 1, 3, 4, 5)  # on a floor, the height of the camera is unobservable
 _UNSEEN_SIGMA_M = 10.0
-_LEAST_TWIST = 1e-3  # m/s and rad/s: wheels that stand still tell no noise at all
+_LEAST_TWIST = 1e-3  # m/s and rad/s: standing wheels have no noise
 
 
 @kernel
-def by_camera_errors(Z: FloatArray, told: FloatArray) -> FloatArray:
-    """How a motion Z (4, 4) that the camera saw changes, as a left perturbation, with the camera's errors (6, 9).
+def by_camera_errors(Z: FloatArray, by_wheels: FloatArray) -> FloatArray:
+    """Return the derivative (6, 9) of a motion Z (4, 4) of the camera, as a left perturbation, by the camera's errors.
 
-    They are the ratio by which its ways are too short, the turn a metre that it misses, the ratio by which its turns
-    are too small, the pitch a metre that it misses, and how it is mounted otherwise: so far ahead and to the left on
-    the base, which in turns it takes for a way, and by what rotation (3,), so that what it takes for ahead may be aside
-    or up. A pitch that grows along the way moves the end by half.
+    These are the ratio by which distances are too short, the missing turn per metre, the ratio by which turns are too
+    small, the missing pitch per metre, and the errors of the mount: position ahead and to the left on the base, which
+    looks like a motion in turns, and rotation (3,). A pitch that grows along the way moves the end by half.
 
-    The first three are as those of the wheels, so they change it as these do, which is what `told` (6, 3) says. Told
-    from each other by how steps are reckoned, and not by the drive, they would drift: what both err by alike nobody
-    sees, so nothing would ever mend it.
+    The first three are as those of the wheels, with the same derivative `by_wheels` (6, 3). With different ones, errors
+    that wheels and camera share, which are unobservable, would drift.
     """
     B = np.zeros((6, _CAMERA))
-    B[:, :3], Ad = told, adjoint(Z)
+    B[:, :3], Ad = by_wheels, adjoint(Z)
     for i in range(len(_MOUNT)):
         B[:, 4 + i] = -Ad[:, _MOUNT[i]]
         B[_MOUNT[i], 4 + i] += 1.0
@@ -272,7 +266,7 @@ def by_camera_errors(Z: FloatArray, told: FloatArray) -> FloatArray:
 
 @kernel
 def imaged_at(T_now: FloatArray, rest: FloatArray) -> FloatArray:
-    """The pose (4, 4) when the image was taken that has the stamp of now: the camera's stamps are late."""
+    """Return the pose (4, 4) when the image with the current stamp was taken; the camera's stamps are delayed."""
     xi = np.zeros(6)
     for i in range(3):
         xi[_PLANE[i]] = -rest[_LAG] * rest[i]
@@ -281,9 +275,9 @@ def imaged_at(T_now: FloatArray, rest: FloatArray) -> FloatArray:
 
 @kernel
 def imaged(P: FloatArray, T_imaged: FloatArray, lag_s: float, twist: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Covariance (6, n) of the pose when the image was taken with the state, and its own (6, 6).
+    """Return the covariance (6, n) of the pose of the image with the state, and its own (6, 6).
 
-    Lag and twist are both uncertain; what they do together, which no first order shows, is added to its own.
+    Lag and twist are both uncertain; the second-order term of their product is part of its own covariance.
     """
     rest = len(P) - _REST
     G = np.zeros((6, 3))
@@ -303,7 +297,7 @@ def imaged(P: FloatArray, T_imaged: FloatArray, lag_s: float, twist: FloatArray)
 
 @kernel
 def imaged_now(T_now: FloatArray, rest: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The pose (4, 4) when the image of now was taken, and its covariances as `imaged` has them."""
+    """Return the pose (4, 4) when the current image was taken, and its covariances as of `imaged`."""
     T_imaged = imaged_at(T_now, rest)
     rows, spread = imaged(P, T_imaged, rest[_LAG], rest[:3].copy())
     return T_imaged, rows, spread
@@ -313,7 +307,7 @@ def imaged_now(T_now: FloatArray, rest: FloatArray, P: FloatArray) -> tuple[Floa
 def seen_from(
     T: FloatArray, rest: FloatArray, P: FloatArray, at: int, T_base_camera: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The camera's motion (4, 4) since the pose at a place, in that one's frame, and its covariance (6, 6)."""
+    """Return the camera's motion (4, 4) since the pose at an index, in its frame, and its covariance (6, 6)."""
     here = slice(6 * at, 6 * at + 6)
     T_imaged, rows, spread = imaged_now(T[0], rest, P)
     T_camera_odom = inverse(times(T[at], T_base_camera))
@@ -323,7 +317,7 @@ def seen_from(
 
 @kernel
 def _change_of_twist(rest: FloatArray, P: FloatArray, before: FloatArray) -> float:
-    """χ² of the change from a twist (3,) before, by the noise that both have of the wheels, and never less than so."""
+    """Return χ² of the change from an earlier twist (3,), by the wheels' noise in both, with a least noise."""
     at = len(P) - _REST
     noise = 2 * P[at : at + 3, at : at + 3]
     for i in range(3):
@@ -334,23 +328,23 @@ def _change_of_twist(rest: FloatArray, P: FloatArray, before: FloatArray) -> flo
 
 @kernel
 def expected(
-    T_imaged: FloatArray, T_reference: FloatArray, told: FloatArray
+    T_imaged: FloatArray, T_reference: FloatArray, by_wheels: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The motion (4, 4) between two poses, how the camera's errors change it (6, 9), and how perturbations do (6, 6).
 
-    `told` (6, 3) is how the wheels' errors moved the one since the other, as left perturbations in odom.
+    `by_wheels` (6, 3) is the derivative of the motion by the wheels' errors, as left perturbations in odom.
     """
     T_reference_odom = inverse(T_reference)
     Z, Ad = times(T_reference_odom, T_imaged), adjoint(T_reference_odom)
-    return Z, by_camera_errors(Z, times(Ad, told)), Ad
+    return Z, by_camera_errors(Z, times(Ad, by_wheels)), Ad
 
 
 @kernel
 def apart_kernel(
-    T_imaged: FloatArray, T_reference: FloatArray, told: FloatArray, Z: FloatArray, camera_errors: FloatArray
+    T_imaged: FloatArray, T_reference: FloatArray, by_wheels: FloatArray, Z: FloatArray, camera_errors: FloatArray
 ) -> FloatArray:
-    """log(Z Ẑ⁻¹) (6,) of a motion Z (4, 4), mended by the camera's errors (9,), and the one that two poses tell."""
-    Z_expected, B, _ = expected(T_imaged, T_reference, told)
+    """Return log(Z Ẑ⁻¹) (6,) of a motion Z (4, 4), corrected by the camera's errors (9,), and the predicted one."""
+    Z_expected, B, _ = expected(T_imaged, T_reference, by_wheels)
     xi = log(times(Z, inverse(Z_expected)))
     for i in range(6):
         for j in range(_CAMERA):
@@ -358,12 +352,12 @@ def apart_kernel(
     return xi
 
 
-class Poses(NamedTuple):
-    """The pose now and one that is remembered.
+class ReferencePoses(NamedTuple):
+    """The current pose and a remembered one.
 
     Attributes:
         T_now, T_reference: (4, 4).
-        by_wheel_errors: (6, 3) how the wheels' errors moved the one since the other, as left perturbations in odom.
+        by_wheel_errors: (6, 3) derivative of the motion by the wheels' errors, as left perturbations in odom.
         place: of the remembered pose in the covariance.
         twist_then: (3,) at that pose.
     """
@@ -375,8 +369,8 @@ class Poses(NamedTuple):
     twist_then: FloatArray
 
 
-class Told(NamedTuple):
-    """A motion Z (4, 4), of which directions `seen` (m, 6) were seen, with noise R (m, m)."""
+class ObservedMotion(NamedTuple):
+    """A motion Z (4, 4), its observed directions `seen` (m, 6), and their covariance R (m, m)."""
 
     Z: FloatArray
     seen: FloatArray
@@ -385,23 +379,23 @@ class Told(NamedTuple):
 
 @kernel
 def measured(
-    poses: Poses, rest: FloatArray, P: FloatArray, told: Told
+    poses: ReferencePoses, rest: FloatArray, P: FloatArray, observed: ObservedMotion
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float, float]:
-    """What a motion that was told says, against a pose that is remembered.
+    """Return the innovation of a motion against a remembered pose.
 
-    Returns the residual (m,), its covariance S (m, m), that with the state P Hᵀ (n, m), H (m, 6) of the pose now, the
-    residual's χ², and that of how the twist changed since.
+    It is the residual (m,), its covariance S (m, m), its covariance with the state P Hᵀ (n, m), H (m, 6) of the current
+    pose, the residual's χ², and that of the change of twist since then.
     """
-    T_imaged, seen, R, place = imaged_at(poses.T_now, rest), told.seen, told.R, poses.place
+    T_imaged, seen, R, place = imaged_at(poses.T_now, rest), observed.seen, observed.R, poses.place
     _, B, Ad = expected(T_imaged, poses.T_reference, poses.by_wheel_errors)
     H, by_errors = times(seen, Ad), times(seen, B)
     residual = _rows(
-        seen, apart_kernel(T_imaged, poses.T_reference, poses.by_wheel_errors, told.Z, rest[6 : 6 + _CAMERA])
+        seen, apart_kernel(T_imaged, poses.T_reference, poses.by_wheel_errors, observed.Z, rest[6 : 6 + _CAMERA])
     )
     twist = rest[:3].copy()
     PHt, S = _innovation(P, place, H, by_errors, R, T_imaged, rest[_LAG], twist)
-    # What is late counts by the twist as this measurement tells it: the wheels' noise is in theirs and in the residual,
-    # and their product would go one way at every measurement.
+    # The delay counts by the twist after this measurement. The wheels' noise is in their twist and in the residual, and
+    # the product of both would bias each measurement alike.
     weighed = np.linalg.solve(S, residual)
     for i in range(3):
         for j in range(len(residual)):
@@ -419,9 +413,9 @@ def shown_kernel(
     to_camera: FloatArray,
     from_camera: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What a covariance R (6, 6) of the camera's motion is in the directions `seen` (m, 6) of it, scaled: (m, m).
+    """Return the covariance (m, m) of the observed directions `seen` (m, 6), scaled, for R (6, 6) of a camera's motion.
 
-    Then these directions (m, 6) as the base's, and the covariance (6, 6) of the base's, very wide where it is `unseen`.
+    Also these directions (m, 6) for the base's motion, and its covariance (6, 6), very large where it is `unseen`.
     """
     scaled = (R + R.T) / 2
     for i in range(6):

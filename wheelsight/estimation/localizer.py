@@ -135,7 +135,7 @@ class Localizer(OneCaller):
         self.note, self._resting = "", resting_keyframes(self.keyframes, settings.localizer)
         self._clock = SessionClock(settings.clocks)
         self._stamps = StampCheck()
-        self._log = _Log("+".join(settings.odometry))
+        self._log = _EstimateLog("+".join(settings.odometry))
 
     @one_at_a_time
     def process(self, event: Event) -> Estimate | None:
@@ -287,7 +287,7 @@ def _estimator(
     return ByFrames(calibration, settings, known, waits=waits, parts=parts)
 
 
-class _Log:
+class _EstimateLog:
     """Logs warnings, changes of status, recognitions of the known map, and frames without a measurement.
 
     Args:

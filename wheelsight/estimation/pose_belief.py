@@ -12,8 +12,8 @@ which is invariant to a common perturbation of all poses, at any linearisation p
 information about the absolute pose (Barrau & Bonnabel 2017; cloning: Roumeliotis & Burdick 2002). Beliefs are
 immutable; each step returns a new one, so that a filter can return to any that it has kept.
 
-The module also has the measurements of a belief (`WheelStep`, `RelativePose`), its `Innovation`, the adaptive noise of
-the wheels (`WheelNoise`), and the mount of the camera (`Mount`).
+The module also has the measurements of a belief (`WheelStep`, `RelativeMotion`), its `Innovation`, the adaptive noise
+of the wheels (`WheelNoise`), the mount of the camera (`Mount`), and the `FilterParameters`.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from wheelsight.core.geometry import FloatArray, IntArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.settings.fusion import ErrorStateSettings
 from wheelsight.estimation.filter_kernels import (
-    Poses,
-    Step,
-    Told,
-    Unseen,
+    ObservedMotion,
+    ReferencePoses,
+    StepPart,
+    UnmeasuredMotion,
     apart_kernel,
     coast,
     correct,
@@ -96,8 +96,8 @@ class FilterParameters:
     scale_walk: float = 0.0005
     drift_walk_rad_per_m: float = 0.0005
     turn_walk: float = 0.0005
-    # Errors of the camera. Turn and pitch per metre are 0.002 to 0.009 on real recordings (decision 49). A Kinect that
-    # is calibrated by a board has turns 1 to 4 % off (decision 70). Scale fades along 200 m, drift along 18 m.
+    # Errors of the camera. Turn and pitch per metre are 0.002 to 0.009 on real recordings. A Kinect that
+    # is calibrated by a board has turns 1 to 4 % off. Scale fades along 200 m, drift along 18 m.
     camera_drift_sigma_rad_per_m: float = 0.003
     camera_turn_sigma: float = 0.02
     camera_scale_walk: float = 0.002
@@ -108,7 +108,7 @@ class FilterParameters:
     camera_lag_walk_s: float = 0.0001
     lag_chi2: float = 30.0  # of a change of twist that shows a delay: noise has 3, so nine tenths are motion
     # Noise of the wheels, relative to the calibration's variance: floors change along 10 m. The least ratio is that of
-    # a hard floor (decision 65); at most, a calibration is wrong by a factor of two in σ. One stretch has a limited
+    # a hard floor; at most, a calibration is wrong by a factor of two in σ. One stretch has a limited
     # weight, so that a single wrong measurement has little effect. Readings must cover nearly all of its time.
     wheel_noise_memory_m: float = 10.0
     wheel_noise_least: float = 0.00390625
@@ -162,7 +162,7 @@ class FilterParameters:
     slip_rad_per_sqrt_s: float = 0.5
     slip_rise_m_per_sqrt_s: float = 0.1
     slip_tilt_rad_per_sqrt_s: float = 0.2
-    slippery_s: float = 5.0  # how long a floor stays slippery, at a walk (decision 46)
+    slippery_s: float = 5.0  # how long a floor stays slippery, at a walk
     contradiction_nats_per_s: float = 8.0  # after a decision for the wheels: cameras fail for less than 2 s (simulator)
     poor_inliers_nats: float = 2.0  # for visual failure: a frame with few inliers (simulator)
     inlier_share: float = 0.6  # of the usual share; with fewer, a contradicting camera may be wrong
@@ -329,8 +329,8 @@ class PoseBelief:
             known = self.known_twist
         elif self.turn_known_for_s < s.known_for_s:  # a gyroscope does not measure distances
             known = np.array([*step.xi[:2] / (step.end_s - step.begin_s), self.known_twist[2]])
-        part = Step(step.xi, step.covariance, share, dt_s, known)
-        unseen = Unseen(s.unseen_a_metre, s.walks, s.fades, s.lever_m)
+        part = StepPart(step.xi, step.covariance, share, dt_s, known)
+        unseen = UnmeasuredMotion(s.unseen_a_metre, s.walks, s.fades, s.lever_m)
         T, rest, P, by_errors, way_m = wheel_step(self.T, self.rest, self.covariance, part, unseen)
         times = {"way_m": self.way_m + way_m, "part_s": dt_s, "known_for_s": self.known_for_s + dt_s}
         times["turn_known_for_s"] = self.turn_known_for_s + dt_s
@@ -410,7 +410,7 @@ class PoseBelief:
         T = motions.times(motions.times(T_camera_odom, self.T[other]), T_base_camera)
         return motions.mended(T), motions.carried(T_camera_odom, apart)
 
-    def apart(self, measurement: RelativePose) -> FloatArray:
+    def apart(self, measurement: RelativeMotion) -> FloatArray:
         """Return log(Z Ẑ⁻¹) (6,) of the camera's motion, corrected by its estimated errors, and the predicted one."""
         T_now, T_reference, by_errors = self.since(self.reference(measurement.name))
         T_imaged = imaged_at(T_now, self.rest)
@@ -418,7 +418,7 @@ class PoseBelief:
 
     def innovation(
         self,
-        measurement: RelativePose,
+        measurement: RelativeMotion,
         settings: FilterParameters,
         *,
         without_slip: bool = False,
@@ -434,8 +434,8 @@ class PoseBelief:
         """
         at = self.reference(measurement.name)
         then = self.remembered[at - 1]
-        seen = Told(measurement.Z, measurement.seen, measurement.covariance)
-        poses = Poses(*self.since(at), 6 * at, then.twist)
+        seen = ObservedMotion(measurement.Z, measurement.seen, measurement.covariance)
+        poses = ReferencePoses(*self.since(at), 6 * at, then.twist)
         residual, S, PHt, H, nis, change = measured(poses, self.rest, self.covariance, seen)
         if without_slip and not (self.slip_covariance is then.slip_covariance is _NO_SLIP):
             certain = S - H @ (self.slip_covariance - then.slip_covariance) @ H.T
@@ -563,7 +563,7 @@ class WheelStep:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RelativePose:
+class RelativeMotion:
     """Motion of the base, measured by the camera against the remembered pose `name`.
 
     Attributes:
@@ -712,7 +712,7 @@ class Preintegration:
         return rolled.rolled_s > share * (stamp_s - self.begin_s) and bool(rolled.covariance[5, 5] > 0)
 
     def against(
-        self, measurement: RelativePose, rolled: Odometer, belief: PoseBelief
+        self, measurement: RelativeMotion, rolled: Odometer, belief: PoseBelief
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return d (2,), the difference of measurement and wheels in distance and turn, and R and N (2, 2)."""
         at = belief.reference(measurement.name)
@@ -743,7 +743,7 @@ class WheelNoise:
         self,
         preintegration: Preintegration,
         rolled: Odometer,
-        measurement: RelativePose,
+        measurement: RelativeMotion,
         belief: PoseBelief,
         settings: FilterParameters,
     ) -> WheelNoise:
@@ -780,7 +780,7 @@ class Mount:
         """Convert the covariance (6, 6) of a perturbation in the camera's frame to the base's."""
         return np.asarray(self._Ad_base_camera @ covariance @ self._Ad_base_camera.T)
 
-    def measurement(self, motion: MotionEstimate, name: str) -> RelativePose | Reason:
+    def measurement(self, motion: MotionEstimate, name: str) -> RelativeMotion | Reason:
         """Return the measurement of a motion against the pose remembered as `name`, or why there is none."""
         if motion.T_reference_current is None or motion.covariance is None:
             return motion.reason or Reason.INVALID
@@ -796,7 +796,7 @@ class Mount:
             return Reason.INVALID
         Z = motions.times(motions.times(self.T_base_camera, T), self._T_camera_base)
         share = motion.inliers / motion.matches if motion.matches > 0 else None
-        return RelativePose(name, Z, rows, shown, spread, share, motion.fitting)
+        return RelativeMotion(name, Z, rows, shown, spread, share, motion.fitting)
 
 
 def motion_of(T: ArrayLike | None) -> FloatArray | None:

@@ -19,7 +19,7 @@ from wheelsight.estimation.pose_belief import (
     FilterParameters,
     Innovation,
     PoseBelief,
-    RelativePose,
+    RelativeMotion,
 )
 
 SETTINGS = FilterParameters.of()
@@ -50,7 +50,7 @@ def test_a_camera_that_is_late_sees_the_motion_between_two_instants_before(
     belief = moving(T_reference, before, lag_s).cloned("anchor", 0.0, 4)
     belief = replace(belief, T=np.stack([T_now, belief.T[1]]), rest=moving(T_now, now, lag_s).rest)
     Z = se3.invert(T_reference @ gone_on(before, -lag_s)) @ T_now @ gone_on(now, -lag_s)
-    measurement = RelativePose("anchor", Z, np.eye(6), 1e-6 * np.eye(6), 1e-6 * np.eye(6))
+    measurement = RelativeMotion("anchor", Z, np.eye(6), 1e-6 * np.eye(6), 1e-6 * np.eye(6))
     np.testing.assert_allclose(belief.apart(measurement), 0, atol=1e-9)
 
 

@@ -8,7 +8,7 @@ import pytest
 from wheelsight.core.estimates import Reason
 from wheelsight.core.geometry import se3
 from wheelsight.estimation.fault_detection import Fault, FaultDetection, updated
-from wheelsight.estimation.pose_belief import FilterParameters, PoseBelief, RelativePose, WheelStep, changed
+from wheelsight.estimation.pose_belief import FilterParameters, PoseBelief, RelativeMotion, WheelStep, changed
 
 SETTINGS = FilterParameters.of()
 BEGUN_S, FRAME_S = 8.0, 0.1
@@ -38,7 +38,7 @@ def looked(detection, wrong):
     """What the alternative expects to be seen, wrong by a tangent (6,)."""
     assert detection.alternative is not None
     Z = se3.exp(wrong) @ se3.invert(detection.alternative.T[1]) @ detection.alternative.T[0]
-    return RelativePose("frame", Z, np.eye(6), 1e-7 * np.eye(6), 1e-7 * np.eye(6))
+    return RelativeMotion("frame", Z, np.eye(6), 1e-7 * np.eye(6), 1e-7 * np.eye(6))
 
 
 @pytest.mark.parametrize(("log_ratio", "by_camera"), [(1.5, True), (-2.0, False), (0.0, False)])
@@ -72,7 +72,7 @@ def contradicted(slipped_s):
     """Both believed at 10 s, where wheels last slipped at a stamp, and the camera sees them 2.4 degrees off."""
     detection = changed(undecided(0.0), alternative=None, fault=Fault.NONE, agreed=0, slipped_s=slipped_s)
     Z = se3.invert(detection.primary.T[1]) @ se3.exp(APART) @ detection.primary.T[0]
-    return updated(detection, 10.0, RelativePose("frame", Z, np.eye(6), 1e-7 * np.eye(6), 1e-7 * np.eye(6)), SETTINGS)
+    return updated(detection, 10.0, RelativeMotion("frame", Z, np.eye(6), 1e-7 * np.eye(6), 1e-7 * np.eye(6)), SETTINGS)
 
 
 @pytest.mark.parametrize(("ago_s", "by_camera"), [(1.0, True), (30.0, False)])
@@ -89,7 +89,7 @@ def test_wheels_that_slipped_a_moment_ago_are_taken_to_slip_again(ago_s, by_came
 def test_when_wheels_last_slipped_is_kept_once_they_are_believed_again():
     detection = changed(undecided(0.0), alternative=None, fault=Fault.WHEEL_SLIP, slipped_s=-np.inf)
     Z = se3.invert(detection.primary.T[1]) @ detection.primary.T[0]
-    agrees = RelativePose("frame", Z, np.eye(6), 1e-7 * np.eye(6), 1e-7 * np.eye(6))
+    agrees = RelativeMotion("frame", Z, np.eye(6), 1e-7 * np.eye(6), 1e-7 * np.eye(6))
     detection, _ = updated(detection, 10.0, agrees, SETTINGS)
     assert (detection.fault, detection.slipped_s) == (Fault.NONE, 10.0)
 
@@ -97,7 +97,7 @@ def test_when_wheels_last_slipped_is_kept_once_they_are_believed_again():
 def test_a_look_that_is_farther_off_than_slipping_wheels_get_is_refused_and_splits_nothing():
     detection = FaultDetection(undecided(0.0).primary)
     Z = se3.exp([3.0, 0, 0, 0, 0, 0]) @ se3.invert(detection.primary.T[1]) @ detection.primary.T[0]
-    measurement = RelativePose("frame", Z, np.eye(6), 1e-7 * np.eye(6), 1e-7 * np.eye(6))
+    measurement = RelativeMotion("frame", Z, np.eye(6), 1e-7 * np.eye(6), 1e-7 * np.eye(6))
     after, reason = updated(detection, 10.0, measurement, SETTINGS)
     assert (after.fault, after.alternative, reason) == (Fault.NONE, None, Reason.CONTRADICTION)
     assert after.primary is detection.primary

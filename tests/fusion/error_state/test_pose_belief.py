@@ -20,7 +20,7 @@ from wheelsight.estimation.pose_belief import (
     TWIST,
     FilterParameters,
     PoseBelief,
-    RelativePose,
+    RelativeMotion,
     Updates,
     WheelStep,
 )
@@ -76,7 +76,7 @@ def test_the_covariance_goes_on_by_the_numeric_jacobian(rng, kind):
 
 def look_at(belief, name, rng, size=6):
     Z = se3.exp(rng.normal(size=6) * 1e-3) @ se3.invert(belief.T[belief.reference(name)]) @ belief.T[0]
-    return RelativePose(name, Z, rng.normal(size=(size, 6)), np.eye(size) * 1e-6, np.eye(6) * 1e-6)
+    return RelativeMotion(name, Z, rng.normal(size=(size, 6)), np.eye(size) * 1e-6, np.eye(6) * 1e-6)
 
 
 @pytest.mark.parametrize("kind", ["measurement", "part of a measurement", "position", "yaw rate"])
@@ -204,7 +204,7 @@ def test_many_looks_are_one_least_squares_fit(rng):
         prior.append(prior[-1] @ se3.exp(step.xi))
         for j in range(max(i - 3, 0), i):
             Z = se3.exp(rng.normal(size=6) * 1e-3) @ se3.invert(prior[j]) @ prior[i]
-            measurement = RelativePose(str(j), Z, np.eye(6), np.diag(rng.uniform(1, 2, 6) * 1e-6), np.eye(6))
+            measurement = RelativeMotion(str(j), Z, np.eye(6), np.diag(rng.uniform(1, 2, 6) * 1e-6), np.eye(6))
             measurements.append((i, j, measurement))
             belief = belief.corrected(belief.innovation(measurement, SETTINGS))
         belief = belief.cloned(str(i), float(i), 9)

@@ -19,7 +19,7 @@ from wheelsight.estimation.pose_belief import (
     Odometer,
     PoseBelief,
     Preintegration,
-    RelativePose,
+    RelativeMotion,
     WheelNoise,
     WheelStep,
 )
@@ -91,7 +91,7 @@ def test_wheels_that_slip_once_are_forgiven() -> None:
     assert found[-1] < 0.5
 
 
-def ride_and_look(off_rad: float, spread: float = 1e-3) -> tuple[Preintegration, Odometer, RelativePose, PoseBelief]:
+def ride_and_look(off_rad: float, spread: float = 1e-3) -> tuple[Preintegration, Odometer, RelativeMotion, PoseBelief]:
     """A straight preintegration of a metre, and a camera that saw it turn by so much."""
     belief = PoseBelief.begin(np.eye(4), 1e-6 * np.eye(6), RIGHT).cloned("anchor", 0.0, 4)
     preintegration, odometer = Preintegration.of("anchor", 0.0, Odometer(), None, belief), Odometer()
@@ -102,7 +102,7 @@ def ride_and_look(off_rad: float, spread: float = 1e-3) -> tuple[Preintegration,
     return (
         preintegration,
         odometer,
-        RelativePose("anchor", Z, np.eye(6), spread**2 * np.eye(6), spread**2 * np.eye(6)),
+        RelativeMotion("anchor", Z, np.eye(6), spread**2 * np.eye(6), spread**2 * np.eye(6)),
         belief,
     )
 

@@ -13,8 +13,8 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.settings.base import ASKED, CHOSEN, ON_SIMULATOR, Settings, setting
 
-_FROM_0041 = f"{ON_SIMULATOR}: docs/decisions/0041"
-_FROM_0049 = "two real recordings: docs/decisions/0049"
+_FROM_DRIVES = f"{ON_SIMULATOR}: docs/decisions/filter.md"
+_FROM_RECORDINGS = "two real recordings: docs/decisions/filter.md"
 
 OdometryTerm = Literal["absolute", "increment"]
 FusionName = Literal["default", "ligocki", "none"]
@@ -28,7 +28,7 @@ class ErrorStateSettings(Settings):
     scale_sigma: float = setting(
         0.04,
         "ratio of the error of distances: a tyre under load differs from a data sheet's radius by some percent",
-        _FROM_0041,
+        _FROM_DRIVES,
         ge=0,
         le=1,
     )
@@ -41,7 +41,7 @@ class ErrorStateSettings(Settings):
     camera_scale_sigma: float = setting(
         0.02,
         "ratio of the error of the camera's distances: Kinects' depth is 3.1 and 3.5 % off (Sturm et al., IROS 2012)",
-        _FROM_0049,
+        _FROM_RECORDINGS,
         ge=0,
         le=1,
     )
