@@ -86,7 +86,7 @@ class Row:
 
 
 def _leap(by_s: float, sensors: Sensors = "both") -> Row:
-    whose = {"both": "both clocks leap", "wheels": "the wheels' clock leaps", "camera": "the camera's clock leaps"}
+    whose = {"both": "both clocks jump", "wheels": "the wheels' clock jumps", "camera": "the camera's clock jumps"}
     told = {1e9: "+10⁹"}.get(by_s, f"{by_s:+g}".replace("-", "−"))
     return Row(f"{whose[sensors]} {told} s", (ClockLeaps(_LEAP_S, by_s, sensors),))
 

@@ -2,7 +2,7 @@
 
 It begins where the world has it begin, or somewhere roomy in a plan, and explores as `wheelsight drive --explore` does:
 real sensors (`realism="real"`), its own localization, no truth in the loop. The map that it leaves is evaluated,
-laid on the truth by the rigid alignment of its keyframes.
+aligned with the truth by the rigid alignment of its keyframes.
 
 "Reachable" is the floor that the chair's outline covers at any pose to which it can come from the start by turning on
 the spot and driving along its heading, in the true plan, with the margin that its plans and commands keep (cells of

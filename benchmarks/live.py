@@ -3,7 +3,7 @@
 Real recordings are played at their own pace, frames decoded beforehand, once without loops and once with them, on two
 threads. The loop thread works in parallel, and no frame waits for it; the table counts keyframes that it skipped. "A
 frame" is the time from the frame to its answer. "The longest closure" is the longest time that a frame stood still for
-keyframes to be moved. With `--minutes` wheels and camera, joined, also drive laps of a simulated house for so long,
+keyframes to be moved. With `--minutes` wheels and camera, joined, also drive laps of a simulated house that long,
 with loops closed and a map built and written: what do memory and the time of a frame do? The drive is rendered by
 another process, so that what this one holds is what `wheelsight run --live` would hold, its records and results too.
 """

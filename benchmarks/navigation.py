@@ -7,7 +7,7 @@ poses of the map. Localization, map, planner, controller and collision monitor a
 no truth in the loop. A plan takes `navigation.navigator.planning_s` of simulated time.
 
 "Arrived" is by the truth: within 0.15 m and 10° of the goal beside the map's nearest keyframe, and it says so itself.
-"Touched" is what the chair drove into; somebody who walks into a chair that stands is not counted. "SPL" is success
+"Touched" is what the chair drove into; a person who walks into a standing chair is not counted. "SPL" is success
 weighted by path length (Anderson et al. 2018), against our planner's way for the same outline, by the map with the
 things in it. "Clearance" is the least true distance from the outline to things.
 

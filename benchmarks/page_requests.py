@@ -42,7 +42,7 @@ def refusals(port: int, requests: tuple[BadRequest, ...]) -> list[tuple[str, str
 def at_home() -> tuple[BadRequest, ...]:
     """Of a page for this computer alone."""
     return (
-        _http("a name that somebody led here", "GET", "/", 403, Host="evil.example:8765"),
+        _http("a name that was led here", "GET", "/", 403, Host="evil.example:8765"),
         _http("STOP by such a name", "POST", "/stop", 403, Host="evil.example"),
         _http("STOP of another page", "POST", "/stop", 403, Origin="http://evil.example"),
         _http("STOP of a page without an origin", "POST", "/stop", 403, Origin="null"),

@@ -43,6 +43,16 @@ WORDS = {
     "who does": (r"(?:^|(?<=[.;:] )|(?<=\| ))who [a-z]+", "the noun: a robot that, a user who"),
     "comes of": (r"c(?:omes?|ame) of", "results from"),
     "foretell": (r"fore(?:tells?|told)", "predict"),
+    "what stands": (r"what (?:stands?|stood|lies|lay|comes?|came|goes)", "the noun: an obstacle, a reading"),
+    "leap": (r"leap(?:s|t|ed|ing)?", "jump"),
+    "believe": (r"believ(?:es?|ed|ing)", "accept, trust, estimate"),
+    "somebody": (r"some(?:body|one)", "a person, a user"),
+    "goes by": (r"(?:go|goes|going|gone|went) by", "use, follow, pass"),
+    "by now": (r"by now", "now, latest, current"),
+    "so long": (r"so long", "this time, the time"),
+    "hang on": (r"h(?:angs?|ung) on", "belong to, be attached to"),
+    "laid on": (r"la(?:id|ys?) (?:up)?(?:on|over|under|against)", "aligned with, combined with"),
+    "as ever": (r"as ever|lest", "as before, so that … not"),
     "title": (r"^#+ (?:what|how|who|whom|whose|where|when|why|if|that) [^\n]*", "a noun"),
 }
 ANY = re.compile(
@@ -70,6 +80,7 @@ def of_source(source: str) -> Iterator[tuple[int, str]]:
 def of_page(page: str) -> Iterator[tuple[int, str]]:
     """Line and text of each paragraph; blocks of code and output are left out."""
     prose = re.sub(r"^ *```.*?^ *```", lambda block: "\n" * block[0].count("\n"), page, flags=re.MULTILINE | re.DOTALL)
+    prose = re.sub(r'"[A-Z][^"\n|]{25,}"', "", prose)  # messages of commits
     for found in re.finditer(r"(?:^.*\S.*\n?)+", prose, re.MULTILINE):
         yield prose[: found.start()].count("\n") + 1, found[0]
 

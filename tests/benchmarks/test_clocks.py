@@ -29,7 +29,7 @@ from wheelsight_sim.faults import ClockLeaps, Sensors
 
 WHEELS_TRUE = Wheels(0.2, 0.2, 0.5, 2 * math.pi * 0.2 * 1000)  # a tick a millimetre
 STAMPS_S = np.arange(0, 4 + 1e-9, 0.1)
-LEAP = next(row for row in ROWS if row.name == "both clocks leap +60 s")
+LEAP = next(row for row in ROWS if row.name == "both clocks jump +60 s")
 PIXEL = np.zeros((1, 1, 3), np.uint8), np.ones((1, 1), np.float32)
 
 
