@@ -10,6 +10,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -79,9 +80,8 @@ class KeptKeyframes(KeyframeStore):
 
 def read_keyframe(path: Path, record: Record, camera_px: Size) -> Keyframe:
     """Return the keyframe of a record, with images up to its camera's size. Raises MapError with file and offset."""
-    unpack = unpack_old_keyframe if record.kind == RecordKind.FIRST_KEYFRAME else unpack_keyframe
     try:
-        return unpack(read_record(path, record), camera_px)
+        return unpack_keyframe(read_record(path, record), camera_px, is_old=record.kind == RecordKind.FIRST_KEYFRAME)
     except MapError as error:
         problem = error.problem if error.path is not None else f"its record at byte {record.offset:,} {error.problem}"
         raise MapError(problem, path=path, fix=error.fix) from error
@@ -89,9 +89,8 @@ def read_keyframe(path: Path, record: Record, camera_px: Size) -> Keyframe:
 
 def read_descriptors(path: Path, record: Record) -> UInt64Array:
     """Return the descriptors (N, 4) of a keyframe's record. Raises MapError."""
-    content = read_record(path, record)
-    is_first = record.kind == RecordKind.FIRST_KEYFRAME
-    return unpack_old_descriptors(content) if is_first else unpack_descriptors(content)
+    _, parts, _ = _parts_of(read_record(path, record), is_old=record.kind == RecordKind.FIRST_KEYFRAME)
+    return _descriptors(parts[4])
 
 
 _DAMAGED = "use another copy of the map"
@@ -131,47 +130,49 @@ def pack_keyframe(keyframe: Keyframe, steps: DepthSteps, most_kb: int) -> bytes:
     return b"".join([head, depth, grey, code, places, descriptors])
 
 
-def unpack_keyframe(content: bytes, most_px: Size = LARGEST_PX) -> Keyframe:
-    """Return the keyframe of a record. Raises MapError for invalid data or images larger than `most_px`."""
-    numbers, lengths, count = _head_of(content)
-    stamp_s, *intrinsics, step_m, growth, grey_step = numbers
-    parts, at = [], _HEAD.size
-    for length in lengths:
-        parts.append(content[at : at + length])
-        at += length
-    depth, grey = unpacked_depth(parts[0], most_px), unpacked_grey(parts[1], most_px)
+def unpack_keyframe(content: bytes, most_px: Size = LARGEST_PX, *, is_old: bool = False) -> Keyframe:
+    """Return the keyframe of a record. Raises MapError for invalid data or images larger than `most_px`.
+
+    Records from before 2026-11-27 are old: they have PNG images, and keypoint positions as float32.
+    """
+    (stamp_s, *intrinsics, step_m, growth, grey_step), parts, count = _parts_of(content, is_old)
+    if is_old:
+        depth, grey = (_decoded(parts[k], most_px, 2, dtype) for k, dtype in enumerate((np.uint16, np.uint8)))
+    else:
+        depth = unpacked_depth(parts[0], most_px)
+        grey = unpacked_grey(parts[1], most_px)
     if depth.shape != grey.shape:
         raise MapError("its images are of two sizes", fix=_DAMAGED)
     features = None
-    if count >= 0:
+    if count >= 0 and is_old:
+        rows = np.frombuffer(_inflated(parts[3], count * _BYTES), "<f4").reshape(5, count).T.astype(float)
+        if not np.isfinite(rows).all():
+            raise MapError("its keypoints are not finite", fix=_DAMAGED)
+        features = KeyframeFeatures(rows[:, :2].copy(), rows[:, 2:].copy(), _descriptors(parts[4]))
+    elif count >= 0:
         features = KeyframeFeatures(*unpacked_keypoints(parts[3], count), _descriptors(parts[4]))
-    straight = DepthSteps(step_m, growth).depth_m(depth), grey_of(grey, int(grey_step))
-    made = Keyframe.of_images(stamp_s, np.array(intrinsics), *straight, features)
+    images = DepthSteps(step_m, growth).depth_m(depth), grey_of(grey, int(grey_step))
+    made = Keyframe.of_images(stamp_s, np.array(intrinsics), *images, features)
     if not parts[2]:
         return made
     code = np.frombuffer(parts[2], "<f8").astype(float)
     return Keyframe(stamp_s, made.intrinsics, made.depth_png, made.grey_png, features, code)
 
 
-def unpack_descriptors(content: bytes) -> UInt64Array:
-    """Return the descriptors (N, 4) of a record. Raises MapError for invalid data."""
-    *_, length = _head_of(content)[1]
-    return _descriptors(content[len(content) - length :])
-
-
-def _head_of(content: bytes) -> tuple[tuple[float, ...], tuple[int, ...], int]:
-    """Return the head's numbers, the lengths of the five parts, and the number of keypoints. Raises MapError."""
+def _parts_of(content: bytes, is_old: bool) -> tuple[tuple[float, ...], list[bytes], int]:
+    """Return the numbers of a record's head, its five parts, and the number of keypoints. Raises MapError."""
+    head = _OLD_HEAD if is_old else _HEAD
     try:
-        *fields, grey_step = _HEAD.unpack_from(content)
+        *numbers, depth, grey, code, count, places, grey_step = head.unpack_from(content)
     except struct.error as error:
         raise MapError("is no keyframe", fix=_DAMAGED) from error
-    numbers, (*images_and_code, count, places) = (*fields[:7], grey_step), fields[7:]
-    lengths = (*images_and_code, places, max(count, 0) * _ORB_BYTES)
-    _, fx, fy, _, _, step_m, growth, _ = numbers
+    lengths = (depth, grey, code, places, max(count, 0) * _ORB_BYTES)
+    _, fx, fy, _, _, step_m, growth = numbers
     is_sound = np.isfinite(numbers).all() and min(fx, fy, step_m, growth) > 0 and -1 <= count <= _MOST_KEYPOINTS
-    if not is_sound or min(lengths) < 0 or _HEAD.size + sum(lengths) != len(content) or lengths[2] % 8:
+    if not is_sound or min(lengths) < 0 or head.size + sum(lengths) != len(content) or code % 8:
         raise MapError("is no keyframe", fix=_DAMAGED)
-    return numbers, lengths, count
+    ends = head.size + np.cumsum((0, *lengths))
+    return (*numbers, grey_step), [content[a:b] for a, b in pairwise(ends.tolist())], count
 
 
 def _packed_features(features: KeyframeFeatures | None, most: int) -> tuple[int, bytes, bytes]:
@@ -282,11 +283,6 @@ def unpacked_grey(code: bytes, most_px: Size = LARGEST_PX) -> NDArray[np.uint8]:
     return np.ascontiguousarray(_decoded(code, most_px, 3, np.uint8)[..., 0])
 
 
-def unpacked_png(code: bytes, dtype: type, most_px: Size = LARGEST_PX) -> NDArray[Any]:
-    """Return the image (h, w) of a PNG. Raises as `unpacked_depth`."""
-    return _decoded(code, most_px, 2, dtype)
-
-
 def _webp(image: NDArray[np.uint8]) -> bytes:
     written, code = cv2.imencode(".webp", image, _LOSSLESS)
     assert written
@@ -304,6 +300,8 @@ def _decoded(code: bytes, most_px: Size, dimensions: int, dtype: type) -> NDArra
 # Stamp, intrinsics, step_m and growth of depth steps; bytes of depth, grey and code; number of keypoints (-1: unknown)
 # and bytes of their positions; grey step. Descriptors come last, so that they can be read alone.
 _HEAD = struct.Struct("<d4ddd5iB")
+# Of records from before 2026-11-27.
+_OLD_HEAD = struct.Struct("<d4ddd5i4xB")
 _ORB_BYTES = 32
 _MOST_KEYPOINTS = 100_000
 
@@ -329,14 +327,14 @@ def packed_keypoints(px: FloatArray, points: FloatArray) -> tuple[IntArray, byte
 def unpacked_keypoints(data: bytes, count: int) -> tuple[FloatArray, FloatArray]:
     """Return pixels (count, 2) and points (count, 3) packed by `packed_keypoints`. Raises MapError for invalid data."""
     expected = count * _BYTES
-    flat = inflated(data, expected)
+    flat = _inflated(data, expected)
     width = 4 * count
     numbers = [columns.unpacked(flat[at : at + width], _COLUMN) for at in range(0, expected, max(width, 1))]
     rows = np.reshape(numbers, (5, count)).T * _STEPS
     return rows[:, :2].copy(), rows[:, 2:].copy()
 
 
-def inflated(data: bytes, expected: int) -> bytes:
+def _inflated(data: bytes, expected: int) -> bytes:
     """Decompress exactly the expected number of bytes of keypoints. Raises MapError for any other number."""
     try:
         flat = zlib.decompressobj().decompress(data, expected + 1)
@@ -345,57 +343,3 @@ def inflated(data: bytes, expected: int) -> bytes:
     if len(flat) != expected:
         raise MapError("its keypoints are of another number than it says", fix=_DAMAGED)
     return flat
-
-
-# Of a first keyframe: as _HEAD without the grey step, which follows in one byte.
-_KEYFRAME = struct.Struct("<d4ddd5i4x")
-_KEYPOINT_BYTES = 5 * 4
-
-
-def unpack_old_keyframe(content: bytes, most_px: Size = LARGEST_PX) -> Keyframe:
-    """Return a keyframe of a map from before 2026-11-27: PNG images, and keypoint positions as float32.
-
-    Raises MapError for invalid data or images larger than `most_px`.
-    """
-    try:
-        stamp_s, fx, fy, cx, cy, step_m, growth, *sizes = _KEYFRAME.unpack_from(content)
-    except struct.error as error:
-        raise MapError("is no keyframe", fix=_DAMAGED) from error
-    depth_bytes, grey_bytes, code_bytes, count, place_bytes = sizes
-    descriptor_bytes = max(count, 0) * _ORB_BYTES
-    lengths = (depth_bytes, grey_bytes, code_bytes, place_bytes, descriptor_bytes)
-    numbers = np.array([stamp_s, fx, fy, cx, cy, step_m, growth])
-    is_sound = np.isfinite(numbers).all() and min(fx, fy, step_m, growth) > 0 and -1 <= count <= _MOST_KEYPOINTS
-    if not is_sound or min(lengths) < 0 or _KEYFRAME.size + 1 + sum(lengths) != len(content) or code_bytes % 8:
-        raise MapError("is no keyframe", fix=_DAMAGED)
-    parts, at = [], _KEYFRAME.size + 1
-    for length in lengths:
-        parts.append(content[at : at + length])
-        at += length
-    depth = unpacked_png(parts[0], np.uint16, most_px)
-    grey = unpacked_png(parts[1], np.uint8, most_px)
-    if depth.shape != grey.shape:
-        raise MapError("its images are of two sizes", fix=_DAMAGED)
-    features = None
-    if count >= 0:
-        rows = np.frombuffer(inflated(parts[3], count * _KEYPOINT_BYTES), "<f4").reshape(5, count).T.astype(float)
-        if not np.isfinite(rows).all():
-            raise MapError("its keypoints are not finite", fix=_DAMAGED)
-        features = KeyframeFeatures(rows[:, :2].copy(), rows[:, 2:].copy(), _descriptors(parts[4]))
-    straight = DepthSteps(step_m, growth).depth_m(depth), grey_of(grey, content[_KEYFRAME.size])
-    made = Keyframe.of_images(stamp_s, np.array([fx, fy, cx, cy]), *straight, features)
-    if not code_bytes:
-        return made
-    code = np.frombuffer(parts[2], "<f8").astype(float)
-    return Keyframe(stamp_s, made.intrinsics, made.depth_png, made.grey_png, features, code)
-
-
-def unpack_old_descriptors(content: bytes) -> UInt64Array:
-    """Return the descriptors (N, 4) of such a record. Raises MapError for invalid data."""
-    try:
-        count = max(_KEYFRAME.unpack_from(content)[-2], 0)
-    except struct.error as error:
-        raise MapError("is no keyframe", fix=_DAMAGED) from error
-    if count * _ORB_BYTES > len(content) - _KEYFRAME.size:
-        raise MapError("is no keyframe", fix=_DAMAGED)
-    return np.frombuffer(content, "<u8", 4 * count, len(content) - count * _ORB_BYTES).reshape(-1, 4).astype(np.uint64)
