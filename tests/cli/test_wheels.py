@@ -186,7 +186,7 @@ def test_a_simulated_controller_is_there_until_it_ends(
     assert isinstance(came[0], WheelTicks)
     assert not port.is_symlink()
     assert "--motion is 'dance' (lap, turns or none)" in refusal("wheels", "simulate", port, "--motion", "dance")
-    assert "is there already" in refusal("wheels", "simulate", calibration)
+    assert "exists, and" in refusal("wheels", "simulate", calibration)
 
 
 def test_monitor_tells_a_wrong_baud_rate(wheelsight: Command, controller: SimulatedController) -> None:

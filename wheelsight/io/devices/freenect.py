@@ -108,7 +108,14 @@ class FreenectDriver:
                 opened = lib.freenect_open_device(self._context, c.byref(self._device), 0)
             if opened < 0:
                 self._device = c.c_void_p()
-                raise _why_closed(opened, self._where)
+                if opened == _DENIED:
+                    raise DeviceError("no permission to open the Kinect", fix=udev_rule(_VENDOR))
+                if opened == _BUSY:
+                    fix = "end that one first; of the kernel's driver: sudo modprobe -r gspca_kinect"
+                    raise DeviceError("the Kinect is in use by another program", fix=fix)
+                named = "the Kinect" if self._where is None else f"a Kinect with the serial number {self._where}"
+                fix = "plug it in again; see: wheelsight devices"
+                raise DeviceError(f"{named} cannot be opened (libusb {opened})", fix=fix)
             serial = self._where or _first_serial(lib, self._context)
             self._start_streams(lib)
         except DeviceError:
@@ -172,16 +179,6 @@ class FreenectDriver:
         color, depth = pair
         depth_m = np.multiply(depth.what, np.float32(1e-3), dtype=np.float32)
         self._found.append(DeviceImages(color.what, depth_m, color.stamp_s, depth.stamp_s, None))
-
-
-def _why_closed(error: int, where: str | None) -> DeviceError:
-    if error == _DENIED:
-        return DeviceError("no permission to open the Kinect", fix=udev_rule(_VENDOR))
-    if error == _BUSY:
-        fix = "end that one first; of the kernel's driver: sudo modprobe -r gspca_kinect"
-        return DeviceError("the Kinect is in use by another program", fix=fix)
-    named = "the Kinect" if where is None else f"a Kinect with the serial number {where}"
-    return DeviceError(f"{named} cannot be opened (libusb {error})", fix="plug it in again; see: wheelsight devices")
 
 
 def _first_serial(lib: Any, context: c.c_void_p) -> str:

@@ -178,9 +178,17 @@ class CameraClock:
         period_s = 1 / self._settings.rate_hz
         if device_s is None:
             return Stamp(self._growing(arrival_s), period_s)
-        if self._has_jumped(device_s, arrival_s):
-            self.jumps += 1
-            self.restart()
+        if self._map.is_begun:
+            late_s = arrival_s - self._map.host_s(device_s)
+            self._late.append((arrival_s, late_s))
+            while arrival_s - self._late[0][0] > _CLOCK_WATCH_S:
+                self._late.popleft()
+            # Arrivals must cover three quarters of the time: a pause of the frames does not count as late.
+            is_watched = arrival_s - self._late[0][0] > 0.75 * _CLOCK_WATCH_S
+            stays_late = is_watched and min(late for _, late in self._late) > CLOCK_LATE_S
+            if late_s < -_CLOCK_AHEAD_S or stays_late:
+                self.jumps += 1
+                self.restart()
         self._map.update(device_s, arrival_s)
         return Stamp(self._growing(min(self._map.host_s(device_s), arrival_s)), self._map.sigma_s(period_s))
 
@@ -192,19 +200,6 @@ class CameraClock:
         """Reset the mapping, after the device's clock was reset."""
         self._map.restart()
         self._late.clear()
-
-    def _has_jumped(self, device_s: float, arrival_s: float) -> bool:
-        """Whether the device's clock jumped: a stamp after its arrival, or only late arrivals for long."""
-        if not self._map.is_begun:
-            return False
-        late_s = arrival_s - self._map.host_s(device_s)
-        self._late.append((arrival_s, late_s))
-        while arrival_s - self._late[0][0] > _CLOCK_WATCH_S:
-            self._late.popleft()
-        # Arrivals must cover three quarters of the time: a pause of the frames does not count as late.
-        is_watched = arrival_s - self._late[0][0] > 0.75 * _CLOCK_WATCH_S
-        stays_late = is_watched and min(late for _, late in self._late) > CLOCK_LATE_S
-        return late_s < -_CLOCK_AHEAD_S or stays_late
 
     def _growing(self, stamp_s: float) -> float:
         """The stamp, or the smallest one after the last."""

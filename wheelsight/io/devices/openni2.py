@@ -411,7 +411,18 @@ class OpenNI2Driver:
             if device.mode(sensor).format not in known:
                 problem = f"its {sensor.name.lower()} has pixel format {device.mode(sensor).format}, which is not read"
                 raise DeviceError(problem, path=source.uri, fix="record RGB888 and depth in millimetres")
-        is_registered = self._register(device, is_file, is_v2, warnings)
+        color, depth = device.mode(Sensor.COLOR), device.mode(Sensor.DEPTH)
+        is_alike = (color.width, color.height) == (depth.width, depth.height)
+        is_registered = self._settings.registered and is_alike and not is_v2
+        if is_file:
+            does = "does" if is_registered else "does not"
+            problem = "The file does not state whether its depth is registered to colour."
+            warnings.append(f"{problem} It is assumed that it {does}.")
+        else:
+            device.synchronise()
+            is_registered = device.register(is_registered) and is_registered
+            if self._settings.registered and not is_registered:
+                warnings.append("The camera does not register depth to colour: the calibration has T_color_depth.")
         device.start()
         # A file states the number of frames of each stream.
         counts = {s: device.number(s, Property.NUMBER_OF_FRAMES, ctypes.c_int) for s in sensors if is_file}
@@ -443,23 +454,6 @@ class OpenNI2Driver:
         asked = f"{size[0]}×{size[1]} at {self._settings.rate_hz} Hz"
         given = f"{best.width}×{best.height} at {best.fps} Hz"
         return [f"The {sensor.name.lower()} stream has no {asked}; it gives {given}."]
-
-    def _register(self, device: OniDevice, is_file: bool, is_v2: bool, warnings: list[str]) -> bool:
-        """Set registration. Returns whether depth is registered to colour."""
-        color, depth = device.mode(Sensor.COLOR), device.mode(Sensor.DEPTH)
-        is_alike = (color.width, color.height) == (depth.width, depth.height)
-        wanted = self._settings.registered and is_alike and not is_v2
-        if is_file:
-            does = "does" if wanted else "does not"
-            warnings.append(
-                f"The file does not state whether its depth is registered to colour. It is assumed that it {does}."
-            )
-            return wanted
-        device.synchronise()
-        is_registered = device.register(wanted) and wanted
-        if self._settings.registered and not is_registered:
-            warnings.append("The camera does not register depth to colour: the calibration has T_color_depth.")
-        return is_registered
 
     def _add(self, frame: StreamFrame) -> DeviceImages | None:
         """Add a frame of a stream. Returns the images that it completes, or None."""

@@ -71,8 +71,18 @@ def plugged_in(devices: Sequence[UsbDevice] | None = None) -> list[PluggedIn]:
         devices: on USB; None for those that the kernel lists.
     """
     # A PC always lists eight ports that are not there, without a name.
-    ports = [port for port in sorted(comports()) if port.hwid not in ("", "n/a")]
-    return [*cameras_plugged_in(devices), *(_port(port.device, port.description or "") for port in ports)]
+    ports = []
+    for port in sorted(comports()):
+        if port.hwid not in ("", "n/a"):
+            path, description, problem, fix = port.device, port.description or "", "", ""
+            if not os.access(path, os.R_OK | os.W_OK):
+                problem = "no permission to open it"
+                fix = "sudo usermod -aG dialout $USER, then log in again"
+            elif users := users_of(path):
+                problem, fix = f"in use by {', '.join(users)}", "end that one first"
+            name = f"{path} ({description})" if description and description != "n/a" else path
+            ports.append(PluggedIn("port", name, f"--wheels {path}", problem, fix))
+    return [*cameras_plugged_in(devices), *ports]
 
 
 def cameras_plugged_in(devices: Sequence[UsbDevice] | None = None) -> list[PluggedIn]:
@@ -141,17 +151,6 @@ _MODELS = (
     _Model(_MICROSOFT, (0x097C,), "Azure Kinect", "", True),
     _Model(0x2BC5, (), "Orbbec", "openni2", False, "rbbec"),
 )
-
-
-def _port(path: str, description: str) -> PluggedIn:
-    name = f"{path} ({description})" if description and description != "n/a" else path
-    use = f"--wheels {path}"
-    if not os.access(path, os.R_OK | os.W_OK):
-        fix = "sudo usermod -aG dialout $USER, then log in again"
-        return PluggedIn("port", name, use, "no permission to open it", fix)
-    if users := users_of(path):
-        return PluggedIn("port", name, use, f"in use by {', '.join(users)}", "end that one first")
-    return PluggedIn("port", name, use)
 
 
 def why_not(opener: str | None) -> DeviceError | None:

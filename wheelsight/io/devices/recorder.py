@@ -157,27 +157,22 @@ class LiveRecorder:
                 if not self._waiting:
                     return
                 first = self._waiting[0]
-            self._list_one(first)
+            live = first.live
+            clock = FrameClock(live.frame.stamp_s, live.stamp_sigma_s, live.arrived_s, live.device_s, live.sequence)
+            try:
+                written = first.written.result()
+                self._writer.list_frame(written, clock)
+                with self._changed:
+                    self._frames += 1
+                    self._size_bytes += written.size_bytes
+            except CancelledError:
+                pass
+            except Exception as error:  # an error of this thread would otherwise be lost
+                unknown = OutputError(f"images cannot be written: {error}", fix="record without the camera")
+                self._end(error if isinstance(error, OutputError) else unknown)
             with self._changed:
                 if self._waiting:
                     self._waiting.popleft()
-
-    def _list_one(self, first: _Waiting) -> None:
-        """Wait until a frame's images are written, and add it to the lists. An error ends the recording."""
-        live = first.live
-        clock = FrameClock(live.frame.stamp_s, live.stamp_sigma_s, live.arrived_s, live.device_s, live.sequence)
-        try:
-            written = first.written.result()
-            self._writer.list_frame(written, clock)
-        except CancelledError:
-            return
-        except Exception as error:  # an error of this thread would otherwise be lost
-            unknown = OutputError(f"images cannot be written: {error}", fix="record without the camera")
-            self._end(error if isinstance(error, OutputError) else unknown)
-            return
-        with self._changed:
-            self._frames += 1
-            self._size_bytes += written.size_bytes
 
     def _goes_on(self) -> bool:
         return not self._is_over and self._problem is None

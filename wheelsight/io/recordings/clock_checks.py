@@ -62,7 +62,19 @@ def stamp_warnings(stamps: Mapping[str, FloatArray]) -> list[str]:
     units = _units(stamps)
     of_units = [_unit_sentence(name, units[name], stamps[name]) for name in units]
     leaps = [_leap_warning(name, stamps[name]) for name in _sensors(stamps) if name not in units]
-    return [*of_units, *filter(None, leaps), *_overlap_warning(stamps)]
+    warnings = [*of_units, *filter(None, leaps)]
+    if any(len(stamps.get(name, ())) < 2 for name in (WHEELS, FRAMES)):
+        return warnings
+    wheels_s, frames_s = ((float(stamps[name][0]), float(stamps[name][-1])) for name in (WHEELS, FRAMES))
+    gap, shared_s = apart(wheels_s, frames_s), _shared_s(wheels_s, frames_s)
+    if gap is not None:
+        warnings.append(f"{gap[0][0].upper()}{gap[0][1:]}; {gap[1]}.")
+    elif shared_s < _LEAST_SHARE * min(wheels_s[1] - wheels_s[0], frames_s[1] - frames_s[0]):
+        warnings.append(
+            f"Wheels ({_span(wheels_s)}) and camera ({_span(frames_s)}) share only {shared_s:.1f} s: one of them was "
+            "cut, or their clocks count from different moments."
+        )
+    return warnings
 
 
 def refuse_if_apart(recording: Recording, least_s: float = 0.0) -> None:
@@ -138,22 +150,6 @@ def _shared_s(a_s: tuple[float, float], b_s: tuple[float, float]) -> float:
 
 def _span(span_s: tuple[float, float]) -> str:
     return f"{span_s[0]:.3f} to {span_s[1]:.3f} s"
-
-
-def _overlap_warning(stamps: Mapping[str, FloatArray]) -> list[str]:
-    if len(_sensors(stamps)) < 2 or any(len(stamps[name]) < 2 for name in (WHEELS, FRAMES)):
-        return []
-    wheels_s, frames_s = ((float(stamps[name][0]), float(stamps[name][-1])) for name in (WHEELS, FRAMES))
-    gap = apart(wheels_s, frames_s)
-    if gap is not None:
-        return [f"{gap[0][0].upper()}{gap[0][1:]}; {gap[1]}."]
-    shared_s, shorter_s = _shared_s(wheels_s, frames_s), min(wheels_s[1] - wheels_s[0], frames_s[1] - frames_s[0])
-    if shared_s >= _LEAST_SHARE * shorter_s:
-        return []
-    return [
-        f"Wheels ({_span(wheels_s)}) and camera ({_span(frames_s)}) share only {shared_s:.1f} s: one of them was "
-        "cut, or their clocks count from different moments."
-    ]
 
 
 def _unit_sentence(name: str, unit: StampUnit, stamps: FloatArray) -> str:

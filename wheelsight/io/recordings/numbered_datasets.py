@@ -398,7 +398,21 @@ class ReplicaReader:
                 values = dict(parse_json(read_text(camera_file, _JSON, CalibrationError))["camera"])
             except (KeyError, TypeError, ValueError) as error:
                 raise CalibrationError(f"describes no camera: {error}", path=camera_file, fix=_REPLICA_FIX) from error
-        calibration = choose_calibration(folder, options, lambda: _replica_calibration(folder, camera_file, values))
+
+        def known() -> Calibration:
+            if camera_file is None:
+                fix = f"copy {_CAMERA} of the data set here, or say which camera with --camera"
+                raise CalibrationError(f"there is no {_CAMERA}, here or in the folder above", path=folder, fix=fix)
+            try:
+                width, height, fx, fy, cx, cy = (values[name] for name in ("w", "h", "fx", "fy", "cx", "cy"))
+                camera = PinholeCamera(width, height, fx, fy, cx, cy)
+                return Calibration.registered_camera(camera, source=_CAMERA)
+            except KeyError as error:
+                raise CalibrationError(f"camera has no {error}", path=camera_file, fix=_REPLICA_FIX) from error
+            except CalibrationError as error:
+                raise CalibrationError(error.problem, path=camera_file, fix=error.fix or _REPLICA_FIX) from error
+
+        calibration = choose_calibration(folder, options, known)
         files = list((folder / "results").iterdir())
         color, depth = (numbered_files(files, pattern, rate_hz) for pattern in (_REPLICA_COLOR, _REPLICA_DEPTH))
         need_files(color, "colour image", folder / "results", self.needs)
@@ -410,21 +424,6 @@ class ReplicaReader:
         encoding = DepthEncoding(float(factor))
         truth = _replica_read_truth(folder / _REPLICA_TRUTH, rate_hz, warnings)
         return recording_of(folder, self.name, calibration, images, encoding, truth, warnings)
-
-
-def _replica_calibration(folder: Path, path: Path | None, values: dict[str, Any]) -> Calibration:
-    """The camera that its file describes. Raises CalibrationError where there is none."""
-    if path is None:
-        fix = f"copy {_CAMERA} of the data set here, or say which camera with --camera"
-        raise CalibrationError(f"there is no {_CAMERA}, here or in the folder above", path=folder, fix=fix)
-    try:
-        width, height, fx, fy, cx, cy = (values[name] for name in ("w", "h", "fx", "fy", "cx", "cy"))
-        camera = PinholeCamera(width, height, fx, fy, cx, cy)
-        return Calibration.registered_camera(camera, source=_CAMERA)
-    except KeyError as error:
-        raise CalibrationError(f"camera has no {error}", path=path, fix=_REPLICA_FIX) from error
-    except CalibrationError as error:
-        raise CalibrationError(error.problem, path=path, fix=error.fix or _REPLICA_FIX) from error
 
 
 def _replica_read_truth(path: Path, rate_hz: float, warnings: list[str]) -> Trajectory | None:

@@ -129,20 +129,20 @@ def find_recordings(folder: StrPath) -> list[Path]:
 
     Visits at most ten thousand folders and files.
     """
+
+    def below(folder: Path) -> list[Path]:
+        """The folders in a folder, and the files that are recordings; empty without permission to read it."""
+        try:
+            shown = [path for path in folder.iterdir() if not path.name.startswith(".")]
+            # A link to itself is neither a folder nor a file.
+            return [path for path in shown if path.is_dir() or (path.is_file() and _reader_of(path) is not None)]
+        except OSError:
+            return []
+
     found, level, left = [], [Path(folder)], _MOST_SEARCHED
     for _ in range(_SEARCH_DEPTH + 1):
         paths, left = level[:left], left - len(level)
         known = {path: path.exists() and _reader_of(path) is not None for path in paths}
         found += [path for path in paths if known[path]]
-        level = [below for path in paths if not known[path] for below in _below(path)] if left > 0 else []
+        level = [inner for path in paths if not known[path] for inner in below(path)] if left > 0 else []
     return sorted(found)
-
-
-def _below(folder: Path) -> list[Path]:
-    """The folders in a folder, and the files that are recordings; empty without permission to read it."""
-    try:
-        shown = [path for path in folder.iterdir() if not path.name.startswith(".")]
-        # A link to itself is neither a folder nor a file.
-        return [path for path in shown if path.is_dir() or (path.is_file() and _reader_of(path) is not None)]
-    except OSError:
-        return []

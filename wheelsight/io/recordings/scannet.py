@@ -213,7 +213,25 @@ class ScanNetReader:
         else:  # some files have no stamps
             rate_hz = rate_of(options, warnings)
             stamps_s = [number / rate_hz for number in range(len(stamps))]
-        calibration = choose_calibration(folder, options, lambda: _calibration(sens.header, folder))
+
+        def known() -> Calibration:
+            """Both cameras, by the header."""
+            header = sens.header
+            try:
+                color, depth = (
+                    PinholeCamera(*size, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
+                    for size, K in ((header.color_size, header.K_color), (header.depth_size, header.K_depth))
+                )
+                for T in (header.T_base_color, header.T_base_depth):
+                    if not se3.is_valid(T, _RIGID_TOLERANCE):
+                        raise CalibrationError("an extrinsic matrix is no rigid motion")
+                T_color_depth = se3.nearest(np.linalg.inv(header.T_base_color) @ header.T_base_depth)
+                return Calibration(color, depth, T_color_depth, source=f"{folder.name}, {header.sensor}")
+            except CalibrationError as error:
+                fix = error.fix or "give a calibration.yaml with --camera"
+                raise CalibrationError(f"its header: {error.problem}", path=folder, fix=fix) from error
+
+        calibration = choose_calibration(folder, options, known)
         poses = [
             WrittenPose(stamp_s, frame.T_frame_camera, folder)
             for stamp_s, frame in zip(stamps_s, sens.frames, strict=True)
@@ -294,20 +312,3 @@ class ScanNetRecording:
         if self.ground_truth is None:
             return self
         return replace(self, ground_truth=express_for(self.body, self.ground_truth, self.calibration))
-
-
-def _calibration(header: SensHeader, path: Path) -> Calibration:
-    """The calibration of both cameras. Raises CalibrationError where the header is implausible."""
-    try:
-        color, depth = (
-            PinholeCamera(*size, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
-            for size, K in ((header.color_size, header.K_color), (header.depth_size, header.K_depth))
-        )
-        for T in (header.T_base_color, header.T_base_depth):
-            if not se3.is_valid(T, _RIGID_TOLERANCE):
-                raise CalibrationError("an extrinsic matrix is no rigid motion")
-        T_color_depth = se3.nearest(np.linalg.inv(header.T_base_color) @ header.T_base_depth)
-        return Calibration(color, depth, T_color_depth, source=f"{path.name}, {header.sensor}")
-    except CalibrationError as error:
-        fix = error.fix or "give a calibration.yaml with --camera"
-        raise CalibrationError(f"its header: {error.problem}", path=path, fix=fix) from error

@@ -130,30 +130,25 @@ def keep_growing(items: Sequence[S], lines: Sequence[int], path: Path) -> tuple[
     first = next(i for i, item in enumerate(items) if i >= len(kept) or kept[i] != i)
     problem = f"stamp {items[first].stamp_s:.6f} repeats another or is out of order"
     if len(items) - len(kept) > _SHARE_OUT_OF_ORDER_ALLOWED * len(items):
-        _refuse_clock_set_back(stamps_s, lines, path)
+        # Sorting would interleave sorted stretches that overlap in time. A stretch begins where two stamps precede the
+        # ones before them; a single one may be wrong.
+        begins = [
+            i
+            for i in range(2, len(stamps_s))
+            if stamps_s[i] < min(stamps_s[i - 2 : i]) and stamps_s[min(i + 1, len(stamps_s) - 1)] < stamps_s[i - 1]
+        ]
+        if begins and len(stamps_s) >= _FEWEST_IN_ORDER * (len(begins) + 1):
+            at = begins[0]
+            by_s = stamps_s[at - 1] - stamps_s[at]
+            problem = f"stamp {stamps_s[at]:.6f} is {by_s:.3g} s earlier than the one before it: a clock was set back"
+            fix = "cut the file before this line, or record again; sort the lines only if they were shuffled afterwards"
+            raise RecordingError(problem, path=path, line=lines[at], fix=fix)
         fix = "sort the lines by stamp and keep one of each stamp"
         raise RecordingError(problem, path=path, line=lines[first], fix=fix)
     gone = len(items) - len(kept)
     warning = f"{path.name}:{lines[first]}: {problem}; {gone} of {len(items)} lines like it were left out"
     reason = f"{path.name}: stamps repeat others or are out of order"
     return [items[i] for i in kept], [LeftOut(warning, gone, len(items), reason)]
-
-
-def _refuse_clock_set_back(stamps_s: Sequence[float], lines: Sequence[int], path: Path) -> None:
-    """Raise RecordingError for sorted stretches that overlap in time: sorting the file would interleave them."""
-    # A stretch begins where two stamps precede the ones before them; a single one may be wrong.
-    begins = [
-        i
-        for i in range(2, len(stamps_s))
-        if stamps_s[i] < min(stamps_s[i - 2 : i]) and stamps_s[min(i + 1, len(stamps_s) - 1)] < stamps_s[i - 1]
-    ]
-    if not begins or len(stamps_s) < _FEWEST_IN_ORDER * (len(begins) + 1):
-        return
-    at = begins[0]
-    by_s = stamps_s[at - 1] - stamps_s[at]
-    problem = f"stamp {stamps_s[at]:.6f} is {by_s:.3g} s earlier than the one before it: a clock was set back"
-    fix = "cut the file before this line, or record again; sort the lines only if they were shuffled afterwards"
-    raise RecordingError(problem, path=path, line=lines[at], fix=fix)
 
 
 def _longest_growing(stamps: Sequence[float]) -> list[int]:

@@ -293,30 +293,30 @@ class Eth3dReader:
 
     def open(self, folder: Path, options: OpenOptions) -> ImageRecording:
         """The recording in `folder`. Raises InputError naming file and line."""
+        path = folder / _INTRINSICS
+
+        def known(frames: tuple[FramePaths, ...]) -> Calibration:
+            """The camera of four numbers, with the size of the first image."""
+            lines = read_lines(path)
+            try:
+                numbers = [float(word) for line in lines for word in line.text.split()]
+            except ValueError as error:
+                raise CalibrationError(f"holds an invalid number: {error}", path=path, fix=_FIX) from error
+            if len(numbers) != 4 or not all(map(math.isfinite, numbers)):
+                problem = f"holds {len(numbers)} numbers where the four fx fy cx cy are expected"
+                raise CalibrationError(problem, path=path, fix=_FIX)
+            width, height = color_size(frame.color for frame in frames)
+            try:
+                fx, fy, cx, cy = numbers
+                camera = PinholeCamera(width, height, fx, fy, cx, cy)
+                return Calibration.registered_camera(camera, source=f"{path.name} of {path.resolve().parent.name}")
+            except CalibrationError as error:
+                raise CalibrationError(error.problem, path=path, fix=_FIX) from error
 
         def calibration_of(frames: tuple[FramePaths, ...]) -> Calibration:
-            return choose_calibration(folder, options, lambda: _eth3d_calibration(folder / _INTRINSICS, frames))
+            return choose_calibration(folder, options, lambda: known(frames))
 
         return open_lists(folder, options, self.name, calibration_of)
-
-
-def _eth3d_calibration(path: Path, frames: tuple[FramePaths, ...]) -> Calibration:
-    """The camera of four numbers, with the size of the first image. Raises CalibrationError."""
-    lines = read_lines(path)
-    try:
-        numbers = [float(word) for line in lines for word in line.text.split()]
-    except ValueError as error:
-        raise CalibrationError(f"holds an invalid number: {error}", path=path, fix=_FIX) from error
-    if len(numbers) != 4 or not all(map(math.isfinite, numbers)):
-        problem = f"holds {len(numbers)} numbers where the four fx fy cx cy are expected"
-        raise CalibrationError(problem, path=path, fix=_FIX)
-    width, height = color_size(frame.color for frame in frames)
-    try:
-        fx, fy, cx, cy = numbers
-        camera = PinholeCamera(width, height, fx, fy, cx, cy)
-        return Calibration.registered_camera(camera, source=f"{path.name} of {path.resolve().parent.name}")
-    except CalibrationError as error:
-        raise CalibrationError(error.problem, path=path, fix=_FIX) from error
 
 
 _CAMERA = "d400_color_optical_frame"
@@ -350,7 +350,31 @@ class OpenLorisReader:
         color, warnings = read_file_list(folder / "color.txt")
         depth, depth_warnings = read_file_list(folder / "aligned_depth.txt")
         warnings += depth_warnings
-        calibration = choose_calibration(folder, options, lambda: _openloris_calibration(folder))
+
+        def known() -> Calibration:
+            """Intrinsics from sensors.yaml, and T_base_camera from trans_matrix.yaml if it exists."""
+            path = folder / "sensors.yaml"
+            try:
+                sensor = read_yaml(path, CalibrationError)[_CAMERA]
+                fx, cx, fy, cy = _numbers(sensor["intrinsics"], 4)
+                k1, k2, p1, p2, k3 = (*_numbers(sensor.get("distortion_coefficients") or {"data": []}), 0, 0, 0, 0, 0)[
+                    :5
+                ]
+                camera = PinholeCamera(
+                    int(sensor["width"]), int(sensor["height"]), fx, fy, cx, cy, (k1, k2, p1, p2, k3)
+                )
+            except (KeyError, TypeError, ValueError, OverflowError) as error:
+                problem = f"does not describe {_CAMERA} with width, height and intrinsics fx, cx, fy, cy: {error}"
+                raise CalibrationError(problem, path=path, fix=_OPENLORIS_FIX) from error
+            except CalibrationError as error:
+                raise CalibrationError(error.problem, path=path, fix=error.fix or _OPENLORIS_FIX) from error
+            T_base_camera = _read_mount(folder / "trans_matrix.yaml")
+            source = f"{path.name} of {folder.resolve().name}"
+            return Calibration.registered_camera(
+                camera, depth_noise=_D435_NOISE, T_base_camera=T_base_camera, source=source
+            )
+
+        calibration = choose_calibration(folder, options, known)
         images = pair_images(color, depth, options.max_gap_s, folder / "color.txt")
         if is_there(folder / "odom.txt"):
             warnings.append("odom.txt holds poses the robot computed, no encoder ticks; it is not used.")
@@ -369,24 +393,6 @@ class OpenLorisReader:
             truth,
             warnings,
         )
-
-
-def _openloris_calibration(folder: Path) -> Calibration:
-    """Intrinsics from sensors.yaml, and T_base_camera from trans_matrix.yaml if it exists. Raises CalibrationError."""
-    path = folder / "sensors.yaml"
-    try:
-        sensor = read_yaml(path, CalibrationError)[_CAMERA]
-        fx, cx, fy, cy = _numbers(sensor["intrinsics"], 4)
-        k1, k2, p1, p2, k3 = (*_numbers(sensor.get("distortion_coefficients") or {"data": []}), 0, 0, 0, 0, 0)[:5]
-        camera = PinholeCamera(int(sensor["width"]), int(sensor["height"]), fx, fy, cx, cy, (k1, k2, p1, p2, k3))
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        problem = f"does not describe {_CAMERA} with width, height and intrinsics fx, cx, fy, cy: {error}"
-        raise CalibrationError(problem, path=path, fix=_OPENLORIS_FIX) from error
-    except CalibrationError as error:
-        raise CalibrationError(error.problem, path=path, fix=error.fix or _OPENLORIS_FIX) from error
-    T_base_camera = _read_mount(folder / "trans_matrix.yaml")
-    source = f"{path.name} of {folder.resolve().name}"
-    return Calibration.registered_camera(camera, depth_noise=_D435_NOISE, T_base_camera=T_base_camera, source=source)
 
 
 def _read_mount(path: Path) -> FloatArray | None:

@@ -182,7 +182,7 @@ class ChunkedReader(ABC):
                 time_ns, _, connection, data = heapq.heappop(waiting)
                 waiting_bytes -= len(data) + _RECORD_BYTES
                 yield wanted[connection], time_ns, data
-            content, records = self._opened(chunk.place)
+            content, records = self.opened(chunk.place)
             for connection, time_ns, begin, end in records:
                 if connection in wanted and start_ns <= time_ns < stop_ns:
                     heapq.heappush(waiting, (time_ns, number, connection, content[begin:end]))
@@ -196,7 +196,7 @@ class ChunkedReader(ABC):
             time_ns, _, connection, data = heapq.heappop(waiting)
             yield wanted[connection], time_ns, data
 
-    def _opened(self, place: int) -> tuple[bytes, list[ChunkMessage]]:
+    def opened(self, place: int) -> tuple[bytes, list[ChunkMessage]]:
         """Content and messages of the chunk at an offset. The last chunk is cached."""
         if self._last is None or self._last[0] != place:
             self._last = None
@@ -209,7 +209,7 @@ class ChunkedReader(ABC):
             self._last = place, content, records
         return self._last[1], self._last[2]
 
-    def _exactly(self, size: int, most: int) -> bytes:
+    def exactly(self, size: int, most: int) -> bytes:
         """The next bytes of the file. Raises ValueError where the file ends before, or beyond `most` bytes."""
         if size > most:
             raise ValueError(f"would have {size:,} bytes, more than {most >> 20} MB")

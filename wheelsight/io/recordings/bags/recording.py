@@ -292,7 +292,14 @@ class _Pass:
         for stamp_s, message in self._in_order(topics, stop_ns):
             event = self._event_of(stamp_s, message)
             self._enqueue(event, self.pairing.settled(stamp_s))
-            yield from self.events.until(self._complete_until_s(stamp_s))
+            # All events before this stamp are known. An increment has the stamp of the reading before it, a frame that
+            # of its colour image.
+            complete_s = min(stamp_s, self.pairing.oldest_color_s)
+            if self._wheels_s is not None and all(self.messages.is_over(topic) for topic in self._wheel_topics):
+                self._enqueue(self._last_speeds(), iter(()))
+            elif self._wheels_s is not None:
+                complete_s = min(complete_s, max(self._wheels_s, stamp_s - _SLOWEST_WHEELS_S))
+            yield from self.events.until(complete_s)
         self._enqueue(self._last_speeds(), self.pairing.settled(math.inf))
         yield from self.events.until(math.inf)
 
@@ -344,19 +351,6 @@ class _Pass:
     def _enqueue(self, event: Event | None, frames: Iterator[ImagePair]) -> None:
         for item in (*frames, *(() if event is None else (event,))):
             self.events.add(item)
-
-    def _complete_until_s(self, now_s: float) -> float:
-        """The stamp before which all events are known.
-
-        An increment has the stamp of the reading before it, a frame that of its colour image.
-        """
-        complete_s = min(now_s, self.pairing.oldest_color_s)
-        if self._wheels_s is None:
-            return complete_s
-        if all(self.messages.is_over(topic) for topic in self._wheel_topics):
-            self._enqueue(self._last_speeds(), iter(()))
-            return complete_s
-        return min(complete_s, max(self._wheels_s, now_s - _SLOWEST_WHEELS_S))
 
     def _last_speeds(self) -> Event | None:
         """The event of the last wheel reading, at the first call after it; else None."""

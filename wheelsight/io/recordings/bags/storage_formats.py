@@ -59,10 +59,10 @@ class McapReader(ChunkedReader):
             raise RecordingError("is empty", path=self.path, fix="record again")
         if magic != MAGIC:
             raise RecordingError("is no bag", path=self.path, fix="check what wrote it")
-        kind, size = _HEAD.unpack(self._exactly(_HEAD.size, _MOST_DESCRIPTION))
+        kind, size = _HEAD.unpack(self.exactly(_HEAD.size, _MOST_DESCRIPTION))
         if kind != _HEADER:
             raise ValueError("its first record is no header")
-        if _text(self._exactly(size, _MOST_DESCRIPTION), 0)[0] != "ros2":
+        if _text(self.exactly(size, _MOST_DESCRIPTION), 0)[0] != "ros2":
             fix = "record it with ros2 bag, or convert it"
             raise RecordingError("is an MCAP file, but not of ROS 2", path=self.path, fix=fix)
         begin = self._file.tell()
@@ -93,7 +93,7 @@ class McapReader(ChunkedReader):
     def _read_summary(self, place: int) -> tuple[list[Chunk], Counter[int]]:
         """The chunks and the message count of each channel. Also sets the schemas and channels."""
         self._file.seek(place)
-        data = self._exactly(self._size - _FOOTER_BYTES - place, MOST_INDEX)
+        data = self.exactly(self._size - _FOOTER_BYTES - place, MOST_INDEX)
         chunks, counts = list[Chunk](), None
         at = 0
         while at + _HEAD.size <= len(data):
@@ -154,7 +154,7 @@ class McapReader(ChunkedReader):
                 run_end = after
                 run.append((channel, time_ns))
             elif kind in (_SCHEMA, _CHANNEL):
-                self._describe(kind, self._exactly(size, _MOST_DESCRIPTION))
+                self._describe(kind, self.exactly(size, _MOST_DESCRIPTION))
             elif kind == _CHUNK:
                 chunks += self._scan_chunk(at)
             if kind != _MESSAGE or run_end - run_begin > _RUN_BYTES:
@@ -171,7 +171,7 @@ class McapReader(ChunkedReader):
 
     def _scan_chunk(self, place: int) -> list[Chunk]:
         """The chunk at an offset, if it has messages. Also adds its schemas and channels."""
-        content, records = self._opened(place)
+        content, records = self.opened(place)
         at = 0
         while at < len(content):
             kind, size = _HEAD.unpack_from(content, at)
@@ -185,11 +185,11 @@ class McapReader(ChunkedReader):
         """See `ChunkedReader`."""
         self._file.seek(place)
         if place in self._bounds:
-            return self._exactly(self._bounds[place] - place, MOST_CHUNK)
-        kind, size = _HEAD.unpack(self._exactly(_HEAD.size, _MOST_DESCRIPTION))
+            return self.exactly(self._bounds[place] - place, MOST_CHUNK)
+        kind, size = _HEAD.unpack(self.exactly(_HEAD.size, _MOST_DESCRIPTION))
         if kind != _CHUNK:
             raise ValueError("is none: its index leads elsewhere")
-        record = self._exactly(size, MOST_CHUNK)
+        record = self.exactly(size, MOST_CHUNK)
         _, _, stated, crc = _CHUNK_HEAD.unpack_from(record)
         way, at = _text(record, _CHUNK_HEAD.size)
         (length,) = _U64.unpack_from(record, at)
@@ -298,7 +298,7 @@ class Ros1Reader(ChunkedReader):
             topics = header.get_uint32("conn_count")
             if topics > MOST_CONNECTIONS:
                 raise ValueError(f"has more than {MOST_CONNECTIONS:,} topics")
-            index = BytesIO(self._exactly(self._size - place, MOST_INDEX))
+            index = BytesIO(self.exactly(self._size - place, MOST_INDEX))
             rosbags = self._format.Reader(self.path)
             rosbags.bio = index
             read = [rosbags.read_connection() for _ in range(topics)]
@@ -312,8 +312,8 @@ class Ros1Reader(ChunkedReader):
 
     def _header(self) -> bytes:
         """The next record's header, after its length."""
-        size = self._exactly(4, 4)
-        return size + self._exactly(_U32.unpack(size)[0], _MOST_HEADER)
+        size = self.exactly(4, 4)
+        return size + self.exactly(_U32.unpack(size)[0], _MOST_HEADER)
 
     def content_at(self, place: int) -> bytes:
         """See `ChunkedReader`."""
@@ -324,7 +324,7 @@ class Ros1Reader(ChunkedReader):
         if header.get_uint8("op") != _ROS1_CHUNK:
             raise ValueError("is none: its index leads elsewhere")
         name, stated = header.get_string("compression"), header.get_uint32("size")
-        data = self._exactly(_U32.unpack(self._exactly(4, 4))[0], MOST_CHUNK)
+        data = self.exactly(_U32.unpack(self.exactly(4, 4))[0], MOST_CHUNK)
         return self.allowance.unpacked(data, _WAYS.get(name, name), stated)
 
     def walk(self, content: bytes, most: int) -> tuple[list[ChunkMessage], int]:

@@ -260,8 +260,25 @@ def _cameras(
         colors = [by_name[chosen["color"]]]
     if "depth" in chosen:
         depths = [by_name[chosen["depth"]]]
+
+    def unlikeliness(color: ImageTopic, depth: ImageTopic) -> tuple[int, ...]:
+        """A sort key of pairs of topics: the least is the most likely pair of one camera's colour and depth."""
+        parts = [_base(image.name).split("/") for image in (color, depth)]
+        shared = next((i for i, (a, b) in enumerate(zip(*parts, strict=False)) if a != b), min(map(len, parts)))
+        is_registered = color.frame == depth.frame or depth.says_registered
+        by_word = next((i for i, word in enumerate(_COLOR_WORDS) if word.search(color.name)), len(_COLOR_WORDS))
+        is_packed = sum(bool(_TRANSPORT.search(image.name)) for image in (color, depth))
+        return (
+            -shared if shared > 1 else 0,
+            not is_registered,
+            by_word,
+            is_packed,
+            color.is_rectified,
+            depth.is_rectified,
+        )
+
     both = [(color, depth) for color in colors for depth in depths if color is not depth]
-    pairs = sorted((_unlikely(color, depth), color.name, depth.name) for color, depth in both)
+    pairs = sorted((unlikeliness(color, depth), color.name, depth.name) for color, depth in both)
     if not pairs:
         names = ", ".join(image.name for image in (*colors, *depths))
         if names:
@@ -274,16 +291,6 @@ def _cameras(
         taken = f"{color} with {depth} is used, by its name alone"
         warnings.append(f"There are several cameras: {taken}, not {equals[0]}. Choose by --topic color=… and depth=….")
     return by_name[color], by_name[depth]
-
-
-def _unlikely(color: ImageTopic, depth: ImageTopic) -> tuple[int, ...]:
-    """A sort key of pairs of topics: the least is the most likely pair of one camera's colour and depth."""
-    parts = [_base(image.name).split("/") for image in (color, depth)]
-    shared = next((i for i, (a, b) in enumerate(zip(*parts, strict=False)) if a != b), min(map(len, parts)))
-    is_registered = color.frame == depth.frame or depth.says_registered
-    by_word = next((i for i, word in enumerate(_COLOR_WORDS) if word.search(color.name)), len(_COLOR_WORDS))
-    is_packed = sum(bool(_TRANSPORT.search(image.name)) for image in (color, depth))
-    return (-shared if shared > 1 else 0, not is_registered, by_word, is_packed, color.is_rectified, depth.is_rectified)
 
 
 def _base(name: str) -> str:

@@ -98,8 +98,14 @@ class LiveBag:
         self._robot = RobotTopics(self._bag.make, calibration, images)
         self._lock, self._is_over = threading.Lock(), threading.Event()
         self._problem: OutputError | None = None
-        self._flush_s = flush_s
-        self._thread = threading.Thread(target=self._flush, name=THREAD, daemon=True)
+
+        def flush() -> None:
+            """The thread: flush at intervals."""
+            while not self._is_over.wait(flush_s):
+                with suppress(OutputError), self._lock, self._guarded():
+                    self._bag.flush()
+
+        self._thread = threading.Thread(target=flush, name=THREAD, daemon=True)
         self._thread.start()
 
     @property
@@ -172,12 +178,6 @@ class LiveBag:
             self._received_s = max(self._received_s, stamp_s)
             for topic, type_, data in messages:
                 self._bag.add_bytes(topic, type_, data, self._received_s)
-
-    def _flush(self) -> None:
-        """The thread: flush at intervals."""
-        while not self._is_over.wait(self._flush_s):
-            with suppress(OutputError), self._lock, self._guarded():
-                self._bag.flush()
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:
