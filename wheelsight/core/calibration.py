@@ -62,7 +62,7 @@ __all__ = [
 
 
 FORMAT = "wheelsight-calibration-1"
-# Parts of which a file may hold nominal values too; they apply if no other file gives that part.
+# A file may also hold nominal values of these parts, which apply if no other file gives the part.
 NOMINAL, NOMINAL_PARTS = "nominal", ("wheels", "gyro")
 # Field of past calibrations, of the file rather than of the calibration.
 HISTORY = "history"

@@ -39,7 +39,7 @@ _SLIPPING_SCALES = (0.5, 1.3)  # likewise, for wheels that slip in turns (one re
 # Relative scatter of wheels that slip in turns: 0.03 to 0.09 on a real skid-steered robot; below 0.01 for wheels that
 # grip (found on the simulator alone).
 _SLIPPING_SCATTER = 0.015
-_SIGMAS = 3.0  # by which a scale must lie outside
+_SIGMAS = 3.0  # margin of a scale outside the limits
 _RELATED_SHARE = 0.8  # of the rates' variance that the line explains, for trust (found on the simulator alone)
 _UNRELATED_SHARE = 0.5  # below it, the gyroscope measures other turns (found on the simulator alone)
 _LATE_S = 0.1  # lag that is reported; wheels are 0.05 s late where their delay was not measured (computed)

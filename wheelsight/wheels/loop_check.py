@@ -63,7 +63,7 @@ def check_loop(drive: Drive, wheels: Wheels, *, mark_m: float = 0.02, mark_deg: 
     Args:
         drive: readings of the wheels.
         wheels: of the robot.
-        mark_m, mark_deg: σ by which the robot is put back beside its mark, along each axis and in heading.
+        mark_m, mark_deg: σ of the robot's return to its mark, along each axis and in heading.
 
     Raises:
         CalibrationError: the drive is too short.
