@@ -6,7 +6,7 @@ ends are measured by tape give the wheels (`calibrate umbmark`, which leaves the
 through the simulator's flat, with stops and turns on the spot, where the camera sits (`calibrate base`).
 
 By squares right over left is within 0.01 %. By the camera's way (`calibrate wheels --reference`) radii came out 0.7 to
-1.0 % too small while the depth lens was taken for straight (docs/decisions/0101).
+1.0 % too small while the depth lens was taken for straight (docs/decisions/calibration).
 """
 
 from __future__ import annotations

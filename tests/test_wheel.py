@@ -18,7 +18,7 @@ from synthetic import make_tum_recording
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
-# 568 were measured, 350 are aimed at (docs/decisions/0087): here it is seen when they grow.
+# 568 were measured, 350 are aimed at (docs/decisions/package-and-speed): here it is seen when they grow.
 CORE_MB = 600
 
 

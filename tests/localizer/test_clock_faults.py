@@ -38,7 +38,7 @@ AT_S = 102.0
 def test_readings_that_arrive_together_cost_little_accuracy(
     monkeypatch: pytest.MonkeyPatch, apart_s: float, seed: int
 ) -> None:
-    # 0.036 since cameras' errors add up along the way (docs/decisions/0065); 0.02 before.
+    # 0.036 since cameras' errors add up along the way (docs/decisions/filter); 0.02 before.
     assert worst_m(monkeypatch, lambda _: ReadingsTogether(apart_s=apart_s), seed) < 0.04
 
 

@@ -90,7 +90,7 @@ def test_the_floor_on_which_the_robot_stands_is_free() -> None:
 
 
 def test_a_table_is_an_obstacle_although_the_floor_below_it_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In one layer for all heights, what is seen through below its top speaks against that: docs/decisions/0060."""
+    """With one layer for all heights, rays below its top would clear the cell: docs/decisions/occupancy."""
     in_layers = mapped(turning(), TABLE_TOP).grid().kind_at(of_box(TABLE_TOP))
     monkeypatch.setattr("wheelsight.mapping.occupancy._LAYER_M", 10.0)
     in_one = mapped(turning(), TABLE_TOP).grid().kind_at(of_box(TABLE_TOP))

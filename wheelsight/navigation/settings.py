@@ -151,7 +151,7 @@ class PlannerSettings(Settings):
         4.0,
         "extra cost of a metre with the least clearance only, quadratic between that and the wanted one; "
         "a free metre costs 1",
-        "80 plans in four real buildings: 1 nearer than 5 cm to anything, 7 with a cost of 2; docs/decisions/0062",
+        "80 plans in four real buildings: 1 nearer than 5 cm to anything, 7 with a cost of 2; docs/decisions/planner",
         ge=0,
         le=100,
     )
@@ -201,7 +201,7 @@ class PlannerSettings(Settings):
     greed: float = setting(
         1.6,
         "factor of the heuristic; 2 is faster and nearer to walls",
-        "80 plans in four real buildings: docs/decisions/0062",
+        "80 plans in four real buildings: docs/decisions/planner",
         ge=1,
         le=10,
     )
@@ -465,7 +465,8 @@ class MonitorSettings(Settings):
     fresh_s: float = setting(
         12.0,
         "time for which floor counts as seen; a person who comes later is visible. A chair whose camera sees the floor "
-        "from 2.3 m on takes 7.5 s at 0.2 m/s until its front is there, and longer if it waits: docs/decisions/0129",
+        "from 2.3 m on takes 7.5 s at 0.2 m/s until its front is there, and longer if it waits: "
+        "docs/decisions/monitor-and-safety",
         CHOSEN,
         gt=0,
         le=600,
@@ -822,7 +823,7 @@ class ExplorationSettings(Settings):
     least_m2: float = setting(
         0.2,
         "least unseen floor of a viewpoint, m²: a third of a wheelchair's area",
-        "found on the simulator alone: docs/decisions/0079",
+        "found on the simulator alone: docs/decisions/planner",
         gt=0,
         le=100,
     )
@@ -837,7 +838,7 @@ class ExplorationSettings(Settings):
         0.5,
         "discount of a viewpoint's value per metre of way: e⁻¹ at 2 m. González-Baños and Latombe 2002 have 0.2; "
         "a camera of 60° has more views at one place",
-        "found on the simulator alone: docs/decisions/0079",
+        "found on the simulator alone: docs/decisions/planner",
         ge=0,
         le=10,
     )

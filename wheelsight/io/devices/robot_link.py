@@ -18,7 +18,7 @@ from wheelsight.io.devices.wire_formats import Format
 
 PERIOD_S = 0.05
 # The first firmware that stops the motors 0.25 s after the last command. The one before waits for half a second, in
-# which a robot at 1 m/s moves 0.5 m without control (docs/decisions/0074).
+# which a robot at 1 m/s moves 0.5 m without control (docs/decisions/monitor-and-safety).
 OLDEST_FIRMWARE = (1, 1)
 
 

@@ -215,7 +215,7 @@ JPEG_QUALITY = 95
 
 # The fastest PNG that still compresses, for colour of 640×480. Without a filter, compression level 1 tries all five for
 # each row: 18 ms instead of 12 ms. Filtered bytes are noise with runs of zeros, so that a search for runs alone takes
-# 9 to 10 ms and makes smaller files too (docs/decisions/0109). Older OpenCV has no setting of the filter.
+# 9 to 10 ms and makes smaller files too (docs/decisions/bags-and-formats). Older OpenCV has no setting of the filter.
 FAST_PNG: tuple[int, ...] = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
 if hasattr(cv2, "IMWRITE_PNG_FILTER") and hasattr(cv2, "IMWRITE_PNG_FILTER_SUB"):
     FAST_PNG = (*FAST_PNG, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB)
