@@ -139,7 +139,7 @@ def colored(tmp_path: Path) -> tuple[Path, Recording]:
     for frame, T in zip(frames, poses, strict=True):
         grey = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY).astype(np.float32)
         store.add(Keyframe.of_images(frame.stamp_s, intrinsics, frame.depth_m, grey), T)
-        writer.look(None)
+        writer.update(None)
     writer.add_edges([step(list(poses), number) for number in range(len(poses) - 1)])
     writer.close()
     return run, recording

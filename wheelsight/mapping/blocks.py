@@ -1,4 +1,4 @@
-"""`Blocks` stores surfels by cells of space. `Nearness` moves distant parts of a map to the disk and back."""
+"""`Blocks` stores surfels by cells of space. `SurfelPaging` moves distant parts of a map to the disk and back."""
 
 from __future__ import annotations
 
@@ -252,7 +252,7 @@ class _DiskPart:
     T_map_keyframe: FloatArray
 
 
-class RestingSurfels:
+class SurfelsOnDisk:
     """Surfels on disk, by keyframe: those of a keyframe are stored and loaded together.
 
     A keyframe may move in between, by a loop; its surfels are loaded at its new pose. Surfels that cannot be read are
@@ -338,23 +338,23 @@ class RestingSurfels:
             piece.path.unlink(missing_ok=True)
 
 
-class Nearness:
+class SurfelPaging:
     """Keeps the surroundings of the camera in memory, and stores distant surfels on disk when memory is short.
 
     Args:
         max_surfels: largest number of surfels in memory.
         far_m: largest distance of predicted surfels.
-        folder: as `RestingSurfels` takes it.
+        folder: as `SurfelsOnDisk` takes it.
 
     Attributes:
         resting: surfels on disk.
     """
 
     def __init__(self, max_surfels: int, far_m: float, folder: StrPath | None) -> None:
-        self.resting = RestingSurfels(folder)
+        self.resting = SurfelsOnDisk(folder)
         self._most, self._beyond_m, self._writes = max_surfels, _RESTS_BEYOND * far_m, True
 
-    def come_near(self, blocks: Blocks, poses: tuple[FloatArray, FloatArray], now_s: float, rules: FloatArray) -> None:
+    def load_near(self, blocks: Blocks, poses: tuple[FloatArray, FloatArray], now_s: float, rules: FloatArray) -> None:
         """Load the surfels that a camera may see, and store distant ones if memory is short.
 
         Args:
@@ -392,7 +392,7 @@ class Nearness:
         if len(gone):
             blocks.take_out(gone, now_s)
 
-    def lay_by(self, new: SurfelArrays, T_map_keyframe: FloatArray, most: int) -> SurfelArrays:
+    def store_surplus(self, new: SurfelArrays, T_map_keyframe: FloatArray, most: int) -> SurfelArrays:
         """Return new surfels without those that exceed the memory, which are stored on disk.
 
         Args:

@@ -21,7 +21,7 @@ from wheelsight.core.threads import Rows
 from wheelsight.mapping import fusion_kernels as fusion
 from wheelsight.mapping import view_kernels as view
 from wheelsight.mapping.block_kernels import CONFIDENCE, PAGE, RADIUS, InView, SurfelArrays
-from wheelsight.mapping.blocks import LEAST_ROOM, Blocks, Nearness
+from wheelsight.mapping.blocks import LEAST_ROOM, Blocks, SurfelPaging
 from wheelsight.mapping.fusion_kernels import (
     READING,
     Camera,
@@ -155,7 +155,7 @@ class SurfelMap:
         self._T_map_keyframe = np.zeros((0, 4, 4))
         self.stamp_s, self.frames = -np.inf, 0
         self.blocks = Blocks(_BLOCK_M, self.settings.max_surfels)
-        self._nearness = Nearness(self.settings.max_surfels, self.settings.far_m, self.settings.resting_folder)
+        self._paging = SurfelPaging(self.settings.max_surfels, self.settings.far_m, self.settings.resting_folder)
         self._rows = Rows(self.settings.threads)
         self._scratch: dict[str, np.ndarray] = {}
         self._weight_of: tuple[float, ...] = ()
@@ -192,7 +192,7 @@ class SurfelMap:
         if keyframe is not None and not 0 <= keyframe < len(self.T_map_keyframe):
             raise MapError(f"there is no keyframe {keyframe}", fix="give the map the store that has it")
         self.stamp_s, dropped = float(stamp_s), self.blocks.dropped
-        self._come_near(pose)
+        self._load_near(pose)
         sensor = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
         shape, size = frame.depth_m.shape, frame.depth_m.size
         camera = Camera(pose.T32, pose.grid32, *rays_of(pose.grid, shape), pose.pitch, sensor)
@@ -265,7 +265,7 @@ class SurfelMap:
         Args: as of `ReferenceModel.predict`. Raises MapError for an invalid pose.
         """
         pose = checked_pose(T_map_camera, intrinsics)
-        self._come_near(pose)
+        self._load_near(pose)
         limits = (self.settings.far_m, 0.0, _VAGUE_M**2)
         return PredictedView(*self._show(pose, shape, limits, self._active_since_s, False)[:3])
 
@@ -282,7 +282,7 @@ class SurfelMap:
         far_m = self.settings.far_m if far_m is None else far_m
         since_s = self._active_since_s if which == "active" else -np.inf
         pose = checked_pose(T_map_camera, intrinsics)
-        self._come_near(pose)
+        self._load_near(pose)
         return ColoredView(*self._show(pose, shape, (far_m, least, np.inf), since_s, True))
 
     def _show(
@@ -317,18 +317,18 @@ class SurfelMap:
         share(height, lambda a, b: view.divide(a, b, near, sums, *out, color))
         return *out, color
 
-    def _come_near(self, pose: Pose) -> None:
+    def _load_near(self, pose: Pose) -> None:
         """Apply the motion of keyframes, and load the surfels that a camera may see."""
         self._follow()
-        self._nearness.come_near(self.blocks, (self.T_map_keyframe, pose.T), self.stamp_s, self._rules)
+        self._paging.load_near(self.blocks, (self.T_map_keyframe, pose.T), self.stamp_s, self._rules)
 
     def __len__(self) -> int:
-        return self.blocks.alive + len(self._nearness.resting)
+        return self.blocks.alive + len(self._paging.resting)
 
     @property
     def dropped(self) -> int:
         """Number of surfels lost so far for lack of memory, or unreadable on disk."""
-        return self.blocks.dropped + self._nearness.resting.lost
+        return self.blocks.dropped + self._paging.resting.lost
 
     @property
     def memory_bytes(self) -> int:
@@ -346,7 +346,7 @@ class SurfelMap:
         for part in self._parts():
             stable += int(np.count_nonzero(self._are_stable(part)))
             active += int(np.count_nonzero(part.seen_s[:, 1] >= self._active_since_s))
-        rests = len(self._nearness.resting)
+        rests = len(self._paging.resting)
         return MapStatus(len(self), stable, active, self.dropped, self.memory_bytes, rests)
 
     def surfels(self, which: Literal["all", "stable"] = "all") -> Surfels:
@@ -374,7 +374,7 @@ class SurfelMap:
                 of_some = self.blocks.surfels.keyframe[some]
                 some = some[(of_some >= keyframes[0]) & (of_some < keyframes[1])]
             yield SurfelArrays(*(array[some] for array in self.blocks.surfels))
-        yield from self._nearness.resting.all(self.T_map_keyframe, keyframes)
+        yield from self._paging.resting.all(self.T_map_keyframe, keyframes)
 
     def _are_stable(self, part: SurfelArrays) -> BoolArray:
         return np.asarray(part.geometry[:, CONFIDENCE] >= self.settings.stable_confidence)
@@ -389,7 +389,7 @@ class SurfelMap:
         seen_s = np.stack([surfels.first_s, surfels.last_s], axis=-1)
         new = SurfelArrays(geometry, look, seen_s, surfels.variance_m2, surfels.keyframe)
         most = int((1 - LEAST_ROOM) * self.settings.max_surfels) - self.blocks.alive
-        staying = self._nearness.lay_by(new, self.T_map_keyframe, most)
+        staying = self._paging.store_surplus(new, self.T_map_keyframe, most)
         rest = len(new.geometry) - len(staying.geometry)
         return rest + self.blocks.append(staying, self.stamp_s, self._rules)
 

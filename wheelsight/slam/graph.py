@@ -223,7 +223,7 @@ def step_edge(
     """
     T_step, _ = motions.between(*before, *now)
     _, grown = motions.step_between(*before, *now)
-    return RelativePose(*ends, motions.mended(T_step), _with_least(grown))
+    return RelativePose(*ends, motions.renormalized(T_step), _with_least(grown))
 
 
 def along_floor(edge: RelativePose, motion: tuple[FloatArray, FloatArray], up: FloatArray) -> RelativePose:
@@ -239,7 +239,7 @@ def along_floor(edge: RelativePose, motion: tuple[FloatArray, FloatArray], up: F
     out_of_plane = np.eye(6) - in_plane
     ahead = in_plane @ motions.log(motions.times(T, motions.inverse(edge.T_first_second)))
     covariance = in_plane @ C @ in_plane + out_of_plane @ edge.covariance @ out_of_plane
-    T_first_second = motions.mended(motions.times(motions.exp(ahead), edge.T_first_second))
+    T_first_second = motions.renormalized(motions.times(motions.exp(ahead), edge.T_first_second))
     return RelativePose(edge.first, edge.second, T_first_second, covariance + ANCHOR_SIGMA**2 * np.eye(6))
 
 
@@ -247,7 +247,7 @@ def aligned_edge(
     ends: tuple[KeyframeId, KeyframeId], T_first_second: FloatArray, covariance: FloatArray
 ) -> RelativePose:
     """Return a loop edge from the alignment of a keyframe with an older, revisited one."""
-    return RelativePose(*ends, motions.mended(T_first_second), _with_least(covariance), is_loop=True)
+    return RelativePose(*ends, motions.renormalized(T_first_second), _with_least(covariance), is_loop=True)
 
 
 def _with_least(C: FloatArray) -> FloatArray:

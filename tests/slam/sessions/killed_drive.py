@@ -35,7 +35,7 @@ def main(path: Path) -> None:
         for _ in range(FRAMES_A_KEYFRAME):
             C = 1e-4 * (number + 1) * np.eye(6)
             estimate = Estimate(number, Status.TRACKING, pose(number), C, keyframe=held, T_keyframe_body=np.eye(4))
-            writer.look(estimate)
+            writer.update(estimate)
         if number % 7 == 6:
             shift = se3.exp([0.0, 0.01, 0, 0, 0, 0])
             store.move(list(store), shift @ store.T_map_keyframe)

@@ -27,6 +27,6 @@ def drive(path: Path, way: list[FloatArray], settings: SessionSettings | None = 
     writer = MapWriter(MapFolder.create(path, ROBOT, settings), store)
     for number, T in enumerate(way):
         store.add(view(T, float(number)), T)
-        writer.look(None)
+        writer.update(None)
     writer.add_edges([step(way, number) for number in range(len(way) - 1)])
     return writer

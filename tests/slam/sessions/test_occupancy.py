@@ -145,7 +145,7 @@ def test_what_lies_nowhere_for_sure_is_not_in_it(tmp_path: Path) -> None:
     writer = MapWriter(MapFolder.create(tmp_path / "map", ROBOT), store)
     for number, T in enumerate(way):
         store.add(view(WAY[number], float(number)), T)
-        writer.look(None)
+        writer.update(None)
     writer.add_edges([step(way, number) for number in (0, 1, 2, 4)])
     writer.close()
     grid = occupancy_of(MapFolder.open(tmp_path / "map"))
@@ -160,7 +160,7 @@ def test_the_way_is_cut_where_nobody_knows_how_the_robot_drove(tmp_path: Path) -
     writer = MapWriter(MapFolder.create(tmp_path / "map", ROBOT), store)
     for number, T in enumerate(way):
         store.add(view(WAY[number], float(number)), T)
-        writer.look(None)
+        writer.update(None)
     loop = replace(step(way, 3), is_loop=True)
     writer.add_edges([*(step(way, number) for number in (0, 1, 2, 4)), loop])
     writer.close()
@@ -221,7 +221,7 @@ def test_extending_a_map_makes_it_of_all_its_keyframes(kept: Path) -> None:
     writer = MapWriter(folder, folder.store)
     T = se3.from_plane(20.0, 0.0, 0.0) @ WAY[0]
     folder.store.add(view(WAY[0], 100.0), T)
-    writer.look(None)
+    writer.update(None)
     writer.add_edges([step([*WAY, T], len(WAY) - 1)])
     writer.close()
     assert writer.warnings == ()

@@ -39,7 +39,7 @@ def drive(writer: MapWriter, store: KeyframeStore, count: int) -> None:
     for number in range(count):
         store.add(partial(keyframe, number), pose(number))
         for _ in range(3):
-            writer.look(answer(number))
+            writer.update(answer(number))
 
 
 def test_a_drive_leaves_its_map(tmp_path: Path) -> None:
@@ -73,10 +73,10 @@ def test_a_keyframe_is_written_once_it_is_settled(tmp_path: Path) -> None:
     folder = MapFolder.create(tmp_path / "map", CALIBRATION, SETTINGS)
     writer = MapWriter(folder, store)
     number = store.add(keyframe(0), pose(0))
-    writer.look(answer(0))
+    writer.update(answer(0))
     store.replace(number, keyframe(77))
-    writer.look(answer(0))
-    writer.look(answer(0))
+    writer.update(answer(0))
+    writer.update(answer(0))
     writer.close()
     found = MapFolder.open(tmp_path / "map")
     assert found.store[KeyframeId(0)].stamp_s == 77
@@ -90,7 +90,7 @@ def test_moved_keyframes_are_written_while_driving(tmp_path: Path) -> None:
     store.move([KeyframeId(1)], pose(21)[None])
     waiting = threading.Event()
     for _ in range(100_000):
-        writer.look(answer(2))
+        writer.update(answer(2))
         found = MapFolder.open(path).store.T_map_keyframe
         if len(found) == 3 and np.allclose(found[1], pose(21), rtol=0, atol=1e-12):
             break
@@ -112,7 +112,7 @@ def test_poses_that_move_all_the_time_do_not_fill_the_disk(tmp_path: Path, monke
         slightly = se3.exp([1e-4 * k, 0, 0, 0, 0, 0])
         store.move(others, slightly @ store.T_map_keyframe[others])
         store.move([KeyframeId(7)], pose(100 + k)[None])
-        writer.look(answer(19))
+        writer.update(answer(19))
     writer.close()
     (graph,) = (tmp_path / "map").glob("graph-*")
     told = [
@@ -168,7 +168,7 @@ def test_loops_are_kept_and_those_that_were_false_are_not(tmp_path: Path) -> Non
     writer.add_edges(loops[2:])
     writer.withdraw_edges([loops[1], edge(4, 0, is_loop=True)])  # the last one was never added
     drive_more = store.add(keyframe(5), pose(5))
-    writer.look(answer(drive_more))
+    writer.update(answer(drive_more))
     writer.close()
     found = MapFolder.open(tmp_path / "map")
     assert [(one.first, one.second) for one in found.edges if one.is_loop] == [(4, 0), (3, 0)]
@@ -184,7 +184,7 @@ def test_a_keyframe_that_could_not_be_made_is_told(tmp_path: Path) -> None:
     store.add(keyframe(0), pose(0))
     store.add(fail, pose(1))
     for _ in range(3):
-        writer.look(None)
+        writer.update(None)
     writer.close()
     assert writer.warnings == ("Keyframe 1 is not in the map: no image.",)
     assert len(MapFolder.open(tmp_path / "map").store) == 1
@@ -229,7 +229,7 @@ def test_extending_a_map_goes_on_with_its_numbers(tmp_path: Path) -> None:
     writer = MapWriter(folder, folder.store)
     assert folder.store.add(keyframe(40), pose(40)) == 4
     for _ in range(3):
-        writer.look(None)
+        writer.update(None)
     folder.store.move([KeyframeId(0), KeyframeId(4)], np.array([pose(50), pose(54)]))
     writer.close()
     found = MapFolder.open(tmp_path / "map").store

@@ -394,7 +394,7 @@ class MappingLocalizer:
         """As `Localizer.process`."""
         answer = self._localizer.process(event)
         if isinstance(event, RgbdFrame):
-            self._writer.look(answer)
+            self._writer.update(answer)
         return answer
 
     def close(self) -> None:

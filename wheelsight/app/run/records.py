@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -246,10 +246,13 @@ def keeping_maps(
                     and has_map(track.odometry, [one.odometry for one in tracks])
                 ):
                     track.map_writer, track.map_path, track.extends = MapWriter(known, store), known.path, True
-            elif _is_asked(track, tracks, config):
+            elif (
+                track.localizer.keyframes is not None
+                and has_map(track.odometry, [one.odometry for one in tracks])
+                and (track.localizer.map is not None if config.sessions.keep_map is None else config.sessions.keep_map)
+            ):
                 path = (folder if len(tracks) == 1 else folder / track.odometry) / MAP_FOLDER
                 keyframes = track.localizer.keyframes
-                assert keyframes is not None
                 discard_map(path)
                 factor = config.recording.depth_factor
                 how: dict[str, Any] = {"source": source.name, "depth_factor": factor, "unfinished": DRIVE}
@@ -266,16 +269,6 @@ def keeping_maps(
                     discard_map(track.map_path)
         if known is not None:
             known.close()
-
-
-def _is_asked(track: RunTrack, tracks: Sequence[RunTrack], config: Config) -> bool:
-    """Whether a track leaves a map: a single camera, or the joined track."""
-    if track.localizer.keyframes is None:
-        return False
-    if not has_map(track.odometry, [one.odometry for one in tracks]):
-        return False
-    asked = config.sessions.keep_map
-    return track.localizer.map is not None if asked is None else asked
 
 
 def finish_map(track: RunTrack, passage: Passage) -> KeptMapRecord | None:
@@ -295,7 +288,7 @@ def finish_map(track: RunTrack, passage: Passage) -> KeptMapRecord | None:
             # Add to the known map the keyframes with a known place in it. Edges of other keyframes are left out: their
             # numbers go to the keyframes of the next drive.
             if closed.is_joined:
-                writer.look(None)  # those of a place that was recognised when the drive was over
+                writer.update(None)  # those of a place that was recognised when the drive was over
             writer.add_edges([edge for edge in closed.edges if closed.known <= edge.second < writer.taken])
             is_whole = writer.taken == len(closed.T_map_keyframe)
         else:
@@ -305,19 +298,15 @@ def finish_map(track: RunTrack, passage: Passage) -> KeptMapRecord | None:
     if _is_empty(writer) and not track.extends:
         discard_map(path)
         return None
-    return KeptMapRecord(path.name, writer.keyframes, _bytes_in(path), writer.warnings)
+    size = 0
+    with suppress(OSError):  # the disk is gone; the writer has reported it
+        size = sum(file.stat().st_size for file in path.iterdir() if file.is_file())
+    return KeptMapRecord(path.name, writer.keyframes, size, writer.warnings)
 
 
 def _is_empty(writer: MapWriter) -> bool:
     """Whether the drive has no keyframes, and no write failed."""
     return not writer.keyframes and not writer.warnings
-
-
-def _bytes_in(folder: Path) -> int:
-    try:
-        return sum(file.stat().st_size for file in folder.iterdir() if file.is_file())
-    except OSError:  # the disk is gone; the writer has said so
-        return 0
 
 
 def kept_surfels(track: RunTrack) -> Path | None:

@@ -316,9 +316,9 @@ class RunTrack:
         if self.map_writer is None:
             return
         if not self.extends:
-            self.map_writer.look(estimate)
+            self.map_writer.update(estimate)
         elif self.localizer.loops is not None and self.localizer.loops.is_joined:
-            self.map_writer.look(None)
+            self.map_writer.update(None)
 
     def _add_stages(self, seconds: Mapping[str, float]) -> None:
         if seconds.keys() > self.stage_seconds.keys():

@@ -74,7 +74,7 @@ _MOUNTED = Calibration(T_base_camera=np.eye(4))
 class MapWriter:
     """Appends keyframes, edges and changed poses to a map as they occur.
 
-    `look` is called after each frame; it copies poses and never waits for the disk. A thread does the rest. Appended
+    `update` is called after each frame; it copies poses and never waits for the disk. A thread does the rest. Appended
     data survives a kill of the process, and a loss of power after the next `flush_s`. If the disk is full or the folder
     cannot be written, writing ends, the drive continues, and `warnings` has the reason.
 
@@ -125,7 +125,7 @@ class MapWriter:
         """What could not be written, and why; one sentence each."""
         return tuple(self._out.warnings)
 
-    def look(self, estimate: Estimate | None) -> None:
+    def update(self, estimate: Estimate | None) -> None:
         """Queue the changes of the store by the frame of `estimate`."""
         self._frames += 1
         for number in range(self._taken, len(self._store)):
