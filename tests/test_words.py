@@ -5,10 +5,8 @@
 
 from __future__ import annotations
 
-import io
 import re
 import sys
-import tokenize
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
@@ -69,12 +67,16 @@ class Place(NamedTuple):
     line: int
 
 
+STRING_OR_COMMENT = re.compile(r'"""(?:[^\\]|\\.)*?"""|"(?:[^"\\\n]|\\.)*"|\'(?:[^\'\\\n]|\\.)*\'|#[^\n]*', re.DOTALL)
+
+
 def of_source(source: str) -> Iterator[tuple[int, str]]:
     """Line and text of each comment and of each string of several words."""
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        is_text = tokenize.tok_name[token.type] in ("STRING", "FSTRING_MIDDLE") and " " in token.string
-        if is_text or token.type == tokenize.COMMENT:
-            yield token.start[0], token.string.lstrip("# ")
+    line, at = 1, 0
+    for found in STRING_OR_COMMENT.finditer(source):
+        line, at = line + source.count("\n", at, found.start()), found.start()
+        if " " in found[0]:
+            yield line, found[0].lstrip("# ")
 
 
 def of_page(page: str) -> Iterator[tuple[int, str]]:
