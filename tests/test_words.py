@@ -82,7 +82,7 @@ def of_source(source: str) -> Iterator[tuple[int, str]]:
 def of_page(page: str) -> Iterator[tuple[int, str]]:
     """Line and text of each paragraph; blocks of code and output are left out."""
     prose = re.sub(r"^ *```.*?^ *```", lambda block: "\n" * block[0].count("\n"), page, flags=re.MULTILINE | re.DOTALL)
-    prose = re.sub(r'"[A-Z][^"\n|]{25,}"', "", prose)  # messages of commits
+    prose = re.sub(r'"[A-Z][^"|]{25,200}"', lambda quoted: "\n" * quoted[0].count("\n"), prose)  # messages of commits
     for found in re.finditer(r"(?:^.*\S.*\n?)+", prose, re.MULTILINE):
         yield prose[: found.start()].count("\n") + 1, found[0]
 
