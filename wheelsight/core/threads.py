@@ -105,17 +105,16 @@ class Rows:
         self._threads = threads
         self._pool = ThreadPoolExecutor(threads, "wheelsight-dense") if threads > 1 else None
 
-    def share(self, height: int, work: Callable[..., None], *given: Any, out: Any = None) -> None:
-        """Call `work(*given, begin, end, out)` until all rows below `height` are done; without `out`, leave it out."""
-        last = () if out is None else (out,)
+    def share(self, height: int, work: Callable[..., None], *given: Any, after: tuple[Any, ...] = ()) -> None:
+        """Call `work(*given, begin, end, *after)` until all rows below `height` are done."""
         if self._pool is None or height < _FEWEST_ROWS:
-            work(*given, 0, height, *last)
+            work(*given, 0, height, *after)
             return
         todo, parts = itertools.count(), _PARTS_A_THREAD * self._threads
 
         def take() -> None:
             while (part := next(todo)) < parts:
-                work(*given, height * part // parts, height * (part + 1) // parts, *last)
+                work(*given, height * part // parts, height * (part + 1) // parts, *after)
 
         others = []
         for _ in range(1, self._threads):

@@ -241,19 +241,19 @@ class SurfelMap:
             self._room("chosen", (seen.depth_m.size,), np.int32),
         )
         given = (InView(pages, blocks.page_fill), surfels, seen, camera, rules, found)
-        share(len(pages), lambda a, b: find_candidates(a, b, *given))
+        share(len(pages), find_candidates, after=given)
         best = self._room("best", (seen.depth_m.size,), np.float32)
         ranked = (found.pixel, found.rank, found.counts, best, found.chosen)
-        share(height, lambda a, b: choose(a, b, width, *ranked))
+        share(height, choose, after=(width, *ranked))
         is_new = self._room("is_new", (height, width), np.bool_)
-        share(height, lambda a, b: find_new(a, b, found, surfels, seen, camera.pitch, rules, is_new))
+        share(height, find_new, after=(found, surfels, seen, camera.pitch, rules, is_new))
         home = fusion.Home(blocks.page_cell, blocks.cell_xyz, blocks.cell_seen_s, blocks.block_m)
-        share(len(pages), lambda a, b: fusion.update(a, b, found, surfels, home, camera, seen, rules))
+        share(len(pages), fusion.update, after=(found, surfels, home, camera, seen, rules))
         is_due = self.frames % _MERGED_EVERY == 1
         merged = 0
         if is_due:
             by_row = np.zeros(height, np.int64)
-            share(height, lambda a, b: fusion.merge(a, b, width, found, surfels, rules, by_row))
+            share(height, fusion.merge, after=(width, found, surfels, rules, by_row))
             merged = int(by_row.sum())
         _, died, matched, died_then = found.counts.sum(axis=0, dtype=np.int64).tolist()
         blocks.count_deaths(died + died_then + merged)
@@ -306,15 +306,15 @@ class SurfelMap:
         shown = view.RenderLimits._make((*map(np.float32, numbers), since_s))
         lens = view.RenderCamera(pose.T32, pose.grid32, width, height)
         given = (InView(pages, blocks.page_fill), blocks.surfels, lens, shown, disks)
-        share(len(pages), lambda a, b: view.project_disks(a, b, *given))
+        share(len(pages), view.project_disks, after=given)
         near = self._room("near", (*shape, view.NEAR), np.float32)
         sums = self._room("sums", (*shape, view.SUMS), np.float32)
         image = view.RenderImage(*rays_of(pose.grid, shape), near, sums, np.float32(_BLEND), np.float32(_BLEND_M))
-        share(height, lambda a, b: view.blend(a, b, disks, image))
-        share(height, lambda a, b: view.fill_in(a, b, disks, image))
+        share(height, view.blend, after=(disks, image))
+        share(height, view.fill_in, after=(disks, image))
         color = np.empty((*shape, 3) if with_color else (0, 0, 3), np.float32)
         out = np.empty(shape, np.float32), np.empty((*shape, 3), np.float32), np.empty(shape, np.float32)
-        share(height, lambda a, b: view.divide(a, b, near, sums, *out, color))
+        share(height, view.divide, after=(near, sums, *out, color))
         return *out, color
 
     def _load_near(self, pose: Pose) -> None:

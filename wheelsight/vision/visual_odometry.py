@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Protocol
@@ -123,7 +122,13 @@ class OwnOdometry(CameraOdometry[CameraEstimate]):
         if last is None:
             return self._start(frame, self._T_map_first, START_VARIANCE * np.eye(6))
         failure: MotionEstimate | None = None
-        for reference in self._candidates(last):
+        # The last keyframe, the last tracked frame, and, once lost, older keyframes in turn.
+        tried = [self._references[-1], last]
+        if self._state.is_lost:
+            tried.append(self._references[-1 - self._state.failures % len(self._references)])
+        for at, reference in enumerate(tried):
+            if any(reference.frame is before.frame for before in tried[:at]):
+                continue
             prior = None
             if T_previous_current_prior is not None:
                 T_map_expected = last.T_map_frame(self.store) @ T_previous_current_prior
@@ -145,13 +150,6 @@ class OwnOdometry(CameraOdometry[CameraEstimate]):
         self.watch.restart()
         return self._start(frame, T_map_camera, covariance)
 
-    def _candidates(self, last: _Reference) -> Sequence[_Reference]:
-        """The last keyframe, the last tracked frame, and, once lost, older keyframes in turn."""
-        tried = [self._references[-1], last]
-        if self._state.is_lost:
-            tried.append(self._references[-1 - self._state.failures % len(self._references)])
-        return [one for at, one in enumerate(tried) if all(one.frame is not before.frame for before in tried[:at])]
-
     def _aligned(self, reference: RgbdFrame, frame: RgbdFrame, prior: FloatArray | None) -> MotionEstimate:
         """The validated result of the part. Raises PartError."""
         name = f"{type(self._part).__name__}.align"
@@ -164,18 +162,15 @@ class OwnOdometry(CameraOdometry[CameraEstimate]):
         if found.covariance is None:
             raise PartError(f"{name} returned a motion without a covariance", fix="(6, 6), of the left perturbation")
         try:
-            return self._checked(name, found)
+            T = array_of("T_reference_current", found.T_reference_current, (4, 4))
+            C = array_of("covariance", found.covariance, (6, 6))
+            hidden: Any = np.zeros((0, 6)) if found.degenerate is None else found.degenerate
+            hidden = array_of("degenerate", hidden, (len(hidden), 6))
+            if not all(np.isfinite(numbers).all() for numbers in (T, C, hidden)):
+                return MotionEstimate.failed(Reason.INVALID, found.matches, found.inliers)
+            T = need_motion("T_reference_current", T)
         except ArgumentError as error:
             raise PartError(f"{name}: {error.problem}", fix=error.fix) from error
-
-    def _checked(self, name: str, found: MotionEstimate) -> MotionEstimate:
-        T = array_of("T_reference_current", found.T_reference_current, (4, 4))
-        C = array_of("covariance", found.covariance, (6, 6))
-        hidden: Any = np.zeros((0, 6)) if found.degenerate is None else found.degenerate
-        hidden = array_of("degenerate", hidden, (len(hidden), 6))
-        if not all(np.isfinite(numbers).all() for numbers in (T, C, hidden)):
-            return MotionEstimate.failed(Reason.INVALID, found.matches, found.inliers)
-        T = need_motion("T_reference_current", T)
         if np.abs(C - C.T).max() > _ASYMMETRY * np.abs(C).max() or not is_definite((C + C.T) / 2):
             fix = "variances above 0 on the diagonal, large ones for what the images do not show"
             raise PartError(f"{name}: the covariance is not positive definite", fix=fix)

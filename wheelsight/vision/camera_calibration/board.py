@@ -94,7 +94,12 @@ def board_from(text: str) -> Board:
     side_m = 1.0 if parts[1] == "?" else _length_m(parts[1], text)
     if not is_charuco:
         return Board(columns, rows, side_m, is_size_known=parts[1] != "?")
-    marker_m = _marker_m(parts, side_m, text)
+    if len(parts) >= 3 and parts[2]:
+        if parts[1] == "?":
+            raise ConfigError(f"--board {text!r}: the marker's size is known, the square's is not", fix=_SAY)
+        marker_m = _length_m(parts[2], text)
+    else:
+        marker_m = round(_MARKER_SHARE * side_m, 3) if side_m < 1 else _MARKER_SHARE * side_m
     if not 0.3 * side_m <= marker_m < side_m:
         raise ConfigError(f"--board {text!r}: a marker must be smaller than its square, and no speck in it", fix=_SAY)
     dictionary = parts[3].upper().removeprefix("DICT_") if len(parts) == 4 else _dictionary(columns * rows)
@@ -127,14 +132,6 @@ def _length_m(text: str, whole: str) -> float:
     if not _SMALLEST_M <= length_m <= _LARGEST_M:
         raise ConfigError(f"--board {whole!r}: {length_m:g} m is no side of a square", fix="give 2 mm to 1 m")
     return length_m
-
-
-def _marker_m(parts: list[str], side_m: float, whole: str) -> float:
-    if len(parts) < 3 or not parts[2]:
-        return round(_MARKER_SHARE * side_m, 3) if side_m < 1 else _MARKER_SHARE * side_m
-    if parts[1] == "?":
-        raise ConfigError(f"--board {whole!r}: the marker's size is known, the square's is not", fix=_SAY)
-    return _length_m(parts[2], whole)
 
 
 def _dictionary(squares: int) -> str:

@@ -218,25 +218,21 @@ class Model:
 
     def slices(self) -> dict[str, slice]:
         """Where in the vector of parameters each block stands; poses last."""
+        error = BEFORE_KNOTS + 2 * _PATTERN_GRID[0] * _PATTERN_GRID[1]
+        if self.sensor in ("tof", "stereo"):
+            error = 3 + (len(self.knots_m) if self.sensor == "tof" else 0)
         sizes = {
             "color": _LENS,
             "depth": 0 if self.is_registered else _LENS if self.seeks_depth_distortion else BARE_LENS,
             "apart": 0 if self.is_registered else _POSE,
             "square": int(self.square_m is None),
-            "error": self._error_size() if len(self.cells.px) else 0,
+            "error": error if len(self.cells.px) else 0,
             "poses": _POSE * self.count,
         }
         if not self.is_registered and not len(self.cells.px) and not len(self.infrared.px):
             sizes["depth"] = sizes["apart"] = 0
         ends = np.cumsum(list(sizes.values()))
         return {name: slice(int(end) - size, int(end)) for (name, size), end in zip(sizes.items(), ends, strict=True)}
-
-    def _error_size(self) -> int:
-        if self.sensor == "tof":
-            return 3 + len(self.knots_m)
-        if self.sensor == "stereo":
-            return 3
-        return BEFORE_KNOTS + 2 * _PATTERN_GRID[0] * _PATTERN_GRID[1]
 
     @property
     def seeks_depth_distortion(self) -> bool:
@@ -352,7 +348,18 @@ def model_of(
     px, reading, scatter = (
         np.concatenate([getattr(c, name) for c in counted.cells]) for name in ("px", "reading", "scatter")
     )
-    cells = CellTable(view, px, reading, scatter)
+    cells, nominal = CellTable(view, px, reading, scatter), task.setup.known_cameras
+    if sensor == RAW_DISPARITY:  # noise of one pixel
+        noise = _LEAST_NOISE_M, _SIGMA_DISPARITY / SIGMA_SHARE * -NOMINAL_STEP
+    elif nominal is not None:
+        noise = nominal.depth_noise.constant_m, nominal.depth_noise.quadratic_per_m
+    else:
+        noise = _NOISE[sensor]
+    knots_m = np.empty(0)
+    if sensor == "tof" and len(reading):  # from the sensor's nearest to its farthest, or as far as boards were
+        low = min(_CURVE_FROM_M, float(np.percentile(reading, 1)))
+        high = max(_CURVE_TO_M, float(np.percentile(reading, 99)))
+        knots_m = np.linspace(low, high, min(max(int((high - low) / _CURVE_STEP_M) + 1, 2), LARGEST_GRID))
     return Model(
         color=_joined(counted.color, task.squares),
         infrared=_joined(counted.infrared, task.squares),
@@ -362,8 +369,8 @@ def model_of(
         sensor=sensor,
         is_registered=task.setup.is_registered,
         square_m=task.board.square_m if task.board.is_size_known else None,
-        noise=_noise(task, sensor),
-        knots_m=_knots(sensor, cells),
+        noise=noise,
+        knots_m=knots_m,
         T_color_depth=T_color_depth,
         count=len(counted.views),
         keeps_color=task.setup.keeps_color,
@@ -417,26 +424,6 @@ def with_cells(
         how = {"is_disparity": task.seen.is_disparity, "on_plate": task.setup.on_plate}
         cells.append(board_cells(view.reading, outline_px, **how))
     return replace(counted, cells=tuple(cells), dropped_cells=0)
-
-
-def _noise(task: CalibrationTask, sensor: str) -> tuple[float, float]:
-    """(constant_m, quadratic_per_m) of one pixel."""
-    nominal = task.setup.known_cameras
-    if sensor == RAW_DISPARITY:
-        return _LEAST_NOISE_M, _SIGMA_DISPARITY / SIGMA_SHARE * -NOMINAL_STEP
-    if nominal is not None:
-        return nominal.depth_noise.constant_m, nominal.depth_noise.quadratic_per_m
-    return _NOISE[sensor]
-
-
-def _knots(sensor: str, cells: CellTable) -> FloatArray:
-    """Distances (K,) of the curve's knots, from the sensor's nearest to its farthest or as far as boards were."""
-    if sensor != "tof" or not len(cells.reading):
-        return np.empty(0)
-    low = min(_CURVE_FROM_M, float(np.percentile(cells.reading, 1)))
-    high = max(_CURVE_TO_M, float(np.percentile(cells.reading, 99)))
-    count = int((high - low) / _CURVE_STEP_M) + 1
-    return np.linspace(low, high, min(max(count, 2), LARGEST_GRID))
 
 
 def _joined(corners: Sequence[Corners | None], squares: FloatArray) -> Points:
@@ -590,7 +577,10 @@ def board_cells(
     if plane is None:
         return DepthCells.none()
     on_plane, off = plane
-    kept = _grown(on_plane, within > 0) if on_plate else on_plane & (within > 0)
+    kept = on_plane & (within > 0)
+    if on_plate:  # the connected part of the plane with most of the outline
+        _, labels = cv2.connectedComponents(on_plane.astype(np.uint8), connectivity=4)
+        kept = np.asarray(labels == np.bincount(labels[kept]).argmax()) if kept.any() else kept
     rim = cv2.getStructuringElement(cv2.MORPH_RECT, (2 * _RIM_PX + 1,) * 2)
     # Beside a hole as much as at the plate's edge: what shades it is no plane.
     closed = cv2.morphologyEx(kept.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
@@ -630,13 +620,6 @@ def _plane(
     least = _SAME_PLANE * (np.abs(1090.0 - expected) if is_disparity else np.abs(expected))
     least = np.maximum(least, _NOISE_SIGMAS * 1.48 * float(np.median(np.abs(values - A @ plane)[kept])))
     return np.asarray(seen & (np.abs(inverse - expected) <= least)), np.asarray(inverse - expected, float)
-
-
-def _grown(on_plane: BoolArray, within: BoolArray) -> BoolArray:
-    """What of the plane hangs together with the outline."""
-    _, labels = cv2.connectedComponents(on_plane.astype(np.uint8), connectivity=4)
-    inside = labels[within & on_plane]
-    return np.asarray(labels == np.bincount(inside).argmax()) if len(inside) else on_plane & within
 
 
 def _cells(reading: Float32Array, off: FloatArray, kept: BoolArray) -> DepthCells:

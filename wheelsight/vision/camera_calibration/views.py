@@ -7,7 +7,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -293,9 +293,15 @@ def read_views(
     if not seen:
         raise _none_found(folders, board, left_out)
     views, size, depth_size = _of_one_size(seen, left_out)
-    is_disparity = _is_disparity([view.reading for view in views if view.reading is not None])
-    read = tuple(_in_units(view, is_disparity, depth_factor) for view in views)
-    return ViewSet(read, size, depth_size, tuple(left_out), is_disparity)
+    # Raw disparities of Kinect v1 have 11 bits, and the greatest means none; depth images mark none by 0.
+    readings = [view.reading for view in views if view.reading is not None]
+    is_disparity = bool(readings) and all(image.max() == NO_DISPARITY and image.min() > 0 for image in readings)
+    none, unit = (NO_DISPARITY, 1.0) if is_disparity else (np.iinfo(np.uint16).max, depth_factor)
+    for index, view in enumerate(views):
+        if view.reading is not None:
+            reading = np.where(view.reading < none, view.reading, 0).astype(np.float32) / np.float32(unit)
+            views[index] = replace(view, reading=reading)
+    return ViewSet(tuple(views), size, depth_size, tuple(left_out), is_disparity)
 
 
 _Seen = tuple[BoardView, tuple[int, int], tuple[int, int] | None]
@@ -367,22 +373,6 @@ def _none_found(folders: Sequence[StrPath], board: Board, left_out: list[tuple[s
                 return RecordingError(whole, path=Path(folders[0]), fix=fix)
     name, reason = left_out[0]
     return RecordingError(f"{whole}; {name}: {reason}", path=Path(folders[0]), fix="check --board, light and focus")
-
-
-def _is_disparity(readings: list[Any]) -> bool:
-    """Kinect v1's raw disparities have 11 bits, the greatest of which means none; depth images mark none by 0."""
-    return bool(readings) and all(image.max() == NO_DISPARITY and image.min() > 0 for image in readings)
-
-
-def _in_units(view: BoardView, is_disparity: bool, depth_factor: float) -> BoardView:
-    if view.reading is None:
-        return view
-    raw = view.reading
-    if is_disparity:
-        reading = np.where(raw < NO_DISPARITY, raw, 0).astype(np.float32)
-    else:
-        reading = np.where(raw < np.iinfo(np.uint16).max, raw, 0).astype(np.float32) / np.float32(depth_factor)
-    return BoardView(view.name, view.color, view.infrared, reading)
 
 
 def _size(image: Any) -> tuple[int, int]:

@@ -172,7 +172,7 @@ class Aligner:
         for T in guesses:
             T_rows = np.ascontiguousarray(np.broadcast_to(T[:3].astype(np.float32), (len(sums), 3, 4)))
             given = (images, T_rows, self._noise, how.astype(np.float32), 1)
-            self._rows.share(len(sums), kernels.accumulate, *given, out=sums)
+            self._rows.share(len(sums), kernels.accumulate, *given, after=(sums,))
             totals.append(sums.sum(axis=0)[kernels.PLANE_COUNT : kernels.PLANE_COUNT + 2])
         planes, off = np.transpose(totals)
         most = max(planes.max(), 1.0)
@@ -205,18 +205,22 @@ class Aligner:
         how = np.array([0, 1, _GREY_SIGMA, 1, 0, *rules], float)
         T, total = np.array(T_reference_frame, float), np.zeros(kernels.SUMS)
         T_prior, information = self._prior_of(T, previous, held_m, keypoints, factor)
-        scales = reference.scales.levels
+        scales, T_previous_reference, seconds = reference.scales.levels, np.eye(4), 1.0
+        if previous is not None:
+            T_previous_reference, seconds = se3.invert(previous.T_reference_previous), previous.seconds
         for number in reversed(range(LEVELS)):
             how[kernels.GATE] = GATE * (1 + 0.5 * number)
             how[COLOR_SIGMA] = _COLOR_ERROR_LEFT * self._color_sigma_px / (1 << number)
-            moving = self._moving_rows(frame, number, previous)
-            images = _images(frame.levels[number], scales[number].pixels)
+            images, height = _images(frame.levels[number], scales[number].pixels), len(frame.levels[number].depth_m)
+            late_s, T_rows = np.zeros(height), np.empty((height, 3, 4), np.float32)
+            if previous is not None:
+                late_s = self._late_s[: height << number].reshape(height, -1).mean(axis=1)
             stride = _ROW_STRIDE if number == 0 else 1
-            sums = np.empty((len(frame.levels[number].depth_m) // stride, kernels.SUMS))
+            sums = np.empty((height // stride, kernels.SUMS))
             for _ in range(_ITERATIONS[number]):
-                place_rows(T, *moving)
-                given = (images, moving[-1], self._noise, how.astype(np.float32), stride)
-                self._rows.share(len(sums), kernels.accumulate, *given, out=sums)
+                place_rows(T, T_previous_reference, seconds, frame.twist, late_s, T_rows)
+                given = (images, T_rows, self._noise, how.astype(np.float32), stride)
+                self._rows.share(len(sums), kernels.accumulate, *given, after=(sums,))
                 if advance(sums, T, how, total, T_prior, information) < _SMALL_STEP * (1 << number):
                     break
                 if not np.abs(T).max() < _DIVERGED_M:
@@ -315,24 +319,13 @@ class Aligner:
         for show, (level, here, there) in ((show_planes, planes), (show_slopes, slopes)):
             sums = np.empty((len(level.depth_m), COMPARED))
             both = BothViews(level.depth_m, here, there, level.intrinsics)
-            self._rows.share(len(sums), show, both, *given, out=sums)
+            self._rows.share(len(sums), show, both, *given, after=(sums,))
             total = sums.sum(axis=0)
             share = float(pairs / max(total[POINTS], 1.0))
             here_shown = share * symmetric(total)
             information += here_shown
             compared += here_shown if show is show_planes else share * symmetric(total[SHOWN:])
         return information, compared
-
-    def _moving_rows(
-        self, frame: GridFrame, number: int, previous: PreviousPose | None
-    ) -> tuple[FloatArray, float, FloatArray, FloatArray, Float32Array]:
-        """The arguments of `place_rows` for a level after T_reference_frame; the last one is its result (h, 3, 4)."""
-        height = len(frame.levels[number].depth_m)
-        T_rows = np.empty((height, 3, 4), np.float32)
-        if previous is None:
-            return np.eye(4), 1.0, frame.twist, np.zeros(height), T_rows
-        late_s = self._late_s[: height << number].reshape(height, -1).mean(axis=1)
-        return se3.invert(previous.T_reference_previous), previous.seconds, frame.twist, late_s, T_rows
 
 
 def _images(level: Level, pixels: Float32Array) -> kernels.Images:

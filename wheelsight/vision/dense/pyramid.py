@@ -222,7 +222,7 @@ def coarser(finest: Level, rows: Rows, count: int = LEVELS) -> tuple[Level, ...]
         # The same slope is twice the step from pixel to pixel.
         depth_m = halved_depth(last.depth_m, DEPTH_JUMP * (1 << number), rows)
         grey = np.empty((last.grey.shape[0] // 2, last.grey.shape[1] // 2), np.float32)
-        rows.share(len(grey), halve_grey, last.grey, out=grey)
+        rows.share(len(grey), halve_grey, last.grey, after=(grey,))
         levels.append(Level(_scaled(last.intrinsics, 1), depth_m, grey))
     return tuple(levels)
 
@@ -236,7 +236,7 @@ def halved_depth(depth_m: Float32Array, jump: float, rows: Rows) -> Float32Array
         rows: the threads that share the work.
     """
     half = np.empty((depth_m.shape[0] // 2, depth_m.shape[1] // 2), np.float32)
-    rows.share(len(half), halve_depth, depth_m, jump, out=half)
+    rows.share(len(half), halve_depth, depth_m, jump, after=(half,))
     return half
 
 
@@ -379,7 +379,7 @@ class ReferenceMaker:
             np.float32(bend) * self._noise,
         )
         given = (level.depth_m, level.intrinsics.astype(np.float32), _NORMAL_RADIUS_PX, *limits)
-        self._rows.share(len(normal), normals, *given, out=normal)
+        self._rows.share(len(normal), normals, *given, after=(normal,))
         return normal
 
     def _steep(self, levels: tuple[Level, ...]) -> ReferenceLevel:
@@ -390,7 +390,7 @@ class ReferenceMaker:
     def _level(self, level: Level, normal: Float32Array) -> ReferenceLevel:
         pixels = np.empty((*level.depth_m.shape, CHANNELS), np.float32)
         given = (level.depth_m, normal, level.grey, level.intrinsics.astype(np.float32), self._boundary)
-        self._rows.share(len(pixels), pack, *given, out=pixels)
+        self._rows.share(len(pixels), pack, *given, after=(pixels,))
         return ReferenceLevel(normal, pixels)
 
     def _step(self, share: float, sigmas: float) -> Float32Array:

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -35,6 +34,7 @@ from wheelsight.vision.features.tracking import (
     ViewTracker,
     keypoint_sigma_px,
     maps_without_lens,
+    straighten,
 )
 from wheelsight.vision.tracking_state import LONGEST_STEP_S, Stopwatch, TrackingState, twist_between
 
@@ -89,6 +89,7 @@ class ViewCache:
 
     Attributes:
         keyframes: the least recently used first.
+        has_model: whether a map predicts views.
     """
 
     def __init__(
@@ -100,19 +101,14 @@ class ViewCache:
         model: ReferenceModel | None = None,
     ) -> None:
         self._settings, self._gridder, self._maker, self._watch = settings, gridder, maker, watch
-        self._model = model
+        self._model, self.has_model = model, model is not None
         self._prediction: tuple[KnownView | None, int] = None, 0
         self.keyframes: list[KnownView] = []
-
-    @property
-    def has_model(self) -> bool:
-        """Whether a map predicts views."""
-        return self._model is not None
 
     def refer_to(self, model: ReferenceModel | None) -> None:
         """Replace the model that predicts views; None for none."""
         if model is not self._model:
-            self._model, self._prediction = model, (None, 0)
+            self._model, self.has_model, self._prediction = model, model is not None, (None, 0)
 
     def move(self, T_new_old: FloatArray) -> None:
         """Move keyframes by (N, 4, 4), indexed by number, and drop the prediction of the map, which moved too."""
@@ -231,8 +227,12 @@ class KeypointTracker:
     ) -> None:
         # 500 keypoints save 3 ms a frame, but lose rotations of 18 degrees between frames (docs/decisions/features.md).
         features = FeatureSettings()
-        calibration, self._straight = _without_lens(calibration)
+        depth, self._straight = calibration.cameras[1], None
+        if not calibration.is_registered and depth.has_distortion:  # images of a separate depth camera are undistorted
+            self._straight = maps_without_lens(depth)
+            calibration = replace(calibration, depth=replace(depth, distortion=(0.0,) * 5))
         self._T_color_camera = calibration.T_color_camera
+        self._shutter_s, self._color_height = calibration.rolling_shutter_s, calibration.cameras[0].height
         self._noise, self._color_sigma_px = calibration.depth_noise, calibration.color_sigma_px
         self._has_landmarks, self._fastest = has_landmarks, fastest
         self._extractor = FeatureExtractor(calibration, features)
@@ -261,7 +261,8 @@ class KeypointTracker:
 
     def straightened(self, features: Features, twist: FloatArray) -> Features:
         """Features corrected for rolling shutter by the velocity (6,) of the camera in its own frame."""
-        return self._by_view.straighten(features, self._in_color(twist))
+        twist_color = se3.adjoint(self._T_color_camera) @ twist
+        return straighten(features, np.asarray(twist_color), self._shutter_s, self._color_height)
 
     def kept(self, features: Features) -> KeyframeFeatures:
         """Features, corrected for rolling shutter, in the form of a keyframe: with points in the camera's frame."""
@@ -450,14 +451,6 @@ class EvictedViews:
         return KnownView(number, reference, Ad @ evicted.covariance @ Ad.T, features, evicted.turning_rad_s)
 
 
-def _without_lens(calibration: Calibration) -> tuple[Calibration, Any]:
-    """A calibration without distortion of a separate depth camera, and the maps that undistort its images or None."""
-    depth = calibration.cameras[1]
-    if calibration.is_registered or not depth.has_distortion:
-        return calibration, None
-    return replace(calibration, depth=replace(depth, distortion=(0.0,) * 5)), maps_without_lens(depth)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class KeypointPose:
     """The pose of a frame by its keypoints.
@@ -486,7 +479,7 @@ class KeypointPose:
     @property
     def is_usable(self) -> bool:
         """Whether the pose is estimated jointly with surfaces: most matches agree, or too many for chance."""
-        return self.is_likely or self.inliers >= _CLEAR_INLIERS
+        return self.inliers >= min(_CLEAR_INLIERS, _LIKELY_SHARE * self.matches)
 
     @property
     def is_clear(self) -> bool:

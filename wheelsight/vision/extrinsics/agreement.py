@@ -158,7 +158,13 @@ class Agreement:
         looks_elsewhere = [] if is_near else [self._of_mount(turned)]
         fit = [*self._explained(self._of_wheels())[:1], *self._explained([*self._of_camera(), *looks_elsewhere])]
         found = fit or self._explained([self._of_mount(turned, self._swings()[:, 1]) for _ in looks_elsewhere])
-        return self._by_gyro(self._by_floor(found, floor_ratio))
+        # The explanations that agree with the floor: its height is right, or wrong by the factor of depth.
+        if floor_ratio is not None and abs(math.log(floor_ratio)) < _SAME_SCALE:
+            found = [one for one in found if one.depth is None and not one.tilts]
+        elif floor_ratio is not None:
+            scales = [one for one in found if one.depth is not None]
+            found = [one for one in scales if abs(math.log(floor_ratio / (one.depth or 1))) < _SAME_SCALE] or found
+        return self._by_gyro(found)
 
     def _explained(self, candidates: list[Explanation]) -> list[Explanation]:
         return [one for one in candidates if max(self.unexplained(one.expected)) < _EXPLAINED]
@@ -254,15 +260,6 @@ class Agreement:
             expected,
             tilts=is_turning and turned[2, 2] < math.cos(math.radians(_LARGEST_TILT_DEG)),
         )
-
-    def _by_floor(self, found: list[Explanation], ratio: float | None) -> list[Explanation]:
-        """The explanations that agree with the floor: its height is right, or wrong by the factor of depth."""
-        if ratio is None:
-            return found
-        near = _SAME_SCALE
-        if abs(math.log(ratio)) < near:
-            return [one for one in found if one.depth is None and not one.tilts]
-        return [one for one in found if one.depth is not None and abs(math.log(ratio / one.depth)) < near] or found
 
     def _by_gyro(self, found: list[Explanation]) -> list[Explanation]:
         """The explanations that agree with the gyroscope, if that agrees clearly with one sensor."""

@@ -29,6 +29,7 @@ from wheelsight.vision.features.tracking import (
     MapTracker,
     MatchedPixels,
     ViewTracker,
+    straighten,
     velocity_of,
 )
 from wheelsight.vision.tracking_state import LONGEST_STEP_S, START_VARIANCE, CameraOdometry, twist_between
@@ -166,7 +167,8 @@ class FeatureOdometry(CameraOdometry[FeatureEstimate]):
         """Correct the rolling shutter of the first frame by the speed at the second, and locate the second again."""
         assert self._last is not None
         velocity = velocity_of(self._last, fix.view)
-        straight = self._view_tracker.straighten(first_raw, velocity)
+        calibration = self._calibration
+        straight = straighten(first_raw, velocity, calibration.rolling_shutter_s, calibration.cameras[0].height)
         self._first_raw = None
         if straight is first_raw:
             return fix
@@ -181,7 +183,15 @@ class FeatureOdometry(CameraOdometry[FeatureEstimate]):
 
     def _locate(self, raw: Features, last: KeypointView, prior: FloatArray | None) -> Fix | MotionEstimate:
         """Align with the first reference that fits, then with the map; reject implausible motions."""
-        attempts: list[tuple[KeypointView, FloatArray | None]] = [(view, None) for view in self._references(last)]
+        keyframes, references = self.landmarks.keyframes, [last]
+        if self._state.failures > 0:
+            references.append(keyframes[-1])
+        if self._state.is_lost and len(keyframes) > 1:  # older ones in turn
+            references.append(keyframes[-1 - self._state.failures % len(keyframes)])
+        attempts: list[tuple[KeypointView, FloatArray | None]] = []
+        for view in references:
+            if all(view.features is not earlier.features for earlier, _ in attempts):
+                attempts.append((view, None))
         if prior is not None:
             attempts.insert(0, (last, self._T_color_camera @ prior @ se3.invert(self._T_color_camera)))
         failure = MotionEstimate.failed(Reason.TOO_FEW_MATCHES)
@@ -204,30 +214,23 @@ class FeatureOdometry(CameraOdometry[FeatureEstimate]):
             return MotionEstimate.failed(Reason.IMPLAUSIBLE_MOTION, found.motion.matches, found.motion.inliers)
         return found
 
-    def _references(self, last: KeypointView) -> list[KeypointView]:
-        """The last tracked view; after failures the last keyframe too; once lost, older ones in turn."""
-        keyframes = self.landmarks.keyframes
-        references = [last]
-        if self._state.failures > 0:
-            references.append(keyframes[-1])
-        if self._state.is_lost and len(keyframes) > 1:
-            references.append(keyframes[-1 - self._state.failures % len(keyframes)])
-        frames = [view.features for view in references]
-        return [view for place, view in enumerate(references) if all(view.features is not f for f in frames[:place])]
-
     def _succeed(self, frame: RgbdFrame, fix: Fix) -> FeatureEstimate:
         # The error common to all pixels of a frame adds to the covariances.
         motion, view = fix.motion, fix.view
         assert motion.T_reference_current is not None
         assert motion.covariance is not None
         spread = with_frame_error(motion.covariance, motion.T_reference_current, self._of_frame)
-        motion = replace(motion, covariance=spread)
         view = replace(view, covariance=with_frame_error(view.covariance, view.T_map_color, self._of_frame))
         with self.watch.stage("map"):
             view = self._update(frame, view)
         self._velocity = velocity_of(self._last, view) if self._last else np.zeros(6)
         self._last, self._state = view, self._state.tracked()
-        return self._answer(view, self._in_camera(motion), fix.matched)
+        # The motion of the colour camera as one of the camera frame.
+        T_camera_color = se3.invert(self._T_color_camera)
+        Ad = se3.adjoint(T_camera_color)
+        T_reference_current = T_camera_color @ motion.T_reference_current @ self._T_color_camera
+        motion = replace(motion, T_reference_current=T_reference_current, covariance=Ad @ spread @ Ad.T)
+        return self._answer(view, motion, fix.matched)
 
     def _update(self, frame: RgbdFrame, view: KeypointView) -> KeypointView:
         """Update landmarks by a view; make it a keyframe if it shows too few landmarks of the last one."""
@@ -260,12 +263,3 @@ class FeatureOdometry(CameraOdometry[FeatureEstimate]):
             motion=motion,
             matched=matched,
         )
-
-    def _in_camera(self, motion: MotionEstimate) -> MotionEstimate:
-        """Convert a motion of the colour camera into one of the camera frame."""
-        if motion.T_reference_current is None or motion.covariance is None:
-            return motion
-        T_camera_color = se3.invert(self._T_color_camera)
-        Ad = se3.adjoint(T_camera_color)
-        T_reference_current = T_camera_color @ motion.T_reference_current @ self._T_color_camera
-        return replace(motion, T_reference_current=T_reference_current, covariance=Ad @ motion.covariance @ Ad.T)

@@ -222,10 +222,11 @@ def straighten(raw: Features, twist: FloatArray, rolling_shutter_s: float, heigh
     if rolling_shutter_s == 0 or not twist.any():
         return raw
     late_s = (raw.px[:, 1] / height - 0.5) * rolling_shutter_s
-    depth_m = np.where(raw.has_depth, raw.depth_m, _TYPICAL_DEPTH_M)
+    has_depth = raw.depth_m > 0
+    depth_m = np.where(has_depth, raw.depth_m, _TYPICAL_DEPTH_M)
     p = np.column_stack([raw.xy * depth_m[:, None], depth_m])
     moved = p + late_s[:, None] * (twist[:3] + np.cross(twist[3:], p))
-    return replace(raw, xy=moved[:, :2] / moved[:, 2:], depth_m=np.where(raw.has_depth, moved[:, 2], 0.0))
+    return replace(raw, xy=moved[:, :2] / moved[:, 2:], depth_m=np.where(has_depth, moved[:, 2], 0.0))
 
 
 def maps_without_lens(camera: PinholeCamera) -> tuple[Float32Array, Float32Array]:
@@ -359,7 +360,7 @@ class LandmarkMap:
         features, landmark = view.features, view.landmark.copy()
         landmark[landmark >= 0] = np.where(self.holds(landmark[landmark >= 0]), landmark[landmark >= 0], -1)
         place = self._forgotten + len(self.keyframes)
-        self._last_keyframe[self._rows(landmark[landmark >= 0])] = place
+        self._last_keyframe[np.searchsorted(self.numbers, landmark[landmark >= 0])] = place
         new = np.flatnonzero((landmark < 0) & features.has_depth)
         landmark[new] = self._next_number + np.arange(len(new))
         self._next_number += len(new)
@@ -405,7 +406,7 @@ class LandmarkMap:
 
     def get(self, numbers: IntArray) -> tuple[FloatArray, UInt64Array, FloatArray]:
         """Points (M, 3), descriptors (M, 4) and sightings (M,) of held landmarks (M,)."""
-        rows = self._rows(numbers)
+        rows = np.searchsorted(self.numbers, numbers)
         return self.points[rows], self.descriptors[rows], self.sightings[rows]
 
     def holds(self, numbers: IntArray) -> BoolArray:
@@ -414,19 +415,16 @@ class LandmarkMap:
 
     def see_again(self, numbers: IntArray, features: Features, seen: IntArray, T_map_color: FloatArray) -> None:
         """Average landmarks (M,) with the points of keypoints `seen` (M,), each weighted by 1/σ_z²."""
-        rows = self._rows(numbers)
+        rows = np.searchsorted(self.numbers, numbers)
         self.descriptors[rows] = features.descriptors[seen]
         self.sightings[rows] += 1
-        lifted = features.has_depth[seen]
+        lifted = features.depth_m[seen] > 0
         rows, seen = rows[lifted], seen[lifted]
         weight = features.sigma_m[seen] ** -2.0
         total = self._weight[rows] + weight
         p_map = se3.apply(T_map_color, features.points[seen])
         self.points[rows] += (weight / total)[:, None] * (p_map - self.points[rows])
         self._weight[rows] = total
-
-    def _rows(self, numbers: IntArray) -> IntArray:
-        return np.searchsorted(self.numbers, numbers)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -470,10 +468,6 @@ class _Tracker:
         self._color, _ = calibration.cameras
         self._shutter_s = calibration.rolling_shutter_s
 
-    def straighten(self, raw: Features, velocity: FloatArray) -> Features:
-        """A frame's features, corrected for rolling shutter by the camera's `velocity` (6,)."""
-        return straighten(raw, velocity, self._shutter_s, self._color.height)
-
     def _project(self, p_color: FloatArray) -> FloatArray:
         """Undistorted pixels (N, 2) of points (N, 3); NaN outside the image or behind the camera."""
         color = self._color
@@ -512,7 +506,7 @@ class ViewTracker(_Tracker):
             expected: (4, 4) predicted T_reference_current of the colour camera, or None.
             trial: changes RANSAC's seed from frame to frame.
         """
-        features = self.straighten(raw, velocity)
+        features = straighten(raw, velocity, self._shutter_s, self._color.height)
         with self._watch.stage("match"):
             matches = self._match(features, reference.features, expected)
         with self._watch.stage("align"):
@@ -525,7 +519,8 @@ class ViewTracker(_Tracker):
                 T_map_color = reference.T_map_color @ se3.invert(found.T_current_reference)
                 guess = KeypointView(raw, T_map_color, reference.covariance, reference.landmark)
                 better = velocity_of(reference, guess)
-                features = self.straighten(raw, better if better.any() else velocity)
+                better = better if better.any() else velocity
+                features = straighten(raw, better, self._shutter_s, self._color.height)
                 pairs = self._pairs(features, reference.features, matches)
                 found = refine_motion(pairs, found.T_current_reference)
         if reason := self._judge(found):
@@ -534,7 +529,7 @@ class ViewTracker(_Tracker):
 
     def _match(self, features: Features, reference: Features, expected: FloatArray | None) -> Matches:
         """Matches (reference, current) of keypoints; the reference's have depth."""
-        lifted = np.flatnonzero(reference.has_depth)
+        lifted = np.flatnonzero(reference.depth_m > 0)
         descriptors, matches = reference.descriptors[lifted], None
         if expected is not None:
             expected_px = self._project(se3.apply(se3.invert(expected), reference.points[lifted]))
@@ -564,8 +559,7 @@ class ViewTracker(_Tracker):
             np.full(len(features), -1),
             reference.keyframe,
         )
-        inliers = found.inliers
-        motion = MotionEstimate(T_reference_current, motion_covariance, None, len(matches.first), inliers)
+        motion = MotionEstimate(T_reference_current, motion_covariance, None, len(matches.first), found.inliers)
         px, reference_px = features.px[matches.second], reference.features.px[matches.first]
         return Fix(view, motion, MatchedPixels(reference.features.stamp_s, px, reference_px, found.is_inlier))
 
@@ -587,7 +581,8 @@ class MapTracker(_Tracker):
         if self._shutter_s:
             guess = KeypointView(raw, se3.invert(found.T_current_reference), last.covariance, last.landmark)
             velocity = velocity_of(last, guess)
-            features = self.straighten(raw, velocity) if velocity.any() else features
+            if velocity.any():
+                features = straighten(raw, velocity, self._shutter_s, self._color.height)
             pairs = self._pairs(numbers, features, seen, landmarks)
             found = refine_motion(pairs, found.T_current_reference)
         if reason := self._judge(found):
@@ -637,8 +632,7 @@ class MapTracker(_Tracker):
         T_keyframe_map = se3.invert(keyframe.T_map_color)
         Ad_keyframe = se3.adjoint(T_keyframe_map)
         covariance = Ad_keyframe @ in_map @ Ad_keyframe.T
-        inliers = found.inliers
-        motion = MotionEstimate(T_keyframe_map @ T_map_color, covariance, None, matches, inliers)
+        motion = MotionEstimate(T_keyframe_map @ T_map_color, covariance, None, matches, found.inliers)
         return Fix(view, motion, rough.matched)
 
 
@@ -721,16 +715,13 @@ class Alignment:
         T_current_reference: (4, 4).
         covariance: (6, 6) of the left perturbation (v, ω) of `T_current_reference`.
         is_inlier: (N,) mask of pairs that agree with it.
+        inliers: number of them.
     """
 
     T_current_reference: FloatArray
     covariance: FloatArray
     is_inlier: BoolArray
-
-    @property
-    def inliers(self) -> int:
-        """Number of pairs that agree."""
-        return int(np.count_nonzero(self.is_inlier))
+    inliers: int
 
 
 # Most iterations of RANSAC, fewer if most pairs agree, and χ² of a pair that agrees with a hypothesis: large, because
@@ -766,4 +757,5 @@ def refine_motion(pairs: PointPairs, T_current_reference: FloatArray) -> Alignme
     # Unconstrained directions get a variance of 10⁶ (m², rad²) rather than infinity.
     values, vectors = np.linalg.eigh(H)
     covariance = np.asarray((vectors / np.maximum(values, 1e-6)) @ vectors.T)
-    return Alignment(se3.from_parts(R, t), covariance, squares < INLIER_CHI2)
+    is_inlier = squares < INLIER_CHI2
+    return Alignment(se3.from_parts(R, t), covariance, is_inlier, int(np.count_nonzero(is_inlier)))
