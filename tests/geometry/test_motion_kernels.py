@@ -44,7 +44,7 @@ def test_what_rounding_made_no_rotation_is_mended_to_the_nearest(xi, seed):
     rough = se3.exp(xi)
     rough[:3, :3] += 1e-5 * np.random.default_rng(seed).normal(size=(3, 3))
     assert not se3.is_valid(rough, tolerance=1e-9)
-    np.testing.assert_allclose(motions.mended(rough), se3.nearest(rough), atol=1e-13)
+    np.testing.assert_allclose(motions.renormalized(rough), se3.nearest(rough), atol=1e-13)
 
 
 @given(tangents, st.integers(0, 2**32 - 1))

@@ -1,9 +1,8 @@
-"""Kernels: functions that numba compiles and keeps on the disk until any file that they are made of changes.
+"""`kernel` compiles functions with numba and caches them on disk until a file that they depend on changes.
 
-Numba by itself keeps a compiled function until the text of its own file changes, although functions and constants of
-other files are compiled into it. Here it is kept until the text of any file changes which its file imports from the
-same package, or which those import. Of processes that need the same kernel at once, one compiles it and the others
-wait: compiling all of them takes minutes of a processor.
+Numba's own cache follows only the function's file, although functions and constants of other files are compiled into
+it. This one follows all files of the same package that the file imports, directly or not. If several processes need a
+kernel at once, one compiles it and the others wait, because compiling all kernels takes minutes.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-# What stands at the beginning of a line alone: an import within TYPE_CHECKING or a function gives a kernel nothing.
+# Only at the begin of a line: imports within TYPE_CHECKING or functions do not affect a kernel.
 _IMPORT = re.compile(r"^(?:import (?P<module>[\w.]+)|from (?P<origin>[\w.]+) import (?P<names>\([^)]*\)|.*))", re.M)
 _NAME = re.compile(r"(\w+)(?: as \w+)?")
 _COMMENT = re.compile(r"#.*")
@@ -48,42 +47,45 @@ def kernel(
 
 
 def kernel(function: Any = None, **options: Any) -> Any:
-    """Compile a function at its first call, let it run beside other threads, and keep it on the disk.
+    """Compile a function at its first call, without Python's lock, and cache it on disk.
 
     Args:
         function: written for numba; its arguments are arrays, scalars and NamedTuples of them.
         options: of `numba.njit`.
 
     Returns:
-        Its compiled form; the function itself where numba is told not to compile (NUMBA_DISABLE_JIT).
+        The compiled function, or the function itself with NUMBA_DISABLE_JIT.
     """
     if function is None:
         return lambda given: kernel(given, **options)
     compiled = njit(nogil=True, **options)(function)
     if isinstance(compiled, Dispatcher):
-        # As `Dispatcher.enable_caching` does, which asks for no class.
+        # As `Dispatcher.enable_caching`, which has no parameter for the class.
         cache = _Cache(function)
+        compile_: Any = compiled.compile
+        template_of: Any = compiled.get_call_template
+        plain: Callable[[Any], Any] = types.unliteral
         compiled._cache = cache  # type: ignore[attr-defined]  # noqa: SLF001
-        compiled.compile = _one_process_at_a_time(compiled.compile, cache.lock_path)  # type: ignore[method-assign]
-        compiled.get_call_template = _whatever_the_number(compiled.get_call_template)  # type: ignore[method-assign]
+
+        def compile_alone(signature: Any) -> Any:
+            # Numba's lock first: threads that compile take both, and a kernel compiles the kernels that it calls.
+            with global_compiler_lock, _locked(cache.lock_path):
+                return compile_(signature)
+
+        def template_without_literals(args: Any, kws: Any) -> Any:
+            # Numba compiles a called kernel once for each literal number.
+            return template_of(tuple(map(plain, args)), {name: plain(arg) for name, arg in kws.items()})
+
+        compiled.compile = compile_alone  # type: ignore[method-assign, assignment]
+        compiled.get_call_template = template_without_literals  # type: ignore[method-assign]
     return compiled
 
 
-def _whatever_the_number(template_of: Callable[..., Any]) -> Callable[..., Any]:
-    """To be called by kernels without regard to the numbers they write out: numba compiles once for each of them."""
-
-    def unliteral(args: Any, kws: Any) -> Any:
-        plain: Callable[[Any], Any] = types.unliteral
-        return template_of(tuple(map(plain, args)), {name: plain(arg) for name, arg in kws.items()})
-
-    return unliteral
-
-
 class _Index(IndexDataCacheFile):
-    """Numba's own; one that cannot be read is as none.
+    """Numba's index, empty if it cannot be read.
 
-    Numba unpickles an index before it compares stamps: a class that was renamed since, or a write that was cut off,
-    would raise at each call of the kernel.
+    Numba unpickles an index before it compares stamps: a renamed class or a truncated file would raise at each call of
+    the kernel.
     """
 
     def _load_index(self) -> Any:
@@ -94,34 +96,25 @@ class _Index(IndexDataCacheFile):
 
 
 class _Cache(FunctionCache):
-    """Numba's own, in the place that numba chooses, with a stamp of all files that a function is made of."""
+    """Numba's cache, in its folder, with a stamp of all files that a function depends on."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)  # type: ignore[no-untyped-call]
+        digests = sorted([_read(name).digest for name in made_of(function.__module__)])
+        stamp = hashlib.sha256("".join(digests).encode()).hexdigest()
         self._cache_file = _Index(  # type: ignore[no-untyped-call]
             cache_path=self.cache_path,
             filename_base=self._impl.filename_base,
-            source_stamp=(self._impl.locator.get_source_stamp(), _stamp(function.__module__)),
+            source_stamp=(self._impl.locator.get_source_stamp(), stamp),
         )
         self.lock_path = Path(self.cache_path) / f"{self._impl.filename_base}.lock"
 
 
-def _one_process_at_a_time(compile_: Callable[..., Any], path: Path) -> Callable[..., Any]:
-    """To compile or load a kernel so that no other process does: it finds what this one has kept."""
-
-    def alone(signature: Any) -> Any:
-        # Numba's lock first, as threads that compile take both, and a kernel is compiled while one is that calls it.
-        with global_compiler_lock, _held(path):
-            return compile_(signature)
-
-    return alone
-
-
 @contextmanager
-def _held(path: Path) -> Iterator[None]:
-    """With a file that one process holds at a time; the system lets go of it where that process dies.
+def _locked(path: Path) -> Iterator[None]:
+    """Hold a lock file that one process has at a time; the system releases it if the process dies.
 
-    Where no file can be written there nothing is kept either, and nobody waits.
+    If the file cannot be written, no kernel is cached either, and no process waits.
     """
     descriptor = -1
     with suppress(OSError):
@@ -136,7 +129,7 @@ def _held(path: Path) -> Iterator[None]:
 
 
 def made_of(module: str) -> set[str]:
-    """Names of the modules of its package that a loaded module imports, those that they import in turn, and itself."""
+    """Return the modules of its package that a loaded module imports, directly or not, and itself."""
     found: set[str] = set()
     waiting = [module]
     while waiting:
@@ -147,50 +140,40 @@ def made_of(module: str) -> set[str]:
     return found
 
 
-def _stamp(module: str) -> str:
-    """A digest of all that a module of kernels is made of."""
-    digests = sorted([_read(name).digest for name in made_of(module)])
-    return hashlib.sha256("".join(digests).encode()).hexdigest()
-
-
 @dataclass(frozen=True, slots=True)
-class _Source:
-    """A loaded module's text: its digest, and the modules of its package and of ours that it imports."""
+class _ModuleText:
+    """Digest of a loaded module's text, and the modules of its package and of ours that it imports."""
 
     spec: ModuleSpec | None
     digest: str
     imports: tuple[str, ...]
 
 
-# Read once each time a module is loaded, so that the stamp is of the text that runs, whatever is written since.
-_sources: dict[str, _Source] = {}
+# Read once each time a module is loaded, so that the stamp is of the running text.
+_texts: dict[str, _ModuleText] = {}
 
 
-def _read(name: str) -> _Source:
-    """The text of a loaded module; an empty one, where there is none.
+def _read(name: str) -> _ModuleText:
+    """Return the text of a loaded module; empty without file.
 
-    A program frozen into one file has no texts: numba itself looks whether that file has changed.
+    A program frozen into one file has no texts: numba itself follows that file.
     """
     module = sys.modules.get(name)
     spec = getattr(module, "__spec__", None)
-    known = _sources.get(name)
+    known = _texts.get(name)
     if known is not None and known.spec is spec:
         return known
     path = getattr(module, "__file__", None)
     text = Path(path).read_bytes() if path is not None and Path(path).is_file() else b""
-    imports = tuple(_imports({name.partition(".")[0], __name__.partition(".")[0]}, text.decode()))
-    _sources[name] = _Source(spec, hashlib.sha256(text).hexdigest(), imports)
-    return _sources[name]
-
-
-def _imports(packages: set[str], text: str) -> Iterator[str]:
-    """The loaded modules of some packages that a text imports, or from which it imports something."""
-    for found in _IMPORT.finditer(text):
+    packages, imports = {name.partition(".")[0], __name__.partition(".")[0]}, list[str]()
+    for found in _IMPORT.finditer(text.decode()):
         origin = found["module"] or found["origin"]
         if origin.partition(".")[0] not in packages:
             continue
         names = _NAME.findall(_COMMENT.sub("", found["names"] or ""))
-        modules = [name for name in names if isinstance(getattr(sys.modules[origin], name, None), ModuleType)]
-        yield from (f"{origin}.{name}" for name in modules)
+        modules = [one for one in names if isinstance(getattr(sys.modules[origin], one, None), ModuleType)]
+        imports += [f"{origin}.{one}" for one in modules]
         if not names or len(modules) < len(names):
-            yield origin
+            imports.append(origin)
+    _texts[name] = _ModuleText(spec, hashlib.sha256(text).hexdigest(), tuple(imports))
+    return _texts[name]

@@ -211,7 +211,7 @@ class BaseCheck:
         apart = self._segments.apart(T_odom_base if T_frame is None else T_frame, newest[1])
         if apart is None:
             return None
-        other = motions.mended(motions.times(T, apart))
+        other = motions.renormalized(motions.times(T, apart))
         _, C = covering_pose(T, C, other, np.zeros((6, 6)), COVERED_SIGMAS)
         return PoseEvidence(PoseFinding.UNCOMPARED, covariance=C)
 
@@ -382,7 +382,7 @@ class MotionSegments:
         begin_s, T_odom_begin, T_map_begin = self._begin
         by_wheels = motions.times(motions.inverse(T_odom_begin), T_odom_base)
         by_camera = motions.times(motions.inverse(T_map_begin), T_map_base)
-        if not self.agreement.add(by_wheels, motions.mended(by_camera), turned_between(begin_s, stamp_s)):
+        if not self.agreement.add(by_wheels, motions.renormalized(by_camera), turned_between(begin_s, stamp_s)):
             return False
         self._begin = now
         return True
@@ -452,7 +452,7 @@ class CameraPoses:
             return None
         seen, T_odom_map, T_map_base = self._seen
         C = np.zeros((6, 6)) if seen.covariance is None else motions.carried(T_odom_map, seen.covariance)
-        return motions.mended(motions.times(T_odom_map, T_map_base)), C
+        return motions.renormalized(motions.times(T_odom_map, T_map_base)), C
 
 
 class WheelPoses:

@@ -663,7 +663,7 @@ class Anchor:
         """
         assert motion.T_reference_current is not None
         assert motion.covariance is not None
-        T_anchor_camera = motions.mended(motions.times(motions.inverse(self.T_map_camera), T_map_camera))
+        T_anchor_camera = motions.renormalized(motions.times(motions.inverse(self.T_map_camera), T_map_camera))
         T_anchor_reference = motions.times(T_anchor_camera, motions.inverse(motion.T_reference_current))
         covariance, hidden = motions.carried(T_anchor_reference, motion.covariance), None
         if motion.degenerate is not None and not motion.shows_all:
@@ -738,13 +738,13 @@ class CameraMap:
             self._lay(motions.times(T_odom_base, self._T_base_camera), self.T_map_camera)
 
     def _lay(self, T_odom_camera: FloatArray, T_map_camera: FloatArray) -> None:
-        self.T_odom_map = motions.mended(motions.times(T_odom_camera, motions.inverse(T_map_camera)))
+        self.T_odom_map = motions.renormalized(motions.times(T_odom_camera, motions.inverse(T_map_camera)))
         self.T_map_odom = motions.inverse(self.T_odom_map)
 
     def moved(self, T_new_old: FloatArray) -> None:
         """Apply a correction (4, 4) of the map by loops, from the left, at the camera. In odom nothing moves."""
         T_old_new = motions.inverse(T_new_old)
-        self.T_odom_map = motions.mended(motions.times(self.T_odom_map, T_old_new))
+        self.T_odom_map = motions.renormalized(motions.times(self.T_odom_map, T_old_new))
         self.T_map_odom = motions.inverse(self.T_odom_map)
         if self.anchor is not None:
             self.anchor = replace(self.anchor, T_map_camera=motions.times(T_new_old, self.anchor.T_map_camera))
@@ -756,7 +756,7 @@ class CameraMap:
     def camera_at(self, T_odom_base: FloatArray) -> FloatArray:
         """Return T_map_camera (4, 4) for a pose of the base in odom."""
         T_map_base = motions.times(motions.inverse(self.T_odom_map), T_odom_base)
-        return np.asarray(motions.mended(motions.times(T_map_base, self._T_base_camera)))
+        return np.asarray(motions.renormalized(motions.times(T_map_base, self._T_base_camera)))
 
     def keyframe_at(self, T_odom_base: FloatArray | None) -> tuple[KeyframeId | None, FloatArray | None]:
         """Return the keyframe of the last accepted frame, and T_keyframe_base (4, 4) of a pose; or None of both."""

@@ -408,7 +408,7 @@ class PoseBelief:
         P = self.covariance[np.ix_(both, both)]
         apart = P[:6, :6] - P[:6, 6:] - P[6:, :6] + P[6:, 6:]
         T = motions.times(motions.times(T_camera_odom, self.T[other]), T_base_camera)
-        return motions.mended(T), motions.carried(T_camera_odom, apart)
+        return motions.renormalized(T), motions.carried(T_camera_odom, apart)
 
     def apart(self, measurement: RelativeMotion) -> FloatArray:
         """Return log(Z Ẑ⁻¹) (6,) of the camera's motion, corrected by its estimated errors, and the predicted one."""

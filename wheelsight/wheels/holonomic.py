@@ -294,7 +294,7 @@ class HolonomicOdometry(OneCaller):
         A[:3, 4:] = (motions.adjoint(T_before) @ motions.left_jacobian(tangent))[_IN_PLANE]
         P = A @ P @ A.T
         self._P, self._moved = (P + P.T) / 2, motions.exp(tangent)
-        self._T = motions.mended(motions.times(T_before, self._moved))
+        self._T = motions.renormalized(motions.times(T_before, self._moved))
 
 
 AnyWheelOdometry = WheelOdometry | HolonomicOdometry

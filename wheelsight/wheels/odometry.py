@@ -50,7 +50,7 @@ from wheelsight.wheels.odometry_kernels import (
     TRACK,
     WALK_VARIANCE,
     Log,
-    Poses,
+    LogPoses,
     integrate,
     likelier,
     update,
@@ -144,7 +144,7 @@ class WheelOdometry(OneCaller):
 
         `T_odom_base` jumps when the estimate of the gyroscope's bias or of the wheels' errors changes.
         """
-        step, turn = self.motion_in(self._step_s), self._state[at.TOLD] if self._step_s else 0.0
+        step, turn = self.motion_in(self._step_s), self._state[at.CORRECTION] if self._step_s else 0.0
         return step @ se3.from_plane(0.0, 0.0, turn)
 
     @property
@@ -231,7 +231,7 @@ class WheelOdometry(OneCaller):
         """Return why a step is refused, or OK. After a pause, the speed limit may use the longer of both times."""
         before = self.copy() if paused_s > dt_s > 0 else None
         filled = (self._T_odom_base, self._covariance)
-        self._states[:, at.TOLD] = 0.0
+        self._states[:, at.CORRECTION] = 0.0
         why: int = update(self._states, self._parameters, *ticks, dt_s, rate_rad_s, *filled)
         if before is None or why != IMPLAUSIBLE:
             return why
@@ -314,7 +314,7 @@ def integrate_log(
     parameters, states = _prepare(wheels, integration, gyro or Gyro())
     if len(rates) and not all(np.array_equal(side, np.rint(side)) for side in (left, right)):
         parameters[COUNT_VARIANCE] = 0.0
-    found = Poses(np.empty((n, 3)), np.empty((n, 6)), np.zeros(n, np.uint8))
+    found = LogPoses(np.empty((n, 3)), np.empty((n, 6)), np.zeros(n, np.uint8))
     integrate(states, parameters, Log(stamps, left, right, rates), found)
     return WheelTrack(stamps - wheels.delay_s, *found)
 

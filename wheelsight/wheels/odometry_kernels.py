@@ -1,4 +1,4 @@
-"""Compiled steps of dead reckoning, and the Kalman filter that joins wheels and a gyroscope."""
+"""Compiled steps of dead reckoning, and the Kalman filter that fuses wheels and a gyroscope."""
 
 from __future__ import annotations
 
@@ -35,25 +35,19 @@ from wheelsight.wheels.state_kernels import (
     add_shared,
 )
 
-# One step of dead reckoning, and whole logs of them; numba over arrays and numbers.
-#
-# A state is an array of STATE_SIZE numbers, its places named in `_state_kernels`. Steps move it by what the wheels
-# tell; a gyroscope corrects it stretch by stretch, and begins a second one beside it (`_gyro_kernels`).
-
+# A state is an array of STATE_SIZE numbers (`state_kernels`). Steps of the wheels move it, and the gyroscope corrects
+# it stretch by stretch, and begins a second state beside it.
 
 TRACK, SLIP_SQUARED, SPEED_LIMIT, GAP_LIMIT, GYRO_VARIANCE, WALK_VARIANCE, LEFT_M, RIGHT_M, SPAN = range(9)
-COUNT_VARIANCE = 9  # of a turn between two counts; 0 where wheels tell no counts
+COUNT_VARIANCE = 9  # of a turn between two counts; 0 for speeds
 INTEGRATION, PARAMETERS_SIZE = 10, 11  # EULER, MIDPOINT or ARC
 
 EULER, MIDPOINT, ARC = 0, 1, 2
 OK, BACKWARDS, GAP, AMBIGUOUS, IMPLAUSIBLE = 0, 1, 2, 3, 4
 
-# Stamps given on arrival jitter: ticks of a long while may come stamped as those of a short one.
-STAMP_JITTER_S = 0.05
-# m/s², of wheels that spin up in the air.
-MOST_ACCELERATION = 20.0
-# m/s², of a wheel that turns back: its whole way since it stood still, where a counter that wraps leaps at full speed.
-MOST_REVERSAL = 7.0
+STAMP_JITTER_S = 0.05  # of stamps at arrival: a step may last longer by this
+MOST_ACCELERATION = 20.0  # m/s², of wheels that spin in the air
+MOST_REVERSAL = 7.0  # m/s², of a wheel that turns back; a counter that wraps leaps at full speed
 _SERIES_BELOW = 0.1
 
 
@@ -66,8 +60,8 @@ class Log(NamedTuple):
     rates_rad_s: FloatArray
 
 
-class Poses(NamedTuple):
-    """What comes of a log: x, y, yaw (N, 3), covariances (N, 6) as in `read_covariance`, and reasons (N,) or 0."""
+class LogPoses(NamedTuple):
+    """Result of a log: x, y, yaw (N, 3), covariances (N, 6) as in `read_covariance`, and reasons (N,) or 0."""
 
     poses: FloatArray
     covariances: FloatArray
@@ -76,16 +70,16 @@ class Poses(NamedTuple):
 
 @kernel
 def unrolled(ticks: float, span: float) -> float:
-    """A difference of counters that roll over after `span` (0: never), as the least step that explains it."""
+    """Return the smallest step for a difference of counters that roll over after `span` (0: never)."""
     return ticks - span * math.floor(ticks / span + 0.5) if span > 0 else ticks
 
 
 @kernel
 def fault(state: FloatArray, parameters: FloatArray, left_m: float, right_m: float, dt_s: float) -> int:
-    """Why a step is refused, or OK.
+    """Return why a step is refused, or OK.
 
-    More than the fastest wheel rolls in the time that stamps tell may still be the ticks of a longer while, if the
-    robot went about so fast before; else it is a counter that leaped.
+    A step beyond the speed limit may still be the ticks of a longer time, if the robot was about as fast before; else
+    the counter leaped.
     """
     if not 0 < dt_s < math.inf:
         return BACKWARDS
@@ -110,13 +104,13 @@ def fault(state: FloatArray, parameters: FloatArray, left_m: float, right_m: flo
 
 @kernel
 def _leaps_back(before_m_s: float, way_m: float, while_s: float) -> bool:
-    """Whether a wheel that went at some speed rolled back much faster than that, and than it could within the while."""
+    """Return whether a wheel rolled back much faster than its speed before, and than it can reverse in that time."""
     return before_m_s * way_m < 0 and abs(way_m) > max(MOST_REVERSAL * while_s, 3 * abs(before_m_s)) * while_s
 
 
 @kernel
 def widen(state: FloatArray, parameters: FloatArray, dt_s: float) -> None:
-    """Let the covariance say that in `dt_s` the robot may have gone anywhere its wheels could take it, evenly so."""
+    """Add the covariance of any motion that the wheels allow in `dt_s`, uniformly distributed."""
     end_stretch(state, parameters[GYRO_VARIANCE], parameters[COUNT_VARIANCE])
     reach_m = parameters[SPEED_LIMIT] * (dt_s + STAMP_JITTER_S)
     turn_rad = min(2 * reach_m / parameters[TRACK], math.pi)
@@ -136,7 +130,7 @@ def step(
     dt_s: float,
     rate_rad_s: float,
 ) -> None:
-    """Move the state by the travel of both wheels in `dt_s`; the gyroscope's mean rate may be NaN for none."""
+    """Move the state by the travel of both wheels in `dt_s`; the gyroscope's mean rate is NaN for none."""
     track_m, slip_squared = parameters[TRACK], parameters[SLIP_SQUARED]
     left_variance, right_variance = slip_squared * abs(left_m), slip_squared * abs(right_m)
     way_m, turn_rad = (left_m + right_m) / 2, (right_m - left_m) / track_m
@@ -156,7 +150,7 @@ def step(
             add_rest(state, *of_gyro, dt_s, rate_rad_s * dt_s)
         return
     (wx, wy), (tx, ty) = move(state, int(parameters[INTEGRATION]), way_m, turn_rad)
-    # as left perturbations: a turn where the robot now stands is one about the origin, and a shift
+    # As left perturbations: a turn at the robot's position is one about the origin, and a shift.
     along, slip = (wx, wy, tx + state[Y], ty - state[X]), (4 * way_variance / track_m**2, shared)
     state[COVARIANCE] += way_variance * wx * wx
     state[COVARIANCE + 1] += way_variance * wx * wy
@@ -165,7 +159,7 @@ def step(
         add_outer(state, COVARIANCE, slip[0], along[2], along[3], 1.0)
         add_shared(state, COVARIANCE, shared, *along)
     else:
-        add_step(state, *of_gyro, Step(dt_s, way_m, turn_rad, rate_rad_s, slip, along))
+        add_step(state, *of_gyro, GyroStep(dt_s, way_m, turn_rad, rate_rad_s, slip, along))
 
 
 @kernel
@@ -177,7 +171,7 @@ def _step_each(
     dt_s: float,
     rate_rad_s: float,
 ) -> None:
-    """`step` of both states (2, STATE_SIZE); of one, where no gyroscope was heard yet."""
+    """`step` of both states (2, STATE_SIZE); of one before the first rate of a gyroscope."""
     if states[OFF, BEGUN] == 0 and not math.isnan(rate_rad_s):
         begin_off(states)
     step(states[EXACT], parameters, left_m, right_m, dt_s, rate_rad_s)
@@ -193,7 +187,7 @@ def _widen_each(states: FloatArray, parameters: FloatArray, dt_s: float) -> None
 
 @kernel
 def _chord(turn_rad: float) -> tuple[float, float]:
-    """Length of the chord of an arc of length 1 that turns so far, and its derivative by the turn."""
+    """Return the chord of an arc of length 1 and this turn, and its derivative by the turn."""
     h = turn_rad / 2
     if abs(h) < _SERIES_BELOW:
         q = h * h
@@ -203,7 +197,7 @@ def _chord(turn_rad: float) -> tuple[float, float]:
 
 @kernel
 def _shape(integration: int, turn_rad: float) -> tuple[float, float, float]:
-    """Chord of an arc of length 1, its derivative by the turn, and the share of the turn at which it points."""
+    """Return the chord of an arc of length 1, its derivative by the turn, and its direction as a share of the turn."""
     if integration == EULER:
         return 1.0, 0.0, 0.0
     if integration == MIDPOINT:
@@ -216,7 +210,7 @@ def _shape(integration: int, turn_rad: float) -> tuple[float, float, float]:
 def move(
     state: FloatArray, integration: int, way_m: float, turn_rad: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Move the pose; answers the derivatives of (x, y) by the way and by the turn."""
+    """Move the pose; return the derivatives of (x, y) by distance and turn."""
     chord, slope, share = _shape(integration, turn_rad)
     heading_rad = state[YAW] + share * turn_rad
     c, s = math.cos(heading_rad), math.sin(heading_rad)
@@ -232,7 +226,7 @@ def move(
 
 @kernel
 def read_covariance(state: FloatArray, six: FloatArray) -> None:
-    """Write xx, xy, xω, yy, yω, ωω into `six` (6,), that of the stretch which the gyroscope has not joined included."""
+    """Write xx, xy, xω, yy, yω, ωω into `six` (6,), with that of the current stretch."""
     root = math.sqrt(state[RATIO])
     for i in range(6):
         six[i] = state[COVARIANCE + i]
@@ -251,7 +245,7 @@ def update(
     T_odom_base: FloatArray,
     covariance: FloatArray,
 ) -> int:
-    """One reading of the stream: step, or widen and say why; fills T (4, 4) and covariance (6, 6).
+    """Process a reading: step, or widen and return why; fill T (4, 4) and covariance (6, 6).
 
     `states` is (2, STATE_SIZE).
     """
@@ -277,8 +271,8 @@ def update(
 
 
 @kernel
-def integrate(states: FloatArray, parameters: FloatArray, log: Log, out: Poses) -> None:
-    """Dead reckoning of a log; fills what comes of it."""
+def integrate(states: FloatArray, parameters: FloatArray, log: Log, out: LogPoses) -> None:
+    """Integrate a log into `out`."""
     stamps_s, left, right, rates_rad_s = log
     poses, covariances, reasons = out
     last, state = 0, states[EXACT]
@@ -301,50 +295,45 @@ def integrate(states: FloatArray, parameters: FloatArray, log: Log, out: Poses) 
         read_covariance(state, covariances[i])
 
 
-# Wheels and gyroscope joined: the bias, how noisy the wheels are, and the turn by both; numba over arrays.
+# Fusion of wheels and gyroscope.
 #
-# A Kalman filter over the pose and what is wrong all the time: the gyroscope's bias b, and of the wheels the turn d
-# that they miss in a metre (unequal radii) and the ratio s by which they turn too little (track width). Over a
-# stretch of T seconds the gyroscope turns by Δ + b T + n, the wheels by Δ - d way - s turn + m, so that their
-# difference z ~ N(b T + d way + s turn, N² T + ρ M) measures these, and with them the noise m of the turn by which
-# the wheels have moved the pose; M is the wheels' variance by their calibration. Each stretch moves the pose by all
-# that is known of how such errors went into it.
+# A Kalman filter over the pose and constant errors: the gyroscope's bias b, the turn d per metre that the wheels miss
+# (unequal radii), and the relative error s of their turns (track width). In a stretch of T seconds the gyroscope turns
+# by Δ + b T + n, the wheels by Δ - d way - s turn + m. Their difference z ~ N(b T + d way + s turn, N² T + ρ M)
+# measures these errors, and with them the noise m of the turn by which the wheels moved the pose. M is the wheels'
+# variance by their calibration. Each stretch moves the pose by the known effect of the errors on it.
 #
-# The ratio ρ, how noisy the wheels are on this floor, is told by pairs of pieces that follow each other: of them the
-# bias is the same, so that their difference tells of noise alone, as a distribution over a few values (Magill 1965).
-# It comes first: a bias that is large for its calibration, against wheels that hold better than theirs says, would
-# turn the pose. While the wheels stand still the difference is the bias itself, and the pose stays.
+# The ratio ρ, the noise of the wheels on this floor, is estimated first, as a distribution over a few values (Magill
+# 1965), by pairs of consecutive pieces: both have the same bias, so that their difference is noise alone. Otherwise a
+# bias that is large for its calibration, with wheels better than theirs, would turn the pose. At rest the difference is
+# the bias itself, and the pose stays.
 #
-# Two such filters run: one of wheels that are exactly as calibrated, one in which d and s are unknown. Were these
-# always reckoned with, exact wheels would lose by what a drive cannot tell from the bias; the evidence decides.
+# Two such filters run: one for wheels exactly as calibrated, one with unknown d and s. Unknown d and s would cost exact
+# wheels accuracy, since a drive does not separate them from the bias; the likelihood decides.
 
 
-# Long enough that noise is more than a count, short enough that a turn is not far off meanwhile.
-PIECE_S = 0.2
-# So many pairs tell the ratio within a factor of two: 2.4 s of driving.
-ENOUGH_PAIRS = 6
-# From 2^-10, a thirtieth of the deviation (so much better than stated the simulator's wheels hold), to 2^10: alike to
-# both sides, so that the calibration stands where nothing is told of it.
+PIECE_S = 0.2  # the noise exceeds a count, and the turn is still small
+ENOUGH_PAIRS = 6  # determine the ratio within a factor of two: 2.4 s of driving
+# From 2^-10, a thirtieth of the deviation, as of the simulator's wheels, to 2^10: symmetric, so that the calibration
+# applies without pairs.
 LOWEST_OCTAVE = -10
-_NATS_AN_OCTAVE = 0.2  # by which a calibration that is wrong by a factor of two is less likely
-_MOST_NATS = 4.0  # of one pair: wheels that spun are one
-_KEPT = 0.98  # of what pairs have told, after the next: a floor is left behind in 20 s
-# The stamps of both may be so far apart, and a base follows its tyres late: where the rate changes, that is a turn.
-_LATE_S = 0.01
-_GATE = 10.83  # χ² of one number, 0.999: beyond it the wheels have slipped
-_LONGEST_SLIP_S = 2.0  # to one side without a break
-_NATS_OF_LEAP = 12.0  # of a bias that is none of those expected: wheels that are a tenth off are likelier
-# Of wheels that are off: the turn that they miss in a metre, the ratio they turn too little by, how both wander.
-_DRIFT_SIGMA_RAD_PER_M, _SCALE_SIGMA, _WALK = 0.02, 0.03, 0.0005  # as the default filter has it
-# Nats by which they must explain the drive better: less is what noise does, and exact wheels are the better for it.
-_DECISIVE = 4.0
+_NATS_AN_OCTAVE = 0.2  # prior of the ratio, per factor of two
+_MOST_NATS = 4.0  # of one pair, such as that of spinning wheels
+_KEPT = 0.98  # of the evidence of earlier pairs: a floor is forgotten in 20 s
+_LATE_S = 0.01  # difference of the stamps, and delay of the base behind its tyres: a turn if the rate changes
+_GATE = 10.83  # χ² of one number, 0.999: beyond it the wheels slip
+_LONGEST_SLIP_S = 2.0  # in one direction without a break
+_NATS_OF_LEAP = 12.0  # of an unexpected bias: wheels with a tenth of error are likelier
+# Of wheels with errors: σ of drift and scale, and their random walk, as in the default filter.
+_DRIFT_SIGMA_RAD_PER_M, _SCALE_SIGMA, _WALK = 0.02, 0.03, 0.0005
+_DECISIVE = 4.0  # nats by which they must explain the drive better; noise reaches less
 
 
-class Step(NamedTuple):
-    """A step of moving wheels: their way and turn, and the gyroscope's mean rate meanwhile.
+class GyroStep(NamedTuple):
+    """A step of moving wheels: distance, turn, and the gyroscope's mean rate.
 
-    `slip` is the variance of the turn, and what it shares with the way; `along` is wx, wy, tx, ty, where the noise of
-    way and turn moves the pose.
+    `slip` is the variance of the turn, and its covariance with the distance; `along` is wx, wy, tx, ty, the directions
+    in which the noise of distance and turn moves the pose.
     """
 
     dt_s: float
@@ -357,7 +346,7 @@ class Step(NamedTuple):
 
 @kernel
 def begin_off(states: FloatArray) -> None:
-    """Go on for wheels that are off, too, from where exact ones are: (2, STATE_SIZE)."""
+    """Begin the state of wheels with errors from that of exact ones: (2, STATE_SIZE)."""
     states[at.OFF] = states[at.EXACT]
     states[at.OFF, at.DRIFT_VARIANCE], states[at.OFF, at.SCALE_VARIANCE] = _DRIFT_SIGMA_RAD_PER_M**2, _SCALE_SIGMA**2
     states[at.OFF, at.BEGUN] = 1.0
@@ -365,14 +354,14 @@ def begin_off(states: FloatArray) -> None:
 
 @kernel
 def likelier(states: FloatArray) -> int:
-    """Which of both states the drive speaks for."""
+    """Return the index of the likelier state."""
     lead = states[at.OFF, at.EVIDENCE] - states[at.EXACT, at.EVIDENCE]
     return at.OFF if states[at.OFF, at.BEGUN] > 0 and lead > _DECISIVE else at.EXACT
 
 
 @kernel
-def add_step(state: FloatArray, gyro_variance: float, count_variance: float, step: Step) -> None:
-    """Take a step of moving wheels into the stretch.
+def add_step(state: FloatArray, gyro_variance: float, count_variance: float, step: GyroStep) -> None:
+    """Add a step of moving wheels to the stretch.
 
     The variances are those of the gyroscope in one second, and of a turn between two counts of the encoders.
     """
@@ -391,34 +380,37 @@ def add_step(state: FloatArray, gyro_variance: float, count_variance: float, ste
         state[first + 2] += slip[0]
         state[first + 3] += way_m
         state[first + 4] += turn_rad
-    _add_noise(state, slip, along)
+    wx, wy, tx, ty = along
+    add_outer(state, at.SLIP_COVARIANCE, slip[0], tx, ty, 1.0)
+    add_shared(state, at.SHARED_COVARIANCE, slip[1], wx, wy, tx, ty)
+    state[at.SLIP_WITH_TURN] += slip[0] * tx
+    state[at.SLIP_WITH_TURN + 1] += slip[0] * ty
+    state[at.SLIP_WITH_TURN + 2] += slip[0]
+    state[at.SHARED_WITH_TURN] += slip[1] * wx
+    state[at.SHARED_WITH_TURN + 1] += slip[1] * wy
     for i in range(3):
         t = along[2 + i] if i < 2 else 1.0
         state[at.BY_DRIFT + i] += way_m * t
         state[at.BY_SCALE + i] += turn_rad * t
     if state[at.PIECE_S] >= PIECE_S:
         change = rate_rad_s - state[at.PIECE_FIRST_RATE]
-        _end_piece(state, _known(gyro_variance, count_variance, state[at.PIECE_S], change))
+        known = _known(gyro_variance, count_variance, state[at.PIECE_S], change)
+        if state[at.BEFORE_S] > 0 and state[at.PIECE_SLIP] > 0 and state[at.BEFORE_SLIP] > 0:
+            _learn_ratio(state, known)
+            state[at.BEFORE_S] = 0.0
+        else:
+            for i in range(5):
+                state[at.BEFORE_S + i] = state[at.PIECE_S + i]
+            state[at.BEFORE_KNOWN] = known
+        for i in range(5):
+            state[at.PIECE_S + i] = 0.0
         if state[at.PAIRS] >= ENOUGH_PAIRS:
             end_stretch(state, gyro_variance, count_variance)
 
 
 @kernel
-def _add_noise(state: FloatArray, slip: tuple[float, float], along: tuple[float, float, float, float]) -> None:
-    turn_variance, shared = slip
-    wx, wy, tx, ty = along
-    add_outer(state, at.SLIP_COVARIANCE, turn_variance, tx, ty, 1.0)
-    add_shared(state, at.SHARED_COVARIANCE, shared, wx, wy, tx, ty)
-    state[at.SLIP_WITH_TURN] += turn_variance * tx
-    state[at.SLIP_WITH_TURN + 1] += turn_variance * ty
-    state[at.SLIP_WITH_TURN + 2] += turn_variance
-    state[at.SHARED_WITH_TURN] += shared * wx
-    state[at.SHARED_WITH_TURN + 1] += shared * wy
-
-
-@kernel
 def add_rest(state: FloatArray, gyro_variance: float, count_variance: float, dt_s: float, turn_rad: float) -> None:
-    """Take a step of wheels that stand still, in which the gyroscope turned."""
+    """Add a step of wheels at rest, in which the gyroscope turned."""
     if state[at.STRETCH_S] > 0 and state[at.IS_REST] == 0:
         end_stretch(state, gyro_variance, count_variance)
     state[at.IS_REST] = 1.0
@@ -430,9 +422,14 @@ def add_rest(state: FloatArray, gyro_variance: float, count_variance: float, dt_
 
 @kernel
 def end_stretch(state: FloatArray, gyro_variance: float, count_variance: float) -> None:
-    """Join what both have told; the pose as the wheels alone have it where nothing is known of their noise yet."""
+    """Update by the stretch; the pose follows the wheels alone while their noise is unknown."""
     if state[at.STRETCH_S] > 0 and state[at.IS_REST] > 0:
-        _learn_bias(state, gyro_variance)
+        # At rest the bias is measured: the pose stays, and its uncertainty by the bias shrinks.
+        seconds = state[at.STRETCH_S]
+        H = np.array([seconds, 0.0, 0.0])
+        with_pose = seconds * state[at.WITH_ERRORS : at.WITH_ERRORS + 9 : 3]
+        S = gyro_variance * seconds + seconds**2 * state[at.BIAS_VARIANCE]
+        _learn(state, H, S, with_pose, state[at.APART] - state[at.BIAS] * seconds)
     elif state[at.STRETCH_S] > 0 and state[at.PAIRS] >= ENOUGH_PAIRS:
         _join(state, gyro_variance, count_variance)
     elif state[at.STRETCH_S] > 0:
@@ -442,18 +439,8 @@ def end_stretch(state: FloatArray, gyro_variance: float, count_variance: float) 
 
 
 @kernel
-def _learn_bias(state: FloatArray, gyro_variance: float) -> None:
-    """By a gyroscope at rest: the pose stays, which is then less uncertain by the bias."""
-    seconds = state[at.STRETCH_S]
-    H = np.array([seconds, 0.0, 0.0])
-    told = seconds * state[at.WITH_ERRORS : at.WITH_ERRORS + 9 : 3]
-    S = gyro_variance * seconds + seconds**2 * state[at.BIAS_VARIANCE]
-    _learn(state, H, S, told, state[at.APART] - state[at.BIAS] * seconds)
-
-
-@kernel
-def _learn(state: FloatArray, H: FloatArray, S: float, told: FloatArray, off: float) -> None:
-    """The Kalman update of the errors, by a difference of which `told` (3,) is the covariance with the pose."""
+def _learn(state: FloatArray, H: FloatArray, S: float, with_pose: FloatArray, off: float) -> None:
+    """Kalman update of the errors by a difference; `with_pose` (3,) is its covariance with the pose."""
     P = state[at.ERRORS_COVARIANCE : at.ERRORS_COVARIANCE + 9].reshape(3, 3)
     C = state[at.WITH_ERRORS : at.WITH_ERRORS + 9].reshape(3, 3)
     gain = np.zeros(3)
@@ -463,20 +450,20 @@ def _learn(state: FloatArray, H: FloatArray, S: float, told: FloatArray, off: fl
         state[at.BIAS + i] += gain[i] * off
         for j in range(3):
             P[i, j] -= gain[i] * gain[j] * S
-            C[i, j] -= told[i] * gain[j]
+            C[i, j] -= with_pose[i] * gain[j]
 
 
 @kernel
 def _settle(state: FloatArray, ratio: float) -> None:
-    """Add the stretch's noise to the pose's, of wheels whose variance is `ratio` times the calibration's."""
+    """Add the stretch's noise to the pose's, for wheels with `ratio` times the calibration's variance."""
     for i in range(6):
         state[at.COVARIANCE + i] += ratio * state[at.SLIP_COVARIANCE + i]
         state[at.COVARIANCE + i] += math.sqrt(ratio) * state[at.SHARED_COVARIANCE + i]
 
 
 @kernel
-def _go_astray(state: FloatArray) -> None:
-    """Let the pose err by what drift and scale have moved it in the stretch; both wander with the way."""
+def _add_errors(state: FloatArray) -> None:
+    """Add the displacement of the pose by drift and scale in the stretch; both walk randomly with the distance."""
     P = state[at.ERRORS_COVARIANCE : at.ERRORS_COVARIANCE + 9].reshape(3, 3)
     C = state[at.WITH_ERRORS : at.WITH_ERRORS + 9].reshape(3, 3)
     for a in range(2):
@@ -491,54 +478,54 @@ def _go_astray(state: FloatArray) -> None:
 
 @kernel
 def _join(state: FloatArray, gyro_variance: float, count_variance: float) -> None:
-    """The Kalman update of pose and errors by how far wheels and gyroscope are apart."""
-    _go_astray(state)
+    """Kalman update of pose and errors by the difference of wheels and gyroscope."""
+    _add_errors(state)
     seconds, slip, ratio = state[at.STRETCH_S], state[at.SLIP], state[at.RATIO]
     H = np.array([seconds, state[at.WAY], state[at.TURN]])
     known = _known(gyro_variance, count_variance, seconds, state[at.LAST_RATE] - state[at.FIRST_RATE])
     known += _unsure(state, H)
     off = state[at.APART] - state[at.BIAS] * seconds
     if off**2 > _GATE * (known + ratio * slip) and slip > 0:
-        went = state[at.ASTRAY_S] if off * state[at.ASTRAY_S] > 0 else 0.0
-        state[at.ASTRAY_S] = went + math.copysign(seconds, off)
-        if abs(state[at.ASTRAY_S]) > _LONGEST_SLIP_S:
-            # That is no slip: a bias is but expected to be as small as stated.
+        went = state[at.SLIPPING_S] if off * state[at.SLIPPING_S] > 0 else 0.0
+        state[at.SLIPPING_S] = went + math.copysign(seconds, off)
+        if abs(state[at.SLIPPING_S]) > _LONGEST_SLIP_S:
+            # No slip lasts that long: the bias is larger than stated.
             state[at.BIAS_VARIANCE] += (off / seconds) ** 2
             known += off**2
-            state[at.ASTRAY_S] = 0.0
+            state[at.SLIPPING_S] = 0.0
             state[at.EVIDENCE] -= _NATS_OF_LEAP
         else:
-            # Wheels slip now and then by more than they do all the time: as far as they did here.
+            # A slip beyond the usual noise: the ratio of this stretch explains it.
             ratio = (off**2 - known) / slip
     else:
-        state[at.ASTRAY_S] = 0.0
+        state[at.SLIPPING_S] = 0.0
     S = known + ratio * slip
     state[at.EVIDENCE] -= 0.5 * (off**2 / S + math.log(S))
-    state[at.TOLD] = _told_of_stretch(state, H, ratio) / S * off
+    state[at.CORRECTION] = _covariance_of_turn(state, H, ratio) / S * off
     _settle(state, ratio)
     C = state[at.WITH_ERRORS : at.WITH_ERRORS + 9].reshape(3, 3)
-    told, gain = np.zeros(3), np.zeros(3)
+    with_pose, gain = np.zeros(3), np.zeros(3)
     for i in range(3):
-        told[i] = C[i, 0] * H[0] + C[i, 1] * H[1] + C[i, 2] * H[2] + ratio * state[at.SLIP_WITH_TURN + i]
-        # Ways are left as they are, though they share noise with turns: a gain that goes along with the very travels it
-        # weighs by shortens every way.
-        gain[i] = told[i] / S
+        with_pose[i] = C[i, 0] * H[0] + C[i, 1] * H[1] + C[i, 2] * H[2] + ratio * state[at.SLIP_WITH_TURN + i]
+        # Distances stay, though they share noise with turns: a gain correlated with the travels that it weights would
+        # shorten every distance.
+        gain[i] = with_pose[i] / S
         if i < 2:
-            told[i] += math.sqrt(ratio) * state[at.SHARED_WITH_TURN + i]
+            with_pose[i] += math.sqrt(ratio) * state[at.SHARED_WITH_TURN + i]
     add_product(state, 0.5 * S, gain, gain)
-    add_product(state, -1.0, gain, told)
-    _learn(state, H, S, told, off)
+    add_product(state, -1.0, gain, with_pose)
+    _learn(state, H, S, with_pose, off)
     _perturb(state, gain[0] * off, gain[1] * off, gain[2] * off)
 
 
 @kernel
-def _told_of_stretch(state: FloatArray, H: FloatArray, ratio: float) -> float:
-    """Covariance of the stretch's own turn, without the way before, with how far wheels and gyroscope are apart."""
+def _covariance_of_turn(state: FloatArray, H: FloatArray, ratio: float) -> float:
+    """Covariance of the stretch's own turn, without the path before, with the difference of wheels and gyroscope."""
     P = state[at.ERRORS_COVARIANCE : at.ERRORS_COVARIANCE + 9].reshape(3, 3)
-    told: float = ratio * state[at.SLIP_WITH_TURN + 2]
+    with_pose: float = ratio * state[at.SLIP_WITH_TURN + 2]
     for i in range(1, 3):
-        told += H[i] * (P[i, 0] * H[0] + P[i, 1] * H[1] + P[i, 2] * H[2])
-    return told
+        with_pose += H[i] * (P[i, 0] * H[0] + P[i, 1] * H[1] + P[i, 2] * H[2])
+    return with_pose
 
 
 @kernel
@@ -567,26 +554,13 @@ def _perturb(state: FloatArray, vx: float, vy: float, turn_rad: float) -> None:
 
 @kernel
 def _known(gyro_variance: float, count_variance: float, seconds: float, change_rad_s: float) -> float:
-    """Variance of what both turn apart, but for the bias and the wheels' slip, while the rate changes so much."""
+    """Variance of the difference without bias and slip, for a change of the rate."""
     return gyro_variance * seconds + count_variance + (_LATE_S * change_rad_s) ** 2
 
 
 @kernel
-def _end_piece(state: FloatArray, known: float) -> None:
-    if state[at.BEFORE_S] > 0 and state[at.PIECE_SLIP] > 0 and state[at.BEFORE_SLIP] > 0:
-        _learn_ratio(state, known)
-        state[at.BEFORE_S] = 0.0
-    else:
-        for i in range(5):
-            state[at.BEFORE_S + i] = state[at.PIECE_S + i]
-        state[at.BEFORE_KNOWN] = known
-    for i in range(5):
-        state[at.PIECE_S + i] = 0.0
-
-
-@kernel
 def _learn_ratio(state: FloatArray, known: float) -> None:
-    """By how two pieces differ in what seems to be the bias."""
+    """Update the distribution of the ratio by the difference of two pieces in their apparent bias."""
     one_s, other_s = state[at.PIECE_S], state[at.BEFORE_S]
     off2 = (state[at.PIECE_APART] / one_s - state[at.BEFORE_APART] / other_s) ** 2
     H = np.zeros(3)

@@ -1,7 +1,7 @@
-"""Where the numbers of a dead reckoning's state stand; numba over arrays.
+"""Layout of the state of dead reckoning, an array of STATE_SIZE numbers.
 
-The covariance is that of the left perturbation (vx, vy, ω) of T_odom_base: there, a step only adds to it, and what was
-uncertain before stays as it is. An error is what is true less what is thought.
+The covariance is that of the left perturbation (vx, vy, ω) of T_odom_base, to which a step only adds. An error is the
+true value minus the estimate.
 """
 
 from __future__ import annotations
@@ -11,38 +11,38 @@ from wheelsight.core.geometry.arrays import FloatArray
 
 X, Y, YAW = 0, 1, 2
 COVARIANCE = 3  # xx, xy, xω, yy, yω, ωω
-# What a gyroscope and wheels have wrong: its bias, the turn a metre that wheels miss, the ratio by which they turn too
-# little; the covariance (3, 3) of their errors, and that (3, 3) of the pose's errors with them.
+# Bias of the gyroscope, turn per metre that the wheels miss (drift), relative error of their turns (scale); covariance
+# (3, 3) of their errors, and (3, 3) of the pose's errors with them.
 BIAS, DRIFT, SCALE = 9, 10, 11
 BIAS_VARIANCE, DRIFT_VARIANCE, SCALE_VARIANCE = 12, 16, 20
 ERRORS_COVARIANCE, WITH_ERRORS = 12, 21
 IS_STILL, SPEED, YAW_RATE = 30, 31, 32
-# A stretch: what wheels and gyroscope told since both were last joined; seconds, the gyroscope's turn less the wheels',
-# variance of the wheels' turn by their calibration, way and turn.
+# A stretch: readings since the last update by the gyroscope: seconds, the gyroscope's turn minus the wheels', variance
+# of the wheels' turn by their calibration, distance and turn.
 STRETCH_S, APART, SLIP, WAY, TURN = 33, 34, 35, 36, 37
-# Noise of its turns moves the pose along (tx, ty, 1), that of its ways along (wx, wy, 0): covariance of the pose by
-# turns, and by what turns and ways share; covariance of (x, y, ω), (x, y) with the turn; what drift and scale move.
+# Noise of its turns moves the pose along (tx, ty, 1), that of its distances along (wx, wy, 0): covariance of the pose
+# by turns, and by the common noise of both; covariance of (x, y, ω), (x, y) with the turn; motion by drift and scale.
 SLIP_COVARIANCE, SHARED_COVARIANCE = 38, 44
 SLIP_WITH_TURN, SHARED_WITH_TURN = 50, 53
 BY_DRIFT, BY_SCALE = 55, 58
 IS_REST, FIRST_RATE, LAST_RATE = 61, 62, 63  # at its begin and end, by the gyroscope
-# Two pieces in a row, of which the bias is the same: they tell how noisy wheels are that differ from the gyroscope.
+# Two consecutive pieces with the same bias, whose difference shows the noise of the wheels.
 PIECE_S, PIECE_APART, PIECE_SLIP, PIECE_WAY, PIECE_TURN, PIECE_FIRST_RATE = 64, 65, 66, 67, 68, 69
 BEFORE_S, BEFORE_APART, BEFORE_SLIP, BEFORE_WAY, BEFORE_TURN, BEFORE_KNOWN = 70, 71, 72, 73, 74, 75
 PAIRS, RATIO = 76, 77
 EVIDENCE, BEGUN = 78, 79
 TURNED = 80  # in the last step, by the calibration
-ASTRAY_S = 81  # for so long in a row both were too far apart; its sign is which way
+SLIPPING_S = 81  # time in a row of differences beyond the gate; its sign is their direction
 NATS, RATIOS = 82, 21
-TOLD = NATS + RATIOS  # by how much more than `YAW_RATE` says the base has turned of late, as the last join found
-STATE_SIZE = TOLD + 1
-# One state for wheels that are as their calibration says, one for wheels whose drift and scale are off.
+CORRECTION = NATS + RATIOS  # of the turn in the last stretch, by the last update
+STATE_SIZE = CORRECTION + 1
+# One state for wheels as calibrated, one for wheels with errors of drift and scale.
 EXACT, OFF = 0, 1
 
 
 @kernel
 def add_outer(state: FloatArray, at: int, variance: float, x: float, y: float, yaw: float) -> None:
-    """Add the noise of something that moves the pose along (x, y, yaw) to the covariance that stands at a place."""
+    """Add noise that moves the pose along (x, y, yaw) to the covariance at an index."""
     state[at] += variance * x * x
     state[at + 1] += variance * x * y
     state[at + 2] += variance * x * yaw
@@ -53,7 +53,7 @@ def add_outer(state: FloatArray, at: int, variance: float, x: float, y: float, y
 
 @kernel
 def add_shared(state: FloatArray, at: int, shared: float, wx: float, wy: float, tx: float, ty: float) -> None:
-    """Add what the noise of a way, that moves the pose along (wx, wy, 0), shares with a turn's, along (tx, ty, 1)."""
+    """Add the common noise of a distance, along (wx, wy, 0), and a turn, along (tx, ty, 1)."""
     state[at] += 2 * shared * wx * tx
     state[at + 1] += shared * (wx * ty + wy * tx)
     state[at + 2] += shared * wx

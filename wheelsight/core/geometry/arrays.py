@@ -1,4 +1,4 @@
-"""Array types that the whole package shares, and what counts as one number."""
+"""Array types of the package, and the check of single numbers."""
 
 from __future__ import annotations
 
@@ -19,5 +19,5 @@ UInt64Array = NDArray[np.uint64]
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is one real number, numpy's too, finite or not. Text and truth values are none."""
+    """Whether a value is one real number, also of numpy, finite or not. Text and booleans are none."""
     return isinstance(value, Real) and not isinstance(value, bool)

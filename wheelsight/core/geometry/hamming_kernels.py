@@ -1,4 +1,4 @@
-"""Compiled Hamming distance between 256-bit descriptors, held as four 64-bit words."""
+"""Compiled Hamming distance of 256-bit descriptors of four 64-bit words."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from wheelsight.core.geometry.arrays import UInt64Array
 
 @intrinsic
 def _ctpop(typing_context: Any, word: Any) -> Any:
-    """The processor's own bit count, which numba has no name for."""
+    """The processor's bit count, which numba lacks."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.ctpop(arguments[0])

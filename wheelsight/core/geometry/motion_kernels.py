@@ -1,6 +1,6 @@
-"""One rigid motion's exp, log, adjoint and left Jacobian, and what a covariance must be; numba over arrays.
+"""Compiled exp, log, adjoint and left Jacobian of single motions, and checks of covariances.
 
-`geometry.se3` has the first four for batches of motions; one motion takes it a hundred times as long.
+`geometry.se3` has the first four for batches, and takes a hundred times as long for a single motion.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from wheelsight.core.compiled import kernel
 from wheelsight.core.geometry.arrays import FloatArray
 
 _MOST_TERMS = 40
-_METRES_A_RADIAN = 1.5  # as `se3.view_shift_m` has it
+_METRES_A_RADIAN = 1.5  # as in `se3.view_shift_m`
 
 
 @kernel
@@ -78,7 +78,7 @@ def log(T: FloatArray) -> FloatArray:
 
 @kernel
 def view_shift_m(T: FloatArray) -> float:
-    """How far T (4, 4) carries a camera's view, metres; a turn by a radian counts as 1.5 m."""
+    """Displacement of a camera's view by T (4, 4), metres; a radian counts as 1.5 m."""
     x, y, z, w = _quaternion(T)
     way_m = math.sqrt(T[0, 3] ** 2 + T[1, 3] ** 2 + T[2, 3] ** 2)
     return way_m + _METRES_A_RADIAN * 2 * math.atan2(math.sqrt(x * x + y * y + z * z), w)
@@ -130,8 +130,8 @@ def inverse(T: FloatArray) -> FloatArray:
 
 
 @kernel
-def mended(T: FloatArray) -> FloatArray:
-    """The rigid motion (4, 4) nearest to T (4, 4), which is nearly one: what is off by 1e-4 is 1e-15 then.
+def renormalized(T: FloatArray) -> FloatArray:
+    """The rigid motion (4, 4) nearest to T (4, 4), which is nearly one: an error of 1e-4 becomes 1e-15.
 
     Two steps of Newton's for the polar decomposition (Higham 1986), which need no singular values.
     """
@@ -144,7 +144,7 @@ def mended(T: FloatArray) -> FloatArray:
 
 @kernel
 def carried(T_a_b: FloatArray, covariance: FloatArray) -> FloatArray:
-    """The covariance (6, 6) in frame a of a left perturbation that has it in frame b."""
+    """Transform a covariance (6, 6) of a left perturbation from frame b to frame a."""
     Ad = adjoint(T_a_b)
     return times(times(Ad, covariance), Ad.T)
 
@@ -185,7 +185,7 @@ def is_pose(T: FloatArray, C: FloatArray) -> bool:
 
 @kernel
 def is_definite(C: FloatArray) -> bool:
-    """Whether C (n, n), symmetric, has positive eigenvalues alone."""
+    """Whether C (n, n), symmetric, has only positive eigenvalues."""
     least: float = np.linalg.eigvalsh(C)[0]
     return least > 0
 
@@ -204,7 +204,7 @@ def chi_squared(residual: FloatArray, S: FloatArray) -> float:
 def between(
     T_before: FloatArray, C_before: FloatArray, T_now: FloatArray, C_now: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """T (4, 4) from one pose to the next, and what their covariances (6, 6) grew by, in the frame before."""
+    """Return T (4, 4) from one pose to the next, and the growth of their covariances (6, 6), in the frame before."""
     T_before_odom = inverse(T_before)
     return times(T_before_odom, T_now), carried(T_before_odom, C_now - C_before)
 
@@ -213,7 +213,7 @@ def between(
 def step_between(
     T_before: FloatArray, C_before: FloatArray, T_now: FloatArray, C_now: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """ξ (6,) from one pose to the next, and what their covariances grew by, where rounding may have made it less."""
+    """Return ξ (6,) from one pose to the next, and the growth of their covariances, without negative eigenvalues."""
     T, grown = between(T_before, C_before, T_now, C_now)
     strength, axes = np.linalg.eigh((grown + grown.T) / 2)
     return log(T), times(axes * np.maximum(strength, 0.0), axes.T)
