@@ -28,11 +28,17 @@ from wheelsight.core.messages import VelocityCommand
 from wheelsight.navigation import Footprint, RobotLimits
 from wheelsight.navigation.clearance_kernels import CostField
 from wheelsight.navigation.collision_monitor import CollisionMonitor
-from wheelsight.navigation.controllers import MppiController, PurePursuitController, Rollouts
-from wheelsight.navigation.footprint import outline_of
-from wheelsight.navigation.path_following import Controller, MotionState, Situation, cut
-from wheelsight.navigation.settings import FollowSettings, MppiSettings
-from wheelsight.navigation.surroundings import DepthView
+from wheelsight.navigation.controllers import (
+    Controller,
+    MotionState,
+    MppiController,
+    PurePursuitController,
+    Rollouts,
+    Situation,
+    cut,
+)
+from wheelsight.navigation.perception import DepthView
+from wheelsight.navigation.settings import FollowSettings, MppiSettings, outline_of
 
 CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)
 MPPI_MS = 5.0
@@ -89,8 +95,8 @@ def command_ms(controller: Controller, field: CostField, people: FloatArray) -> 
 
 def rollouts_ms(field: CostField) -> tuple[float, float]:
     """Costs of the same rollouts by the kernel and by numpy, least of several."""
-    rollouts = Rollouts(outline_of(CHAIR), RobotLimits(), MppiSettings(), FollowSettings())
-    (segment,) = cut(np.array([[2.0, 5, 0], [8.5, 5, 0]]), 0.05, 0.8)
+    rollouts = Rollouts(outline_of(CHAIR), RobotLimits(), MppiSettings().rollouts, FollowSettings())
+    (segment,) = cut(np.array([[2.0, 5, 0], [8.5, 5, 0]]))
     given = rollouts.given(
         Situation(
             MotionState(np.array([2.0, 5.03, 0.05]), 0.6, 0.1), segment, 0, field, _NOBODY, FollowSettings().margin_m

@@ -22,7 +22,7 @@ from wheelsight.evaluation import ate
 from wheelsight.mapping.occupancy import camera_over_floor
 from wheelsight.navigation import DepthViewer, KnownFloor, NavigationResult, StaticLayer, planar_pose
 from wheelsight.navigation.costmap import CellState
-from wheelsight.navigation.exploration import Sight
+from wheelsight.navigation.exploration import ViewSector
 from wheelsight.slam.maps import MapFolder, driven_way, occupancy_of
 from wheelsight_sim import SimulationSettings
 from wheelsight_sim.clearance import obstacles
@@ -184,8 +184,8 @@ class Judge:
         self._ate_m, self._T_world_map = _alignment(kept, driven)
         self._layer = KnownFloor(occupancy_of(kept), driven=driven_way(kept), footprint=footprint).layer
         self._state = _state_in(self._layer, self.plan, self._T_world_map)
-        viewer = DepthViewer(kept.calibration, footprint, navigation.view, navigation.live)
-        self._sight = Sight(viewer.near_m, config.sessions.occupancy.far_m, viewer.half_rad)
+        viewer = DepthViewer(kept.calibration, footprint, navigation.live)
+        self._sight = ViewSector(viewer.near_m, config.sessions.occupancy.far_m, viewer.half_rad)
 
     def explored(self, building: str, seed: int) -> Explored:
         """All figures."""

@@ -26,7 +26,7 @@ from wheelsight.core.geometry import FloatArray, IntArray
 from wheelsight.core.geometry.se2 import wrap_angle
 from wheelsight.navigation import Costmap, Exploration, NavigationSettings, StaticLayer, planar_pose
 from wheelsight.navigation.costmap import CellState
-from wheelsight.navigation.exploration import Sight
+from wheelsight.navigation.exploration import TURNS, ViewSector
 from wheelsight.navigation.planner import cost_to_go
 from wheelsight_sim import SimulationSettings
 from wheelsight_sim.physics import start_of
@@ -34,7 +34,7 @@ from wheelsight_sim.simulate import world_of
 
 CAMERA_M, WALLS_FROM_M, HALF_RAD = 0.9, 0.3, 0.5
 # A Kinect on the chair sees floor from here on, and the map takes depth up to there.
-SIGHT = Sight(2.3, 5.0, HALF_RAD)
+SIGHT = ViewSector(2.3, 5.0, HALF_RAD)
 _RAYS, _ALONG_M, _STEP_CELLS, _TURN_RAD = 160, 0.025, 4, 0.15
 _NEIGHBOURS = np.array([(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1) if r or c])
 _MOST_VIEWS = 200
@@ -67,7 +67,7 @@ class IdealRobot:
         """As a floor that grows: what it saw and stood on, and what somebody said of the floor about its start."""
         speed = np.full(self.state.shape, np.inf, np.float32)
         layer = StaticLayer(self.state.copy(), speed, CELL_M, self._plan.origin)
-        return layer.with_floor(self._is_told & ~self._plan.is_taken, is_told=True)
+        return layer.with_floor(self._is_told & ~self._plan.is_taken, is_assumed=True)
 
     @property
     def costmap(self) -> Costmap:
@@ -140,9 +140,9 @@ def explored(plan: TruePlan, start: FloatArray, settings: NavigationSettings) ->
     """Until no view is left that is worth its way."""
     robot, exploration = (
         IdealRobot(plan, start, settings),
-        Exploration(plan.footprint, settings, SIGHT.near_m, HALF_RAD),
+        Exploration(plan.footprint, settings.planner.margin_m, SIGHT.near_m, HALF_RAD),
     )
-    views, turns = 0, settings.exploration.turns
+    views, turns = 0, TURNS
     while views < _MOST_VIEWS and (ahead := exploration.upcoming(robot.pose.copy(), robot.costmap)):
         exploration.taken()
         views += 1

@@ -12,7 +12,7 @@ import shapely
 
 from wheelsight.core.geometry import BoolArray, ByteArray, FloatArray, IntArray
 from wheelsight.navigation import Footprint
-from wheelsight.navigation.exploration import Sight, marks
+from wheelsight.navigation.exploration import ViewSector, marks
 from wheelsight.navigation.planner import cost_to_go
 from wheelsight_sim.clearance import footprints, obstacles
 from wheelsight_sim.world import World
@@ -109,7 +109,7 @@ class TruePlan:
         return np.asarray((labels == labels[row, column]) & ~self.is_taken)
 
 
-def tour_m(plan: TruePlan, reached: BoolArray, start: FloatArray, sight: Sight, share: float) -> float:
+def tour_m(plan: TruePlan, reached: BoolArray, start: FloatArray, sight: ViewSector, share: float) -> float:
     """How far somebody drives who knows the plan, and looks all around at some places, until he has seen the floor.
 
     Places are chosen greedily, by how much more each shows, until a share of what can be seen of the floor is; those
@@ -130,13 +130,13 @@ class _Shown:
     is_shown: BoolArray
 
 
-def _shown(plan: TruePlan, reached: BoolArray, start: FloatArray, sight: Sight) -> _Shown:
+def _shown(plan: TruePlan, reached: BoolArray, start: FloatArray, sight: ViewSector) -> _Shown:
     is_asked = np.zeros(plan.is_taken.shape, bool)
     is_asked[::_VIEWS_APART_CELLS, ::_VIEWS_APART_CELLS] = True
     cells = np.vstack([plan.cells_at(start[:2]), np.argwhere(reached.all(axis=0) & is_asked)])
     covered = plan.covered(reached)
     marked: ByteArray = marks(~plan.is_tall, covered)
-    around = Sight(sight.near_m, sight.far_m, np.pi)
+    around = ViewSector(sight.near_m, sight.far_m, np.pi)
     number = np.full(covered.shape, -1)
     number[covered] = np.arange(np.count_nonzero(covered))
     is_shown = np.zeros((len(cells), np.count_nonzero(covered)), bool)

@@ -13,7 +13,7 @@ from wheelsight.config import load_config
 from wheelsight.core.errors import WheelsightError
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.messages import STOP
-from wheelsight.core.robots import RobotLimits
+from wheelsight.core.robots import CONTROL_PERIOD_S, RobotLimits
 from wheelsight.estimation import Localizer, LocalizerInStep
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import (
@@ -25,7 +25,7 @@ from wheelsight.navigation import (
     Navigator,
     planar_pose,
 )
-from wheelsight.navigation.navigator import VelocityRamp
+from wheelsight.navigation.collision_monitor import VelocityRamp
 from wheelsight.navigation.senses import Senses
 from wheelsight_sim.simulator import PERIOD_S
 
@@ -97,7 +97,7 @@ class StraightOn:
     ) -> None:
         footprint = settings.footprint.outline
         self._robot, self._settings = robot, settings
-        self._monitor = CollisionMonitor(footprint, settings.limits, settings.monitor, settings.wheel_check)
+        self._monitor = CollisionMonitor(footprint, settings.limits, settings.monitor)
         self._senses = Senses(robot.calibration, localization, floor, self._monitor, footprint, settings)
         self._monitor.trust_floor(self._senses.near_m)
         self._ramp, self._command, self.reason = VelocityRamp(settings.limits), STOP, ""
@@ -113,7 +113,7 @@ class StraightOn:
         asked_m_s = self._settings.limits.forward_m_s if goes else 0.0
         if self._robot.stop_reason:
             self._ramp.follow(STOP)  # as the navigator does
-        ramped = self._ramp.step(asked_m_s, 0.0, self._settings.follow.period_s)
+        ramped = self._ramp.step(asked_m_s, 0.0, CONTROL_PERIOD_S)
         checked = self._monitor.check(ramped, self._robot.now_s, self._senses.where.status)
         if checked.state is not MonitorState.FREE:
             self._ramp.follow(checked.command)

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from multiprocessing import active_children
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from unittest.mock import patch
 
 import numpy as np
 from rich.console import Console
@@ -45,8 +46,8 @@ from wheelsight.navigation import (
     Navigator,
     Planned,
     SeenFloor,
-    WheelCheckSettings,
     WorkerBeside,
+    collision_monitor,
 )
 from wheelsight_sim import SimulationSettings, simulate
 from wheelsight_sim.simulator import PERIOD_S
@@ -120,9 +121,10 @@ class Quarter:
 
 def played(drive: PlayedDrive, minutes: float, profile: str | None) -> list[Quarter]:
     """Lead the robot along it, and measure by quarters; what comes before is warming up."""
-    check = WheelCheckSettings(off_m_s=2.0, off_rad_s=4.0)
-    settings = NavigationSettings(costmap=CostmapSettings(unknown="costly"), wheel_check=check)
+    settings = NavigationSettings(costmap=CostmapSettings(unknown="costly"))
     with (
+        # The robot follows a drive that was recorded, and not its commands.
+        patch.multiple(collision_monitor, OFF_M_S=2.0, OFF_RAD_S=4.0),
         PlayedRobot(drive) as robot,
         _localized(drive, profile) as (localization, counting),
         closing(WorkerBeside[SeenFloor]("floor")) as growing,

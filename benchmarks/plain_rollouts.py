@@ -10,16 +10,16 @@ import numpy as np
 
 from wheelsight.core.geometry import Float32Array, FloatArray
 from wheelsight.navigation.clearance_kernels import CostField
-from wheelsight.navigation.mppi_kernels import Begin, Dynamics, Way, Weights
+from wheelsight.navigation.mppi_kernels import Begin, Dynamics, PathAhead, RolloutWeights
 
 
 def plain_costs(
     begin: Begin,
-    way: Way,
+    way: PathAhead,
     field: CostField,
     people: FloatArray,
     dynamics: Dynamics,
-    weights: Weights,
+    weights: RolloutWeights,
     drawn: Float32Array,
 ) -> tuple[FloatArray, FloatArray]:
     """Costs (K,) of commands (K, T, 2), and the least clearance (K,) of each; both without people and zones."""
@@ -53,12 +53,12 @@ def _toward(v: FloatArray, change: FloatArray, dynamics: Dynamics) -> FloatArray
     return np.asarray(np.where(v * after < 0, beyond, after))
 
 
-def _along(way: Way, point: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+def _along(way: PathAhead, point: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     px, py, c, s = way.points[point, :4].T
     return np.asarray(way.direction * ((x - px) * c + (y - py) * s))
 
 
-def _advanced(way: Way, point: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+def _advanced(way: PathAhead, point: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     last = len(way.points) - 1
     while True:
         after = np.minimum(point + 1, last)
@@ -69,7 +69,7 @@ def _advanced(way: Way, point: FloatArray, x: FloatArray, y: FloatArray) -> Floa
 
 
 def _step_cost(
-    way: Way, point: FloatArray, at: tuple[FloatArray, ...], commands: Float32Array, weights: Weights
+    way: PathAhead, point: FloatArray, at: tuple[FloatArray, ...], commands: Float32Array, weights: RolloutWeights
 ) -> FloatArray:
     x, y, yaw, v = at
     px, py, c, s = way.points[point, :4].T

@@ -7,12 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from wheelsight.app.run.drive_record import DriveRecord, DriveRecorder
-from wheelsight.app.run.drives import GoalDrive, OnEvents, WatchedRobot
+from wheelsight.app.run.drives import GoalDrive, OnEvents
 from wheelsight.app.run.kernel_process import DrawnRobot, ToldPlace, drawn_room
 from wheelsight.config import Config, load_config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.geometry import PinholeCamera
+from wheelsight.core.robots import WatchedRobot
 from wheelsight.navigation import KnownFloor, Navigator, Transition
 
 CAMERA = PinholeCamera(320, 240, 262.0, 260.0, 160.0, 120.0)
@@ -28,11 +29,12 @@ def rehearsed_drive(
     on_events: OnEvents = lambda events: None, on_transition: Callable[[Transition], None] = lambda transition: None
 ) -> tuple[GoalDrive, DrawnRobot, Config]:
     robot, config = DrawnRobot(CALIBRATION), load_config(overrides=QUICK)
-    watched = WatchedRobot(robot, DriveRecorder(config.navigation.footprint.outline), on_events)
+    watched, recorder = WatchedRobot(robot), DriveRecorder(config.navigation.footprint.outline)
+    watched.listeners += [recorder.add, on_events]
     floor = KnownFloor(drawn_room())
     told = ToldPlace(robot)
     navigator = Navigator(watched, told, floor, config.navigation, trusts_floor=True, on_transition=on_transition)
-    return GoalDrive(watched, navigator, drawn_room, "a room"), robot, config
+    return GoalDrive(watched, recorder, navigator, drawn_room, "a room"), robot, config
 
 
 def recorded(drive: GoalDrive, config: Config, asked: int = 1, *, is_interrupted: bool = False) -> DriveRecord:

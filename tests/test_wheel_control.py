@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from wheelsight.core import robots
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.messages import STOP, VelocityCommand, WheelTicks
@@ -119,9 +120,9 @@ def test_limits_of_zero_let_nothing_move() -> None:
         assert not plant.run(command, 1.0).any()
 
 
-def test_saturated_wheels_keep_the_bend() -> None:
-    settings = WheelControlSettings(most_duty=0.3)
-    plant = Plant(QUICK, settings)
+def test_saturated_wheels_keep_the_bend(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(robots, "_MOST_DUTY", 0.3)
+    plant = Plant(QUICK)
     speeds = plant.run(VelocityCommand(0.9, 1.5), 4.0)[-1]
     assert max(max(abs(d.left), abs(d.right)) for d in plant.duties) <= 0.3
     half_m = WHEELS.track_width_m / 2
@@ -130,9 +131,10 @@ def test_saturated_wheels_keep_the_bend() -> None:
     assert plant.control.reason == ""
 
 
-def test_feedback_has_its_bounds_and_comes_back_from_them() -> None:
+def test_feedback_has_its_bounds_and_comes_back_from_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """Motors so weak that all correction is not enough; once they are strong again, the speed is soon as told."""
-    plant = Plant(settings=WheelControlSettings(doubt_m_s=2.0), strength=0.4)
+    monkeypatch.setattr(robots, "_FAULT_M_S", 2.0)
+    plant = Plant(strength=0.4)
     plant.run(VelocityCommand(0.9), 4.0)
     assert plant.duties[-1].left == pytest.approx(0.9 / FULL_M_S + 0.2)
     plant.strength = 1.0
@@ -176,7 +178,7 @@ def test_ticks_that_stand_still_are_found() -> None:
     plant.seen = lambda ways_m: np.array([frozen[0], ways_m[1]])
     speeds = plant.run(VelocityCommand(0.5), 0.24)
     assert "the left wheel is blocked: command 0.50 m/s" in plant.control.reason
-    assert speeds.max() < 0.5 + WheelControlSettings().most_correction * FULL_M_S
+    assert speeds.max() < 0.5 + 0.2 * FULL_M_S
 
 
 def test_wheels_that_are_swapped_or_run_away_are_found() -> None:

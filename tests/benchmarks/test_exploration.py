@@ -14,11 +14,11 @@ from benchmarks.exploration_ideal import SIGHT as CHAIRS
 from benchmarks.exploration_ideal import explored
 from benchmarks.exploration_truth import CELL_M, TruePlan, tour_m
 from wheelsight.navigation import Footprint, NavigationSettings
-from wheelsight.navigation.exploration import Sight
+from wheelsight.navigation.exploration import ViewSector
 
 CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)
 START = np.array([2.0, 2.0, 0.0])
-SIGHT = Sight(1.0, 5.0, 0.5)
+SIGHT = ViewSector(1.0, 5.0, 0.5)
 DONE = Explored("flat", 1, "", 50.0, 49.0, 0.1, 0.02, 0.03, 30.0, 20.0, (), 0.15, 400.0, 300, 200)
 
 
@@ -72,7 +72,7 @@ def test_with_a_margin_it_comes_less_far() -> None:
 def test_who_sees_all_from_the_start_has_no_tour() -> None:
     plan = plan_of(4.0, 4.0)
     reached = plan.reached(START)
-    assert tour_m(plan, reached, START, Sight(0.0, 5.0, 0.5), 0.97) == 0.0
+    assert tour_m(plan, reached, START, ViewSector(0.0, 5.0, 0.5), 0.97) == 0.0
     # And who does not see the floor before him steps aside, by less than twice of what he does not see.
     assert 0.3 < tour_m(plan, reached, START, SIGHT, 0.97) < 2.5
 

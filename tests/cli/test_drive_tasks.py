@@ -19,6 +19,7 @@ from wheelsight.app.run.kernel_process import DrawnRobot, ToldPlace
 from wheelsight.core.calibration import save_calibration
 from wheelsight.core.geometry import se3
 from wheelsight.core.geometry.se2 import wrap_angle
+from wheelsight.core.messages import STOP
 from wheelsight.core.trajectory import Trajectory, read_tum, write_tum
 
 Command = Callable[..., Result]
@@ -68,6 +69,38 @@ def test_the_robot_drives_along_a_way_of_before(
     assert (told["has_arrived"], told["goals_asked"]) == (True, 1)
     # What a drive leaves is a way to follow.
     assert len(read_tum(tmp_path / "out" / "trajectory.txt")) > 10
+
+
+def blocked_until(robot: DrawnRobot, asked: list[object], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the wheels stand, whatever the command, until a person was asked to check them."""
+    step = robot.step
+    monkeypatch.setattr(robot, "step", lambda command: step(command if asked else STOP))
+
+
+def test_after_a_person_has_checked_the_wheels_the_goal_is_driven_to_again(
+    wheelsight: Command, drawn: tuple[GoalDrive, DrawnRobot], words: tuple[Any, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[object] = []
+    blocked_until(drawn[1], asked, monkeypatch)
+
+    def are_fine(watch: object) -> bool:
+        asked.append(watch)
+        return True
+
+    monkeypatch.setattr("wheelsight.app.cli.drive._are_wheels_fine", are_fine)
+    result = wheelsight(*words, "--to", NEAR)
+    assert result.exit_code == 0, result.output
+    assert len(asked) == 1
+    assert result.stdout.startswith("arrived at (")
+
+
+def test_where_no_person_can_answer_wheels_that_do_not_follow_end_the_drive(
+    wheelsight: Command, drawn: tuple[GoalDrive, DrawnRobot], words: tuple[Any, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blocked_until(drawn[1], [], monkeypatch)
+    result = wheelsight(*words, "--to", NEAR)
+    assert result.exit_code == 1
+    assert "the wheels do not follow their commands" in result.stderr
 
 
 # A turn takes 2 s; to come back from 0.6 m ahead it turns about twice, which takes 10.

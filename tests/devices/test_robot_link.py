@@ -10,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from patched import patched
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import ArgumentError, DeviceError
 from wheelsight.core.messages import STOP, AngularVelocity, Event, RgbdFrame, VelocityCommand, WheelTicks, YawRate
-from wheelsight.core.robots import Robot, WheelControlSettings
+from wheelsight.core.robots import Robot
 from wheelsight.io.devices import Format, LinkRobot, LinkStatus, WheelLink
 from wheelsight.io.devices.simulated_controller import SimulatedController
 from wheelsight.io.devices.wire_formats import LinkCommand, drive_body
@@ -25,7 +26,10 @@ CALIBRATION = Calibration(wheels=WHEELS)
 LAG_S, FULL_M_S = 0.1, 2.6
 AHEAD = VelocityCommand(0.5)
 # A busy machine holds threads up for longer than a robot bears.
-PATIENT = WheelControlSettings(silence_s=1.0, hold_s=0.25, doubt_s=1.0)
+SILENT_S, HOLD_S = 1.0, 0.25
+PATIENT = {"core.robots.TICKS_SILENT_S": SILENT_S, "core.robots.HOLD_S": HOLD_S, "core.robots._FAULT_S": 1.0}
+PATIENT |= {"io.devices.robot_link.TICKS_SILENT_S": SILENT_S, "io.devices.robot_link.HOLD_S": HOLD_S}
+patient = patched(PATIENT, "wheelsight")
 
 
 class Motors:
@@ -63,7 +67,7 @@ def controller(tmp_path: Path, motors: Motors) -> Iterator[SimulatedController]:
 @pytest.fixture
 def robot(controller: SimulatedController) -> Iterator[LinkRobot]:
     link = WheelLink(str(controller.port))
-    with LinkRobot(link, CALIBRATION, control=PATIENT) as made:
+    with LinkRobot(link, CALIBRATION) as made:
         wait(made, lambda: link.status is LinkStatus.CONNECTED)
         yield made
 
@@ -154,7 +158,7 @@ def test_ticks_that_waited_are_no_sign_of_life(robot: LinkRobot, controller: Sim
     wait(robot, lambda: controller.duties[0] > 50, AHEAD)
     time.sleep(0.3)
     controller.is_muted = True
-    time.sleep(1.2 * PATIENT.silence_s)
+    time.sleep(1.2 * SILENT_S)
     before = len(controller.commands)
     events = run(robot, AHEAD, 0.3)
     assert len(events) > 5
@@ -311,7 +315,7 @@ def test_a_controller_that_answers_nothing_is_not_driven(robot: LinkRobot, contr
 def test_in_the_papers_format_nobody_is_asked(controller: SimulatedController) -> None:
     controller.is_paper, controller.version = True, (1, 1, 0, 0)
     link = WheelLink(str(controller.port))
-    with LinkRobot(link, CALIBRATION, control=PATIENT) as robot:
+    with LinkRobot(link, CALIBRATION) as robot:
         wait(robot, lambda: link.report().format is Format.PAPER)
         wait(robot, lambda: controller.duties[0] > 50, AHEAD)
     assert LinkCommand.GET_VERSION not in {kind for kind, _ in controller.commands}

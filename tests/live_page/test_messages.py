@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from wheelsight.app.page.session import ClearObstacles, GoToPose, NamePlace, parsed, says_stop
+from wheelsight.app.page.session import ClearFault, ClearObstacles, GoToPose, NamePlace, parsed, says_stop
 from wheelsight.core.errors import ArgumentError
 
 
@@ -18,6 +18,7 @@ def test_a_goal_has_a_heading_or_none() -> None:
 
 
 def test_a_driver_may_say_that_nothing_is_at_a_place() -> None:
+    assert parsed('{"type": "wheels"}') == ClearFault(type="wheels")
     assert parsed('{"type": "clear", "x_m": 1, "y_m": -2.5}') == ClearObstacles(type="clear", x_m=1.0, y_m=-2.5)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Sequence
 
@@ -12,10 +13,21 @@ from narrowing import not_none
 from navigation.rooms import Told
 
 from wheelsight.app.page import StopSwitch
-from wheelsight.app.page.session import ClearObstacles, Explore, GoToName, GoToPose, NamePlace, SaveMap, StartMap, Task
+from wheelsight.app.page.session import (
+    ClearFault,
+    ClearObstacles,
+    Explore,
+    GoToName,
+    GoToPose,
+    NamePlace,
+    SaveMap,
+    StartMap,
+    Task,
+)
 from wheelsight.app.page.snapshot import Telling
 from wheelsight.core.errors import DeviceError
 from wheelsight.core.messages import STOP, Event
+from wheelsight.core.robots import CONTROL_PERIOD_S
 from wheelsight.navigation import Feedback, Navigator, Transition
 
 THERE = GoToPose(type="goal", x_m=5.0, y_m=3.0, yaw_rad=0.0)
@@ -312,7 +324,7 @@ def test_a_watch_sees_all_periods_of_all_maps() -> None:
         served.session.ask(StartMap(type="start", map="yesterday"))
         served.until(lambda told: told["map"] == "yesterday" and told["phase"] == "driving")
     stamps_s = np.array([feedback.stamp_s for feedback, _ in seen.steps])
-    period_s = seen.steps[0][1].settings.follow.period_s
+    period_s = CONTROL_PERIOD_S
     np.testing.assert_allclose(np.diff(stamps_s), period_s, atol=1e-6)
     assert [str(one.after) for one in seen.transitions] == ["planning", "driving", "planning", "arrived"]
     assert {event.stamp_s for event in seen.events} >= set(stamps_s[1:].tolist())
@@ -332,3 +344,24 @@ def test_a_driver_who_says_that_nothing_is_there_clears_it_while_the_robot_drive
         served.until(lambda told: bool(cleared))
         assert cleared == [(4.0, 3.5)]
         served.until(lambda told: told["state"] == "driving" and told["speed_m_s"] > 0.1)
+
+
+def test_a_driver_who_has_checked_the_wheels_clears_their_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    obey, is_blocked = ObedientRobot.step, threading.Event()
+    monkeypatch.setattr(
+        ObedientRobot, "step", lambda robot, command: obey(robot, STOP if is_blocked.is_set() else command)
+    )
+    with room_session(paces=False) as served:
+        is_blocked.set()
+        served.session.ask(NEAR)
+        told = served.until(lambda told: told["state"] == "failed")
+        assert told["wheels_off"]
+        assert "the wheels do not follow their commands" in told["said"][-1]["text"]
+        is_blocked.clear()
+        served.session.ask(NEAR)
+        told = served.until(lambda told: len(told["said"]) > 1)
+        assert "the wheels do not follow their commands" in told["said"][-1]["text"], "one task after another fails"
+        served.session.ask(ClearFault(type="wheels"))
+        served.until(lambda told: not told["wheels_off"])
+        served.session.ask(NEAR)
+        served.until(lambda told: told["state"] == "arrived")

@@ -10,10 +10,11 @@ from types import SimpleNamespace
 import pytest
 from live_page.room_session import ObedientRobot
 
-from wheelsight.app.page import StoppableRobot, StopSwitch, stop_switch
+from wheelsight.app.page import StopSwitch, stop_switch
 from wheelsight.app.page.stop_switch import Watchdog
 from wheelsight.core.errors import DeviceError
 from wheelsight.core.messages import STOP, VelocityCommand
+from wheelsight.core.robots import WatchedRobot
 
 AHEAD = VelocityCommand(0.4, 0.0)
 
@@ -43,7 +44,7 @@ def test_a_robot_is_stopped_while_its_step_hangs() -> None:
 def test_what_it_holds_stands_whatever_it_is_told_until_it_is_released() -> None:
     robot = ObedientRobot()
     switch = StopSwitch(robot)
-    stoppable = StoppableRobot(robot, switch)
+    stoppable = WatchedRobot(robot, lambda: switch.reason)
     stoppable.step(AHEAD)
     assert robot.commands[-1] == AHEAD
     switch.press("a reason")

@@ -38,13 +38,13 @@ def test_waiting_takes_its_time() -> None:
 
 @pytest.mark.parametrize("way_m", [0.5, -0.3])
 def test_straight_on_and_back(way_m: float) -> None:
-    pose, _ = done_by(Straight(way_m, 0.1, 2.0, "go"))
+    pose, _ = done_by(Straight(way_m, 0.1, "go"))
     expected = np.array([1.0, 2.0]) + way_m * np.array([np.cos(3.0), np.sin(3.0)])
     assert pose[:2] == pytest.approx(expected, abs=0.01)
 
 
 def test_a_turn_of_more_than_once_around_is_one() -> None:
-    behaviour, turned, yaw = Turn((6.5,), 0.4, 2.0), 0.0, 0.0
+    behaviour, turned, yaw = Turn((6.5,)), 0.0, 0.0
     for n in range(2000):
         command = behaviour.command(n * PERIOD_S, np.array([0.0, 0.0, yaw]))
         if command is None:
@@ -55,25 +55,25 @@ def test_a_turn_of_more_than_once_around_is_one() -> None:
 
 
 def test_to_one_side_and_to_the_other_and_back() -> None:
-    pose, _ = done_by(Turn((1.0, -2.0, 1.0), 0.4, 2.0))
+    pose, _ = done_by(Turn((1.0, -2.0, 1.0)))
     assert pose[2] == pytest.approx(3.0, abs=0.1)
 
 
-@pytest.mark.parametrize("behaviour", [Straight(-0.3, 0.1, 2.0, "back"), Turn((1.0,), 0.4, 2.0)])
+@pytest.mark.parametrize("behaviour", [Straight(-0.3, 0.1, "back"), Turn((1.0,))])
 def test_what_is_held_ends(behaviour: Behaviour) -> None:
     _, spent_s = done_by(behaviour, obeys=0.0)
     assert 2.0 <= spent_s < 3.0
 
 
 def test_without_a_pose_nothing_is_driven() -> None:
-    assert Straight(0.3, 0.1, 2.0, "go").command(0.0, None) is None
-    assert Turn((1.0,), 0.4, 2.0).command(0.0, None) is None
+    assert Straight(0.3, 0.1, "go").command(0.0, None) is None
+    assert Turn((1.0,)).command(0.0, None) is None
     assert Wait(1.0).command(0.0, None) == VelocityCommand()
 
 
 def test_the_gentlest_first() -> None:
     settings = BehaviourSettings()
-    assert [when_blocked(n, settings).name for n in range(4)] == ["wait", "look about", "back up", "wait"]
+    assert [when_blocked(n, settings.wait_s).name for n in range(4)] == ["wait", "look about", "back up", "wait"]
     assert [type(search(n, Status.LOST, WIDE)) for n in range(4)] == [Wait, Turn, Series, Turn]
 
 

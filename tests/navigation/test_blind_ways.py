@@ -15,15 +15,15 @@ from navigation.unicycle import CHAIR, Camera
 from wheelsight.core.messages import STOP, RgbdFrame, VelocityCommand
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import CellState, CostmapSettings, KnownFloor, NavigationSettings
-from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason
+from wheelsight.navigation.collision_monitor import AIR_M, CollisionMonitor, MonitorReason
 from wheelsight.navigation.costmap import LiveObstacles
 from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.settings import MonitorSettings
 
-SETTINGS = MonitorSettings()
+SETTINGS, MEMORY_CELL_M = MonitorSettings(), 0.03
 KINECT = Camera(half_angle_rad=0.47, near_m=1.9)
 # A cell's diagonal: middles of cells stand for all of them.
-OFF_M = 1.5 * SETTINGS.cell_m
+OFF_M = 1.5 * MEMORY_CELL_M
 
 
 @pytest.mark.parametrize(("speed_m_s", "most_age_s"), [(1.0, 0.25), (0.7, 0.3), (0.2, 0.3)])
@@ -53,8 +53,8 @@ def test_hidden_is_what_lies_deep_enough_beside_all_that_was_looked_at(deep_m: f
     monitor, reach_m = CollisionMonitor(CHAIR), 1.4
     monitor.hear(0.0, 0.0, 0.0)
     monitor.see(KINECT.view(NOTHING, np.zeros(3), 0.0))
-    told = monitor.hidden(reach_m, deep_m)
-    looked = sector(KINECT, SETTINGS.air_m).union(shapely.Polygon(CHAIR.corners))
+    told = monitor.memory.hidden(reach_m, deep_m)
+    looked = sector(KINECT, AIR_M).union(shapely.Polygon(CHAIR.corners))
     away_m = shapely.distance(looked, shapely.points(told))
     assert away_m.min() > deep_m - OFF_M
     places = np.stack(np.meshgrid(*2 * [np.arange(-1.3, 1.3, 0.05)]), axis=-1).reshape(-1, 2)
@@ -62,14 +62,14 @@ def test_hidden_is_what_lies_deep_enough_beside_all_that_was_looked_at(deep_m: f
     is_hidden = shapely.distance(looked, shapely.points(places)) > deep_m + OFF_M
     assert 0.1 < is_hidden.mean() < 0.9
     off_m = shapely.distance(shapely.MultiPoint(told), shapely.points(places[is_hidden]))
-    assert off_m.max() < SETTINGS.cell_m
+    assert off_m.max() < MEMORY_CELL_M
 
 
 def test_floor_that_it_was_led_over_is_not_hidden_and_what_is_beside_it_still_is() -> None:
     ride = Ride(NOTHING, KINECT)
     ride.monitor.trust_floor(1.0)
     ride.drive(VelocityCommand(0.3, 0.5), 6.0)
-    outline, hidden = shapely.Polygon(CHAIR.corners).buffer(-OFF_M), ride.monitor.hidden(1.5, 0.1)
+    outline, hidden = shapely.Polygon(CHAIR.corners).buffer(-OFF_M), ride.monitor.memory.hidden(1.5, 0.1)
     assert len(hidden) > 0
     assert not shapely.intersects(outline, shapely.points(hidden)).any()
 
@@ -78,18 +78,18 @@ def test_what_is_hidden_stays_so_until_somebody_looks_there() -> None:
     monitor, reach_m = CollisionMonitor(CHAIR), 1.4
     monitor.hear(0.0, 0.0, 0.0)
     monitor.see(KINECT.view(NOTHING, np.zeros(3), 0.0))
-    near = monitor.hidden(reach_m, 0.1)
+    near = monitor.memory.hidden(reach_m, 0.1)
     aside = near[(near[:, 0] > 0.3) & (near[:, 1] > 0.6)]
     assert len(aside) > 50
     for step in range(1, 21):  # a metre straight on by the wheels, which the next frame does not show
         monitor.hear(0.05 * step, 1.0, 0.0)
-    later = monitor.hidden(3.0, 0.1)
+    later = monitor.memory.hidden(3.0, 0.1)
     moved = aside - (1.0 - 0.5 * 0.05, 0.0)
-    assert shapely.distance(shapely.MultiPoint(later), shapely.points(moved)).max() < SETTINGS.cell_m
+    assert shapely.distance(shapely.MultiPoint(later), shapely.points(moved)).max() < MEMORY_CELL_M
     # From behind, and 1.2 m back, it looks at all of that.
     pose = np.array([-2.6, 0.0, 0.3])
     monitor.see(replace(KINECT.view(NOTHING, pose, 1.0), camera=(-3.0, 1.0), first_rad=-0.2, step_rad=1.0 / 64))
-    assert len(monitor.hidden(3.0, 0.1)) < len(later)
+    assert len(monitor.memory.hidden(3.0, 0.1)) < len(later)
 
 
 @pytest.mark.parametrize("turn_rad_s", [0.0, 0.1, -0.3])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from navigation.floors import CHAIR, room
@@ -9,9 +11,8 @@ from navigation.floors import costmap_of as floor_of
 from navigation.test_plan_view import EYE
 
 from wheelsight.core.geometry import FloatArray
-from wheelsight.navigation import CellState, Costmap, NavigationSettings, Plan, StaticLayer
-from wheelsight.navigation.planning import CautiousPlan, CautiousPlanner
-from wheelsight.navigation.surroundings import PlanView
+from wheelsight.navigation import CellState, Costmap, NavigationSettings, Plan, PlanFailure, StaticLayer
+from wheelsight.navigation.planning import CautiousPlanner, PlanView
 
 SETTINGS, VIEW = NavigationSettings(), PlanView(CHAIR, EYE)
 PLANNER = CautiousPlanner(CHAIR, SETTINGS, VIEW)
@@ -36,8 +37,15 @@ def avoiding(points: FloatArray, costmap: Costmap = ROOM) -> Costmap:
     return Costmap.of(StaticLayer(state, costmap.speed_m_s, costmap.resolution_m, costmap.origin), CHAIR)
 
 
-def planned(hidden: FloatArray, costmap: Costmap = ROOM) -> CautiousPlan:
-    return PLANNER.plan(costmap, lambda points: avoiding(points, costmap), hidden, START, [TO_THE_LEFT])
+class Made(NamedTuple):
+    """A plan or failure, and whether it crosses floor that the camera will not have seen."""
+
+    found: Plan | PlanFailure
+    is_blind: bool
+
+
+def planned(hidden: FloatArray, costmap: Costmap = ROOM) -> Made:
+    return Made(*PLANNER.plan(costmap, lambda points: avoiding(points, costmap), hidden, START, [TO_THE_LEFT]))
 
 
 def test_it_goes_so_that_it_looks_there_first() -> None:
@@ -58,8 +66,8 @@ def test_where_none_looks_there_first_the_first_one_counts_and_it_is_said() -> N
     hidden[:, 2] = 0.0
     blind_eye = EYE._replace(far_m=0.1)
     planner = CautiousPlanner(CHAIR, SETTINGS, PlanView(CHAIR, blind_eye))
-    made = planner.plan(ROOM, avoiding, hidden, START, [TO_THE_LEFT])
-    plain = PLANNER.plan(ROOM, avoiding, hidden[:0], START, [TO_THE_LEFT])
+    made = Made(*planner.plan(ROOM, avoiding, hidden, START, [TO_THE_LEFT]))
+    plain = Made(*PLANNER.plan(ROOM, avoiding, hidden[:0], START, [TO_THE_LEFT]))
     assert isinstance(made.found, Plan)
     assert isinstance(plain.found, Plan)
     assert made.is_blind
@@ -70,7 +78,7 @@ def test_what_is_blind_farther_off_is_left_for_later() -> None:
     """A bend that the robot will see from nearer by."""
     hidden = square_about(TO_THE_LEFT[:2] + (0.0, -1.0), 0.4)
     planner = CautiousPlanner(CHAIR, SETTINGS, PlanView(CHAIR, EYE._replace(far_m=0.1)))
-    made = planner.plan(ROOM, lambda points: avoiding(points), hidden, START, [TO_THE_LEFT])
+    made = Made(*planner.plan(ROOM, lambda points: avoiding(points), hidden, START, [TO_THE_LEFT]))
     assert isinstance(made.found, Plan)
     assert not made.is_blind
 
@@ -83,6 +91,7 @@ def square_about(middle: FloatArray, half_m: float) -> FloatArray:
 
 
 def test_why_there_is_none_is_said() -> None:
-    made = PLANNER.plan(ROOM, avoiding, hidden_about((0.5, 2.6), 2.0), START, [np.array([50.0, 5.0, 0.0])])
+    goal = np.array([50.0, 5.0, 0.0])
+    made = Made(*PLANNER.plan(ROOM, avoiding, hidden_about((0.5, 2.6), 2.0), START, [goal]))
     assert not made.found
     assert not made.is_blind

@@ -25,8 +25,8 @@ from wheelsight.navigation.collision_monitor import (
     MonitorState,
     WheelCheck,
 )
-from wheelsight.navigation.settings import MonitorSettings, WheelCheckSettings
-from wheelsight.navigation.surroundings import DepthView
+from wheelsight.navigation.perception import DepthView
+from wheelsight.navigation.settings import MonitorSettings
 
 NOTHING = np.empty((0, 2))
 # A camera that sees all around, for closed forms; nothing is blind.
@@ -90,7 +90,7 @@ def test_the_speed_is_the_one_from_which_it_stops_in_time(free_m: float) -> None
     assert result.reason is MonitorReason.OBSTACLE
     v, braking = result.command.forward_m_s, FAR_SLOW.braking_share * RobotLimits().braking_m_s2
     way = v * FAR_SLOW.reaction_s + v**2 / (2 * braking)
-    assert free_m - FAR_SLOW.step_m - 1e-9 <= way <= free_m
+    assert free_m - 0.02 - 1e-9 <= way <= free_m
 
 
 def test_what_is_farther_than_the_way_to_a_stop_is_free() -> None:
@@ -111,7 +111,7 @@ def test_a_turn_ends_before_the_corner_meets_a_point() -> None:
     w, slowing = result.command.turn_rad_s, settings.braking_share * RobotLimits().turn_acceleration_rad_s2
     way = w * settings.reaction_s + w**2 / (2 * slowing)
     assert result.reason is MonitorReason.OBSTACLE
-    assert left_rad - settings.step_m / radius - 0.01 <= way <= left_rad
+    assert left_rad - 0.02 / radius - 0.01 <= way <= left_rad
     beyond = np.array([[(radius + 1e-3) * np.cos(bearing), (radius + 1e-3) * np.sin(bearing)]])
     assert checked(monitor_before(beyond, settings=settings), asked).state is MonitorState.FREE
 
@@ -322,7 +322,7 @@ def test_wheels_that_do_not_obey_stop_it_until_somebody_has_looked() -> None:
 
 def off_after_silence(measured_m_s: Callable[[float], float], seconds: float) -> bool:
     """Whether a base counts as off that drove at 0.8 m/s, and moves so for a time in which it is told nothing."""
-    check, found = WheelCheck(RobotLimits(), WheelCheckSettings()), False
+    check, found = WheelCheck(RobotLimits()), False
     for n in range(60):
         check.record(VelocityCommand(0.8, 0.0), 0.05 * n)
         found |= check.is_off(min(0.5 * 0.05 * n, 0.8), 0.0, 0.05 * n)
@@ -364,7 +364,7 @@ def test_a_base_that_does_something_else_is_found(fault: str) -> None:
 )
 def test_a_base_that_obeys_is_never_accused(seed: int, lag_s: float, every: int) -> None:
     rng, limits = np.random.default_rng(seed), RobotLimits()
-    base, check = Unicycle((0.0, 0.0, 0.0), limits, lag_s), WheelCheck(limits, WheelCheckSettings())
+    base, check = Unicycle((0.0, 0.0, 0.0), limits, lag_s), WheelCheck(limits)
     command = STOP
     for n in range(200):
         assert not check.is_off(base.forward_m_s, base.turn_rad_s, 0.05 * n)
@@ -376,7 +376,7 @@ def test_a_base_that_obeys_is_never_accused(seed: int, lag_s: float, every: int)
 
 def test_a_base_that_gains_speed_quickly_and_brakes_slowly_has_obeyed() -> None:
     """Told 0.2 m/s at 0.95, it gives way 0.12 s later and by three quarters of what it might brake."""
-    check = WheelCheck(RobotLimits(), WheelCheckSettings())
+    check = WheelCheck(RobotLimits())
     for n in range(150):
         now_s = 0.02 * n
         check.record(VelocityCommand(0.5 * now_s if now_s < 1.9 else 0.2, 0.0), now_s)

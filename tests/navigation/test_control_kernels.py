@@ -22,11 +22,9 @@ from wheelsight.navigation.clearance_kernels import (
     people_apart,
     toward,
 )
-from wheelsight.navigation.controllers import Rollouts, noise_of
-from wheelsight.navigation.footprint import outline_of
+from wheelsight.navigation.controllers import WEIGHTS, MotionState, Rollouts, Situation, cut, noise_of
 from wheelsight.navigation.mppi_kernels import blend
-from wheelsight.navigation.path_following import MotionState, Situation, cut
-from wheelsight.navigation.settings import FollowSettings, MppiSettings
+from wheelsight.navigation.settings import FollowSettings, outline_of
 
 OUTLINE = outline_of(CHAIR)
 MARGIN_M = 0.04
@@ -127,31 +125,29 @@ def test_an_arc_is_free_as_far_as_a_wall() -> None:
 @pytest.mark.parametrize("direction", [1, -1])
 def test_rollouts_cost_what_plain_numpy_says(direction: int) -> None:
     """In a room without things near, where both look at the same; contacts are compared below."""
-    settings = MppiSettings(rollouts=200)
-    rollouts = Rollouts(OUTLINE, RobotLimits(), settings, FollowSettings())
+    rollouts = Rollouts(OUTLINE, RobotLimits(), 200, FollowSettings())
     path = np.array([[4.0, 5, 0], [6, 5, 0], [6.9, 5.3, 0.3]])[::direction]
-    segment = next(piece for piece in cut(path, 0.05, 0.8) if piece.direction)
+    segment = next(piece for piece in cut(path) if piece.direction)
     assert segment.direction == direction
     state = MotionState(path[0] + [0.02, 0.03, 0.1], 0.1 * direction, 0.2)
     given = rollouts.given(Situation(state, segment, 0, field_of(room()), NOBODY, MARGIN_M))
     costs, drawn = rollouts.costs(given)
     plain, least = plain_costs(*given, drawn)
-    assert least.min() > settings.near_m
+    assert least.min() > WEIGHTS.near_m
     assert_allclose(costs, plain, rtol=1e-6, atol=1e-6)
 
 
 def test_rollouts_that_touch_are_those_that_come_within_the_margin() -> None:
     cells = room()
     cells[105:, 100] = cells[:88, 100] = True
-    settings = MppiSettings(rollouts=600)
-    rollouts = Rollouts(OUTLINE, RobotLimits(), settings, FollowSettings())
-    (segment,) = cut(np.array([[3.0, 5, 0], [8.0, 5, 0]]), 0.05, 0.8)
+    rollouts = Rollouts(OUTLINE, RobotLimits(), 600, FollowSettings())
+    (segment,) = cut(np.array([[3.0, 5, 0], [8.0, 5, 0]]))
     given = rollouts.given(
         Situation(MotionState(np.array([3.7, 4.7, 0.3]), 0.9, 0.2), segment, 0, field_of(cells), NOBODY, MARGIN_M)
     )
     costs, drawn = rollouts.costs(given)
     _, least = plain_costs(*given, drawn)
-    touches = costs > settings.contact / 2
+    touches = costs > WEIGHTS.contact / 2
     assert 0.1 < touches.mean() < 0.9
     assert not touches[least > MARGIN_M + 0.01].any()
     # Looks are a tenth of a metre apart, so that a corner may graze.
@@ -166,8 +162,10 @@ def test_the_mean_is_by_weight() -> None:
     assert_allclose(mean, (weights[:, None, None] * drawn).sum(axis=0) / weights.sum(), atol=1e-6)
 
 
-def test_noise_is_standard_and_favours_no_side() -> None:
-    noise = noise_of(MppiSettings(fine_share=0.0, long_share=0.0, rollouts=4000))
+def test_noise_is_standard_and_favours_no_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wheelsight.navigation.controllers._FINE_SHARE", 0.0)
+    monkeypatch.setattr("wheelsight.navigation.controllers._LONG_SHARE", 0.0)
+    noise = noise_of(4000)
     assert_allclose(noise.mean(axis=0), 0, atol=1e-6)
     at_knots = noise[:, ::7]
     assert at_knots.std() == pytest.approx(1.0, abs=0.02)

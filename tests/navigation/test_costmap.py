@@ -71,10 +71,11 @@ def test_distances_are_exact(seed: int, share: float) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
-def test_cost_falls_with_distance_from_where_the_robot_can_never_be() -> None:
+def test_cost_falls_with_distance_from_where_the_robot_can_never_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wheelsight.navigation.costmap._DECAY_PER_M", 4.0)
     is_occupied = np.zeros((3, 60), bool)
     is_occupied[:, 0] = True
-    costmap = costmap_of(is_occupied, 0.05, CostmapSettings(inflation_m=0.5, decay_per_m=4.0))
+    costmap = costmap_of(is_occupied, 0.05, CostmapSettings(inflation_m=0.5))
     # From the edge of the wall, at 0.05 m, to cells' middles.
     apart_m = 0.05 * (np.arange(1, 60) - 0.5)
     expected = np.where(apart_m - 0.3 > 0.5, 0, np.exp(-4 * np.maximum(apart_m - 0.3, 0)))

@@ -36,7 +36,7 @@ def test_obstacles_are_marked_where_any_sixteenth_of_their_cells_lies(seed: int,
     rng = np.random.default_rng(seed)
     is_occupied, low, to_low = rng.random((9, 12)) < 0.2, rng.uniform(-1, 1, 2), rng.uniform(-1, 1, 2)
     T, state = np.array([*rng.uniform(-0.3, 0.3, 2), turn]), np.zeros((14, 17), np.uint8)
-    of, to = costmap_kernels.Cells(0.05, *low.tolist()), costmap_kernels.Cells(0.1, *to_low.tolist())
+    of, to = costmap_kernels.CellFrame(0.05, *low.tolist()), costmap_kernels.CellFrame(0.1, *to_low.tolist())
     place = (float(T[0]), float(T[1]), float(np.cos(turn)), float(np.sin(turn)))
     costmap_kernels.mark_occupied(is_occupied, of, place, to, OCCUPIED, state)
     # A point on the edge of a cell may fall to either side of it.

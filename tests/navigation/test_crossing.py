@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from navigation.rooms import Ride, Walls
+from patched import patched
 
 from wheelsight.core.geometry import FloatArray
-from wheelsight.navigation import NavigationSettings, PeopleSettings, ViewSettings
+from wheelsight.navigation import NavigationSettings, PeopleSettings
 
+constants = patched({"perception._VIEW_COLUMNS": 16})
 WIDTH_M, HEIGHT_M = 12.0, 8.0
 ROOM = Walls.of(
     ((0.0, 0.0), (WIDTH_M, 0.0)),
@@ -51,7 +53,7 @@ def body_at(place: FloatArray) -> Walls:
 def crossed(begin: tuple[float, float], velocity: tuple[float, float], *, is_predicted: bool) -> Crossing:
     """Somebody walks straight on through the room, whatever the robot does."""
     # The rooms' camera has 64 columns; a view of as many would have gaps.
-    settings = NavigationSettings(view=ViewSettings(columns=16), people=PeopleSettings(is_predicted=is_predicted))
+    settings = NavigationSettings(people=PeopleSettings(is_predicted=is_predicted))
     subject = Ride.of(Walls(ROOM.ends), START, (WIDTH_M, HEIGHT_M), ROOM, settings)
     robot, navigator = subject.robot, subject.navigator
     navigator.go_to_pose(GOAL)

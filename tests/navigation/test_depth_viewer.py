@@ -10,10 +10,10 @@ from odometry.plain_kernels import plain
 
 from wheelsight.core.geometry import FloatArray
 from wheelsight.navigation import DepthViewer
-from wheelsight.navigation import view_kernels as kernels
-from wheelsight.navigation.footprint import outline_of
-from wheelsight.navigation.settings import MonitorSettings
-from wheelsight.navigation.surroundings import DepthView, Surroundings
+from wheelsight.navigation import costmap_kernels as kernels
+from wheelsight.navigation.collision_monitor import AIR_M, FloorMemory
+from wheelsight.navigation.perception import DepthView
+from wheelsight.navigation.settings import MonitorSettings, outline_of
 
 AHEAD_M, HEIGHT_M = float(T_BASE_CAMERA[0, 3]), float(T_BASE_CAMERA[2, 3])
 VIEWER = DepthViewer(CALIBRATION, CHAIR)
@@ -57,9 +57,9 @@ def test_kernels_equal_their_plain_form() -> None:
     ways = CAMERA.rays()[::4, ::4] @ T_BASE_CAMERA[:3, :3].T
     columns = np.tile(np.arange(40, dtype=np.int16) - 1, (30, 1))
     rays = kernels.Rays(np.ascontiguousarray(ways, np.float32), columns, T_BASE_CAMERA[:3, 3].copy())
-    heights, results = kernels.Heights(0.05, 0.1, 0.015, 1.4, 4.5), []
+    heights, results = kernels.ViewHeights(0.05, 0.1, 0.015, 1.4, 4.5), []
     for module in (kernels, plain(kernels)):
-        shown = kernels.Shown(
+        shown = kernels.ViewContent(
             np.zeros((39, 45), np.uint8),
             np.zeros((200, 200, 3), np.float32),
             np.zeros((200, 200, 3), np.float32),
@@ -103,12 +103,12 @@ def test_who_has_left_is_forgotten_nearer_than_the_floor_is_seen_but_a_low_box_i
     height_m: float, is_left: bool
 ) -> None:
     """Seen once, from afar; then looked over from so near that the floor there does not show."""
-    known = Surroundings(outline_of(CHAIR), MonitorSettings())
+    known = FloorMemory(outline_of(CHAIR), MonitorSettings().fresh_s)
     known.hear(0.0, 0.0, 0.0)
     known.see(VIEWER.view(depth_of([box(2.5, height_m)]), 0.0))
     known.hear(0.2, 0.0, 0.0, rolled=(1.6, 0.0))
     nobody = VIEWER.view(depth_of([]), 0.2)
-    assert nobody.near_m > 0.9 > MonitorSettings().air_m
+    assert nobody.near_m > 0.9 > AIR_M
     known.see(nobody)
     pose = known.pose_at(0.2)
     assert pose is not None
@@ -134,4 +134,4 @@ def test_a_cell_that_a_tall_thing_grazes_is_as_tall() -> None:
     grazed, plain = VIEWER.view(ahead, 1.0), VIEWER.view(depth, 1.0)
     assert grazed.shows_m is not None
     assert len(grazed.points) == len(plain.points) + 1
-    assert (grazed.shows_m < MonitorSettings().air_m).all()
+    assert (grazed.shows_m < AIR_M).all()

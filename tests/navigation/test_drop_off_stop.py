@@ -12,8 +12,8 @@ from navigation.unguarded import FULL, Asks, without_monitor
 
 from wheelsight.core.geometry import FloatArray
 from wheelsight.navigation import MonitorReason, MonitorState, NavigationSettings
-from wheelsight.navigation.costmap import LiveLayer
-from wheelsight.navigation.path_following import ControlResult
+from wheelsight.navigation.controllers import ControlResult
+from wheelsight.navigation.perception import LiveLayer
 from wheelsight.navigation.settings import PeopleSettings
 
 SIZE_M = (9.0, 6.0)

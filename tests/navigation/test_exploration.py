@@ -4,27 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from patched import patched
 
-from wheelsight.navigation import Costmap, Exploration, Footprint, NavigationSettings, StaticLayer
+from wheelsight.navigation import Costmap, Exploration, Footprint, StaticLayer
 from wheelsight.navigation.costmap import CellState
-from wheelsight.navigation.settings import ExplorationSettings
+from wheelsight.navigation.exploration import FAR_M
 
+constants = patched({"exploration.TURNS": 0})
 CELL_M, NEAR_M, HALF_RAD = 0.1, 1.0, 0.5
 CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)
-SETTINGS = NavigationSettings(exploration=ExplorationSettings(turns=0))
+MARGIN_M = 0.025
 MIDDLE = np.array([4.0, 4.0, 0.0])
 
 
-def explorer_of(settings: NavigationSettings = SETTINGS) -> Exploration:
-    return Exploration(CHAIR, settings, NEAR_M, HALF_RAD)
+def explorer_of() -> Exploration:
+    return Exploration(CHAIR, MARGIN_M, NEAR_M, HALF_RAD)
 
 
-def layer_of(state: np.ndarray, is_told: np.ndarray | None = None) -> StaticLayer:
-    return StaticLayer(state, np.full(state.shape, np.inf, np.float32), CELL_M, (0.0, 0.0), is_told)
+def layer_of(state: np.ndarray, is_assumed: np.ndarray | None = None) -> StaticLayer:
+    return StaticLayer(state, np.full(state.shape, np.inf, np.float32), CELL_M, (0.0, 0.0), is_assumed)
 
 
-def costmap_of(state: np.ndarray, is_told: np.ndarray | None = None) -> Costmap:
-    return Costmap.of(layer_of(state, is_told), CHAIR)
+def costmap_of(state: np.ndarray, is_assumed: np.ndarray | None = None) -> Costmap:
+    return Costmap.of(layer_of(state, is_assumed), CHAIR)
 
 
 def room() -> np.ndarray:
@@ -54,7 +56,7 @@ def test_it_looks_through_a_door_from_where_its_camera_sees_what_is_behind() -> 
     y_m = view[1] + np.tan(view[2]) * (8.0 - view[0])
     assert 3.0 < y_m < 4.5
     assert abs(view[2]) < 1.0
-    assert 8.0 - view[0] < SETTINGS.exploration.far_m
+    assert 8.0 - view[0] < FAR_M
 
 
 def test_a_slit_is_not_worth_a_look() -> None:
@@ -78,16 +80,16 @@ def test_floor_behind_a_wall_is_none_that_a_view_shows() -> None:
     state[60:75, 10:25] = CellState.UNKNOWN
     (view,) = explorer_of().upcoming(MIDDLE, costmap_of(state))
     away = np.array([1.75, 6.75]) - view[:2]
-    assert NEAR_M < np.hypot(*away) < SETTINGS.exploration.far_m
+    assert NEAR_M < np.hypot(*away) < FAR_M
     assert np.cos(np.arctan2(away[1], away[0]) - view[2]) > np.cos(HALF_RAD)
 
 
 def test_floor_that_somebody_said_is_free_is_looked_at_all_the_same() -> None:
     """The robot begins in the middle of floor that it does not see, and steps aside to look at it."""
     rows, columns = np.indices((120, 120))
-    is_told = np.hypot((rows + 0.5) * CELL_M - 4.0, (columns + 0.5) * CELL_M - 4.0) < 0.9
+    is_assumed = np.hypot((rows + 0.5) * CELL_M - 4.0, (columns + 0.5) * CELL_M - 4.0) < 0.9
     assert explorer_of().upcoming(MIDDLE, costmap_of(room())) == ()
-    (view,) = explorer_of().upcoming(MIDDLE, costmap_of(room(), is_told))
+    (view,) = explorer_of().upcoming(MIDDLE, costmap_of(room(), is_assumed))
     away = MIDDLE[:2] - view[:2]
     assert np.hypot(*away) > NEAR_M
     assert np.cos(np.arctan2(away[1], away[0]) - view[2]) > np.cos(HALF_RAD)
@@ -103,10 +105,10 @@ def test_floor_that_stays_unseen_is_left_in_the_end() -> None:
         explorer.taken()
         explorer.reached()
         assert len(views) < 10
-    assert len(views) == SETTINGS.exploration.tries
+    assert len(views) == 2
     # The second look is another: from there the first saw no more.
     off = views[1] - views[0]
-    assert np.hypot(*off[:2]) >= SETTINGS.exploration.same_m or abs(off[2]) > SETTINGS.exploration.same_rad
+    assert np.hypot(*off[:2]) >= 0.7 or abs(off[2]) > 0.5
 
 
 def test_a_view_that_no_way_leads_to_is_left_for_another() -> None:
@@ -119,14 +121,15 @@ def test_a_view_that_no_way_leads_to_is_left_for_another() -> None:
         explorer.taken()
         assert explorer.missed()
         assert len(views) < 10
-    assert len(views) == SETTINGS.exploration.tries
+    assert len(views) == 2
     assert np.hypot(*(views[0] - views[1])[:2]) > 0.1
 
 
-def test_first_it_turns_once_around() -> None:
-    explorer = explorer_of(NavigationSettings())
+def test_first_it_turns_once_around(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wheelsight.navigation.exploration.TURNS", 3)
+    explorer = explorer_of()
     costmap, yaws = costmap_of(room()), [0.0]
-    for _ in range(NavigationSettings().exploration.turns):
+    for _ in range(3):
         (goal,) = explorer.upcoming(np.array([4.0, 4.0, yaws[-1]]), costmap)
         assert goal[:2] == pytest.approx((4.0, 4.0))
         yaws.append(float(goal[2]))
@@ -172,7 +175,6 @@ def test_of_two_alike_it_looks_at_the_one_before_it_first() -> None:
         assert np.cos(view[2] - yaw) > 0.8
 
 
-def test_floor_that_is_worth_less_than_asked_for_is_left() -> None:
-    greedy = SETTINGS.exploration.model_copy(update={"least_m2": 50.0})
-    explorer = explorer_of(SETTINGS.model_copy(update={"exploration": greedy}))
-    assert explorer.upcoming(MIDDLE, costmap_of(open_to(room(), 3.0, 4.5))) == ()
+def test_floor_that_is_worth_less_than_a_look_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wheelsight.navigation.exploration._LEAST_M2", 50.0)
+    assert explorer_of().upcoming(MIDDLE, costmap_of(open_to(room(), 3.0, 4.5))) == ()

@@ -15,7 +15,6 @@ from wheelsight.core.errors import ArgumentError
 from wheelsight.core.geometry import PinholeCamera
 from wheelsight.navigation import Footprint, LiveLayer, NavigationReason, NavigationSettings, NavigatorSettings
 from wheelsight.navigation.senses import Senses
-from wheelsight.navigation.settings import LiveLayerSettings
 from wheelsight.navigation.task import monitor_words
 
 SIZE_M = (8.0, 6.0)
@@ -31,9 +30,7 @@ def ride_past_a_ghost() -> Ride:
 
     By itself the layer would keep that for an hour.
     """
-    settings = NavigationSettings(
-        controller="pure_pursuit", live=LiveLayerSettings(stays=1000.0), navigator=NavigatorSettings(tries=3)
-    )
+    settings = NavigationSettings(controller="pure_pursuit", navigator=NavigatorSettings(tries=3))
     ride = Ride.of(Walls.of(*OPEN, IN_THE_DOOR), BEGIN, SIZE_M, Walls.of(*OPEN), settings)
     ride.go(STOOD_S)
     ride.navigator.go_to_pose(AWAY)

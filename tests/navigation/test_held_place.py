@@ -11,18 +11,17 @@ from navigation.test_where_now import SPEED_M_S, ticks
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import se2, se3
 from wheelsight.estimation import FusedEstimate
-from wheelsight.navigation.localization import HeldPlace, WhereNow
-from wheelsight.navigation.settings import HoldSettings
+from wheelsight.navigation.senses import HeldPlace, WhereNow
 
-SETTINGS = HoldSettings()
+HOLD_S, HOLD_M = 3.0, 1.0
 LEAP_M = 0.3
 
 
 class Drive:
     """Straight on by the wheels, and by a localization that is right but for a leap to the side."""
 
-    def __init__(self, speed_m_s: float = SPEED_M_S, settings: HoldSettings | None = None) -> None:
-        self.where, self.speed, self.time_s = WhereNow(WHEELS, settings), speed_m_s / SPEED_M_S, 0.0
+    def __init__(self, speed_m_s: float = SPEED_M_S) -> None:
+        self.where, self.speed, self.time_s = WhereNow(WHEELS), speed_m_s / SPEED_M_S, 0.0
 
     def go(self, until_s: float, leap_m: float, sigma_m: float, slip: bool = False) -> float:
         """How far off it is in the end, metres."""
@@ -57,7 +56,7 @@ def test_a_place_that_is_stated_surely_or_wheels_that_slip_are_taken_at_once(sig
     assert drive.go(1.1, LEAP_M, sigma_m, slip) == pytest.approx(LEAP_M, abs=0.01)
 
 
-@pytest.mark.parametrize(("speed_m_s", "held_s"), [(0.1, SETTINGS.seconds), (0.8, SETTINGS.way_m / 0.8)])
+@pytest.mark.parametrize(("speed_m_s", "held_s"), [(0.1, HOLD_S), (0.8, HOLD_M / 0.8)])
 def test_it_is_held_for_no_longer_time_or_way(speed_m_s: float, held_s: float) -> None:
     drive = Drive(speed_m_s)
     drive.go(1.0, 0.0, 0.015)
@@ -65,17 +64,17 @@ def test_it_is_held_for_no_longer_time_or_way(speed_m_s: float, held_s: float) -
     assert drive.go(1.0 + held_s + 0.1, LEAP_M, 0.2) == pytest.approx(LEAP_M, abs=0.01)
 
 
-def test_it_becomes_less_sure_by_the_way_of_the_wheels() -> None:
-    held, T_wheels = HeldPlace(np.eye(3), np.eye(3), 0.03, 0.0), se2.from_parts(0.3, 0.4, -0.2)
-    assert held.sigma_at(T_wheels, SETTINGS) == pytest.approx(np.hypot(0.03, 0.5 * SETTINGS.wheels_share))
-    assert held.holds(0.06, T_wheels, 1.0, SETTINGS)
-    # Until the way makes it no better than what is said.
-    assert not held.holds(0.06, se2.from_parts(0.99, 0.0, 0.0), 1.0, SETTINGS.model_copy(update={"wheels_share": 0.1}))
+def test_it_becomes_less_sure_by_the_way_of_the_wheels(monkeypatch: pytest.MonkeyPatch) -> None:
+    held = HeldPlace(np.eye(3), np.eye(3), 0.03, 0.0)
+    assert held.holds(0.06, se2.from_parts(0.3, 0.4, -0.2), 1.0)
+    assert held.holds(0.06, far := se2.from_parts(0.99, 0.0, 0.0), 1.0)
+    # Until the way makes it no better than the new estimate.
+    monkeypatch.setattr("wheelsight.navigation.senses._WHEELS_SHARE", 0.1)
+    assert not held.holds(0.06, far, 1.0)
 
 
-def test_nothing_is_held_where_that_is_forbidden_or_the_robot_is_lost() -> None:
-    drive = Drive(settings=HoldSettings(seconds=0.0))
+def test_nothing_is_held_once_the_robot_is_lost() -> None:
+    drive = Drive()
     drive.go(1.0, 0.0, 0.015)
-    assert drive.go(1.1, LEAP_M, 0.2) == pytest.approx(LEAP_M, abs=0.01)
     drive.where.answer(FusedEstimate(1.1, Status.LOST, body="base"))
     assert drive.where.state is None

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from narrowing import not_none
 from navigation.rooms import CELL_M, Ride, Walls, walls_about
+from patched import patched
 
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.estimates import Status
@@ -30,7 +31,7 @@ from wheelsight.navigation import (
     PlanReason,
     WorkerInStep,
 )
-from wheelsight.navigation.goals import Goals, Poses
+from wheelsight.navigation.planning import Goals, PoseGoals
 
 SIZE_M, BEGIN, GOAL, NEAR = (8.0, 6.0), (1.5, 3.0, 0.0), (6.0, 3.0, 0.0), (2.5, 3.0, 0.0)
 ROOM = walls_about(*SIZE_M)
@@ -39,7 +40,8 @@ CORRIDOR = (*ROOM, ((0.0, 2.0), (8.0, 2.0)), ((0.0, 4.0), (8.0, 4.0)))
 # So thick that nothing within the planner's reach of its middle is free.
 PILLAR = tuple(((x, 2.0), (x, 4.0)) for x in np.arange(5.0, 7.0, 0.05))
 HASTY = NavigatorSettings(tries=1, held_s=1.0, lost_s=8.0)
-QUICK = BehaviourSettings(wait_s=0.5, look_rad=0.2, search_rad=0.3)
+QUICK = BehaviourSettings(wait_s=0.5)
+quick = patched({"behaviours._LOOK": (0.2, -0.4, 0.2), "behaviours._SEARCH_RAD": 0.3})
 TURNS_ALONE = RobotLimits(forward_m_s=0, backward_m_s=0)
 ALL_ZERO = RobotLimits(forward_m_s=0, backward_m_s=0, turn_rad_s=0)
 AT_ONCE_S = 0.5
@@ -241,7 +243,7 @@ def test_what_is_no_number_is_refused_while_it_drives_and_the_drive_goes_on(goal
     assert not_none(ride.navigator.result).has_arrived
 
 
-class OneAfterAnother(Poses):
+class OneAfterAnother(PoseGoals):
     """Goes on without a goal that is not reached."""
 
     def missed(self) -> bool:
@@ -249,8 +251,8 @@ class OneAfterAnother(Poses):
         return bool(self.left)
 
 
-@pytest.mark.parametrize("goals", [OneAfterAnother, Poses], ids=["may be left out", "wanted, all of them"])
-def test_of_several_goals_one_in_a_wall_is_left_out_or_ends_it(goals: type[Poses]) -> None:
+@pytest.mark.parametrize("goals", [OneAfterAnother, PoseGoals], ids=["may be left out", "wanted, all of them"])
+def test_of_several_goals_one_in_a_wall_is_left_out_or_ends_it(goals: type[PoseGoals]) -> None:
     ride = ride_of((*ROOM, *PILLAR))
     several: Goals = goals([GOAL, NEAR])
     ride.navigator.begin(several)

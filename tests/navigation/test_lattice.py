@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import ModuleType, SimpleNamespace
 
 import numpy as np
@@ -17,8 +18,11 @@ from wheelsight.navigation import planner_kernels as drive
 from wheelsight.navigation import planner_kernels as lattice
 from wheelsight.navigation.path_smoothing import Drivable
 
-SETTINGS = PlannerSettings(margin_m=0.05, headings=24, place_m=0.25, most_states=3000)
-ROOM = Drivable.of(costmap_of(room(4, 5)), CHAIR, SETTINGS)
+SETTINGS = PlannerSettings(margin_m=0.05)
+_ROOM = Drivable.of(costmap_of(room(4, 5)), CHAIR, SETTINGS)
+# A coarse search, which ends soon without a compiler, too.
+MOST_STATES = 3000
+ROOM = replace(_ROOM, rules=_ROOM.rules._replace(headings=24, place_m=0.25, stride_m=0.375))
 YAWS = st.floats(-3, 3)
 
 
@@ -65,8 +69,8 @@ def test_costs_are_those_of_way_turn_and_changes_of_direction() -> None:
 
 
 def searched(kernels: ModuleType | SimpleNamespace, start: np.ndarray, goal: np.ndarray) -> tuple[int, int, np.ndarray]:
-    most = ROOM.rules.most_states
-    tree = lattice.Tree(
+    most = MOST_STATES
+    tree = lattice.SearchTree(
         np.empty((most, 4)),
         np.empty(most),
         np.empty((most, 2), np.int32),

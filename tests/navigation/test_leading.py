@@ -12,6 +12,7 @@ from navigation.rooms import Ride, RoomRobot, Told, Walls, is_near, walls_about
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.messages import Event, VelocityCommand
 from wheelsight.navigation import Feedback, KnownFloor, NavigationReason, NavigationState, Navigator
+from wheelsight.navigation.controllers import stands
 
 SIZE_M = (8.0, 6.0)
 ROOM = walls_about(*SIZE_M)
@@ -48,8 +49,8 @@ def test_go_to_goes_on_until_a_robot_stands_whose_task_is_over() -> None:
 
     result = subject.navigator.go_to(GOAL, ends)
     assert (result.has_arrived, result.reason) == (False, NavigationReason.CANCELED)
-    base, follow = subject.robot.base, subject.navigator.settings.follow
-    assert follow.stands(base.forward_m_s, base.turn_rad_s)
+    base = subject.robot.base
+    assert stands(base.forward_m_s, base.turn_rad_s)
     assert not is_near(base.pose, GOAL)
     assert not is_near(subject.robot.base.pose, GOAL)
     assert subject.robot.now_s > result.time_s + 0.2

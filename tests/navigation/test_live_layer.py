@@ -14,7 +14,7 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import DepthNoise
 from wheelsight.core.errors import ArgumentError, CalibrationError, MapError
 from wheelsight.core.geometry import PinholeCamera
-from wheelsight.navigation import LiveLayer, LiveLayerSettings
+from wheelsight.navigation import LiveLayer, perception
 from wheelsight.navigation import costmap_kernels as kernels
 
 CAMERA = PinholeCamera(160, 120, 138.0, 138.0, 79.5, 59.5)
@@ -45,8 +45,8 @@ def depth_of(boxes: list[Box], pose: tuple[float, float, float] = (0, 0, 0), flo
     return np.where(np.isfinite(depth), depth, 0).astype(np.float32)
 
 
-def layer(**changes: Any) -> LiveLayer:
-    return LiveLayer(CALIBRATION, CHAIR, LiveLayerSettings(**changes))
+def layer() -> LiveLayer:
+    return LiveLayer(CALIBRATION, CHAIR)
 
 
 def is_occupied_at(found: LiveLayer, x: float, y: float, *, is_standing: bool = False) -> bool:
@@ -69,8 +69,9 @@ def test_what_stands_ahead_is_there_at_once_and_the_floor_is_free() -> None:
     assert found.obstacles().stamp_s == 1.0
 
 
-def test_a_ghost_is_gone_once_it_is_seen_through_and_not_before_its_passes() -> None:
-    found = layer(passes=3)
+def test_a_ghost_is_gone_once_it_is_seen_through_and_not_before_its_passes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(perception, "_PASSES", 3)
+    found = layer()
     found.update(depth_of([AHEAD, WALL]), (0, 0, 0), 0.0)
     left = []
     for number in range(1, 5):
@@ -284,7 +285,7 @@ def test_compiled_and_plain_kernels_say_the_same(rng: np.random.Generator) -> No
     M = T_BASE_CAMERA[:3].copy()
     M[:2] *= 10
     M[:2, 3] += 30
-    heights = kernels.Heights(0.1, 0.05, 0.1, 0.015, 0.1, 1.4, 4.5, 0.5, 4)
+    heights = kernels.LayerHeights(0.1, 0.05, 0.1, 0.015, 0.1, 1.4, 4.5, 0.5, 4)
     met, met_for = rng.choice([2.0, 9.5], (60, 80)), rng.choice([0.5, 7.5], (60, 80))
     results = []
     for module in (kernels, plain(kernels)):
@@ -292,11 +293,11 @@ def test_compiled_and_plain_kernels_say_the_same(rng: np.random.Generator) -> No
         seen, left = np.zeros((60, 80, 15), np.uint8), np.ones((60, 80, 15), np.uint8)
         is_own = np.zeros((60, 80), bool)
         is_own[28:32, 28:36] = True
-        view = kernels.View(depth, slopes, M)
+        view = kernels.DepthPixels(depth, slopes, M)
         module.mark_met(view, heights, is_own, seen)
-        module.mark_passed(view, heights, kernels.Noise(0.001, 0.001, 3.0), seen)
+        module.mark_passed(view, heights, kernels.RayNoise(0.001, 0.001, 3.0), seen)
         marked = seen.copy()
-        module.remember(seen, is_own, left, met_s, 10.0, kernels.Rules(3, 1.0, 1.0))
+        module.remember(seen, is_own, left, met_s, 10.0, kernels.ClearingRules(3, 1.0, 1.0))
         assert not seen.any()
         results.append((marked, left, met_s))
     for one, other in zip(*results, strict=True):
@@ -321,9 +322,13 @@ def test_what_is_wiped_is_gone_until_it_is_seen_again() -> None:
 
 
 @pytest.mark.parametrize(("columns", "clears"), [(80, False), (160, True)])
-def test_a_block_of_pixels_clears_no_farther_than_its_nearest(columns: int, clears: bool) -> None:
+def test_a_block_of_pixels_clears_no_farther_than_its_nearest(
+    columns: int, clears: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Every second column shows something near: single pixels see past it to what is behind, pairs do not."""
-    found = layer(columns=columns, passes=1)
+    monkeypatch.setattr(perception, "_COLUMNS", columns)
+    monkeypatch.setattr(perception, "_PASSES", 1)
+    found = layer()
     found.update(depth_of([AHEAD]), (0, 0, 0), 1.0)
     empty = depth_of([WALL])
     empty[:, 1::2] = np.minimum(empty[:, 1::2], np.where(empty[:, 1::2] > 0, 0.9, 0))
@@ -332,7 +337,7 @@ def test_a_block_of_pixels_clears_no_farther_than_its_nearest(columns: int, clea
 
 
 def test_images_that_come_too_soon_are_left_out_and_clocks_that_were_set_back_stop_none() -> None:
-    found = layer(period_s=0.09)
+    found = layer()
     assert found.is_due(5.0)
     found.update(depth_of([AHEAD]), (0, 0, 0), 5.0)
     assert [found.is_due(stamp_s) for stamp_s in (5.0, 5.05, 5.1, 4.99, 0.0)] == [False, False, True, True, True]

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from navigation.rooms import Ride, Walls, walls_about
+from patched import patched
 
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import FloatArray
@@ -15,10 +16,10 @@ from wheelsight.core.messages import STOP, VelocityCommand
 from wheelsight.navigation import Costmap, Footprint, NavigationSettings, NavigationState, StaticLayer
 from wheelsight.navigation.behaviours import keeps_clear
 from wheelsight.navigation.costmap import CellState
-from wheelsight.navigation.footprint import outline_of
-from wheelsight.navigation.settings import BehaviourSettings
+from wheelsight.navigation.settings import BehaviourSettings, outline_of
 
-CELL_M, SETTINGS = 0.05, BehaviourSettings()
+constants = patched({"behaviours._REFUSED_S": 0.5})
+CELL_M = 0.05
 CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)
 LEFT, RIGHT, BACK, ON = (VelocityCommand(*one) for one in ((0.0, 0.4), (0.0, -0.4), (-0.1, 0.0), (0.3, 0.0)))
 
@@ -33,7 +34,7 @@ def beside_a_counter(away_m: float, state: CellState = CellState.OCCUPIED) -> tu
 
 def clear(away_m: float, command: VelocityCommand, state: CellState = CellState.OCCUPIED) -> bool:
     costmap, pose = beside_a_counter(away_m, state)
-    return keeps_clear(costmap, outline_of(CHAIR), pose, command, SETTINGS)
+    return keeps_clear(costmap, outline_of(CHAIR), pose, command)
 
 
 @pytest.mark.parametrize("command", [LEFT, RIGHT])
@@ -53,8 +54,8 @@ def test_nearer_than_it_should_be_it_may_stay_and_leave_but_come_no_nearer() -> 
     away[1] = 3.0 + 0.03 + 0.3  # its back to the counter
     outline = outline_of(CHAIR)
     assert clear(0.03, STOP)
-    assert keeps_clear(costmap, outline, away, ON, SETTINGS)
-    assert not keeps_clear(costmap, outline, away, BACK, SETTINGS)
+    assert keeps_clear(costmap, outline, away, ON)
+    assert not keeps_clear(costmap, outline, away, BACK)
 
 
 def test_floor_that_nobody_has_seen_is_no_obstacle() -> None:
@@ -65,7 +66,7 @@ def test_who_is_lost_where_the_map_lets_it_turn_to_no_side_backs_up_to_look() ->
     """It took up another way to look in each period, twenty a second, and did none of them."""
     room = walls_about(8.0, 6.0)
     mapped = *room, ((1.9, 2.62), (3.2, 2.62)), ((1.9, 3.38), (3.2, 3.38))
-    hasty = NavigationSettings(behaviours=BehaviourSettings(refused_s=0.5, wait_s=0.5, search_m=0.0))
+    hasty = NavigationSettings(behaviours=BehaviourSettings(wait_s=0.5, search_m=0.0))
     ride = Ride.of(Walls.of(*room), (2.2, 3.0, 0.0), (8.0, 6.0), Walls.of(*mapped), hasty)
     vague = np.diag([4.0, 4.0, 1e-6, 1e-6, 1e-6, 0.01])
     ride.told.says = lambda estimate: replace(estimate, status=Status.COASTING, covariance=vague)
@@ -84,6 +85,6 @@ def test_backward_it_goes_to_no_floor_that_is_unknown(away_m: float, may: bool) 
     cells[:, :60] = CellState.UNKNOWN
     layer = StaticLayer(cells, np.full(cells.shape, np.inf, np.float32), CELL_M, (0.0, 0.0))
     costmap, pose = Costmap.of(layer, CHAIR), np.array([3.0 + away_m + 0.3, 4.0, 0.0])
-    how = costmap, outline_of(CHAIR), pose, BACK, SETTINGS
+    how = costmap, outline_of(CHAIR), pose, BACK
     assert keeps_clear(*how, minds_unknown=True) is may
     assert keeps_clear(*how)

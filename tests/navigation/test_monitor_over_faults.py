@@ -18,11 +18,17 @@ from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.messages import STOP, Event, VelocityCommand
 from wheelsight.navigation import MonitorReason, MonitorResult, MonitorState, NavigationSettings, NavigatorSettings
 from wheelsight.navigation.clearance_kernels import CostField
-from wheelsight.navigation.controllers import PurePursuitController
-from wheelsight.navigation.costmap import LiveLayer
-from wheelsight.navigation.path_following import Controller, ControlReason, ControlResult, DrivenPath, MotionState
+from wheelsight.navigation.controllers import (
+    Controller,
+    ControlReason,
+    ControlResult,
+    DrivenPath,
+    MotionState,
+    PurePursuitController,
+)
+from wheelsight.navigation.perception import LiveLayer
 from wheelsight.navigation.planner import Plan
-from wheelsight.navigation.planning import CautiousPlan, CautiousPlanner, PlanCheck, Planning
+from wheelsight.navigation.planning import CautiousPlanner, PlanCheck, Planning
 from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.settings import PeopleSettings
 
@@ -120,7 +126,7 @@ def leaps(seed: int) -> Callable[[Estimate], Estimate]:
     return says
 
 
-def straight_on(*asked: Any) -> CautiousPlan:
+def straight_on(*asked: Any) -> tuple[Plan, bool]:
     """The plan of a planner that asks nothing."""
     pose, goals = asked[-2:]
     ahead = np.asarray(goals[-1], float)
@@ -128,7 +134,7 @@ def straight_on(*asked: Any) -> CautiousPlan:
     poses = np.column_stack([pose[:2] + share * (ahead[:2] - pose[:2]), np.zeros(len(share))])
     length_m = float(np.hypot(*(ahead[:2] - pose[:2])))
     plan = Plan(poses, np.ones(len(poses), int), length_m, 0.5, poses[-1], "", "map", length_m, 0)
-    return CautiousPlan(plan)
+    return plan, False
 
 
 class Faults:
@@ -181,7 +187,7 @@ def behaviour_drives_on(faults: Faults) -> None:
     """It is to get the robot out, where a controller finds no way on."""
     faults.empty_costmap()
     faults.controller(Asks(ControlResult.standing(ControlReason.BLOCKED)))
-    faults.patch.setattr("wheelsight.navigation.task.when_blocked", lambda *asked: DrivesOn())
+    faults.patch.setattr("wheelsight.navigation.navigator.when_blocked", lambda *asked: DrivesOn())
 
 
 def localization_leaps(faults: Faults) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from narrowing import not_none
 from navigation.rooms import Ride, Walls, is_near, walls_about
+from patched import patched
 
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.estimates import Estimate, Status
@@ -21,12 +22,12 @@ from wheelsight.navigation import (
     NavigationState,
     NavigatorSettings,
 )
-from wheelsight.navigation.controllers import PurePursuitController
-from wheelsight.navigation.goals import Poses
-from wheelsight.navigation.path_following import ControlReason, ControlResult, MotionState
+from wheelsight.navigation.controllers import ControlReason, ControlResult, MotionState, PurePursuitController
 from wheelsight.navigation.planner import Plan
+from wheelsight.navigation.planning import PoseGoals
 from wheelsight.navigation.settings import HoldSettings
 
+constants = patched({"behaviours._LOOK": (0.2, -0.4, 0.2), "behaviours._SEARCH_RAD": 0.3})
 SIZE_M = (8.0, 6.0)
 ROOM = walls_about(*SIZE_M)
 BESIDE = (1.5, 3.0, 0.0)
@@ -38,10 +39,8 @@ SHUT = (*ROOM, ((4.0, 0.0), (4.0, 6.0)))
 HASTY = NavigationSettings(
     controller="pure_pursuit",
     navigator=NavigatorSettings(tries=1, held_s=1.0, lost_s=4.0),
-    behaviours=BehaviourSettings(wait_s=0.5, look_rad=0.2, search_rad=0.3),
+    behaviours=BehaviourSettings(wait_s=0.5),
 )
-
-QUICK_TO_LOOK = NavigationSettings(behaviours=BehaviourSettings(refused_s=0.5))
 
 
 def ride(walls: tuple = ROOM, mapped: tuple | None = None, settings: NavigationSettings | None = None) -> Ride:
@@ -160,7 +159,7 @@ def test_a_door_that_the_map_has_open_and_somebody_shut_is_found_shut() -> None:
     assert subject.robot.base.pose[0] < 4.0
 
 
-class OneAfterAnother(Poses):
+class OneAfterAnother(PoseGoals):
     """Goes on without a goal that is not reached."""
 
     def missed(self) -> bool:
@@ -180,7 +179,7 @@ def test_a_goal_that_the_controller_finds_no_way_to_is_left_where_the_task_may_g
 
     monkeypatch.setattr(PurePursuitController, "command", blocked)
     subject = ride(settings=HASTY)
-    subject.navigator.begin((OneAfterAnother if goes_on else Poses)([GOAL, NEAR]))
+    subject.navigator.begin((OneAfterAnother if goes_on else PoseGoals)([GOAL, NEAR]))
     subject.go(60)
     result = not_none(subject.navigator.result)
     assert result.has_arrived == goes_on
@@ -309,9 +308,10 @@ def test_not_yet_in_the_map_it_turns_to_look() -> None:
     assert not_none(subject.navigator.result).has_arrived
 
 
-def test_begun_before_a_wall_that_leaves_no_room_to_turn_it_backs_up_to_look() -> None:
+def test_begun_before_a_wall_that_leaves_no_room_to_turn_it_backs_up_to_look(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wheelsight.navigation.behaviours._REFUSED_S", 0.5)
     face_m = BESIDE[0] + 0.9
-    subject = ride((*ROOM, ((face_m, 2.0), (face_m, 4.0))), settings=QUICK_TO_LOOK)
+    subject = ride((*ROOM, ((face_m, 2.0), (face_m, 4.0))), settings=NavigationSettings())
     subject.told.says = lambda estimate: replace(estimate, status=Status.INITIALIZING)
     subject.navigator.go_to_pose(BESIDE[:2])
     subject.go(15, until=lambda: abs(subject.robot.base.pose[2]) > 1.0)
@@ -435,7 +435,7 @@ def test_feedback_tells_how_far_it_is() -> None:
     assert len(second.predicted)
 
 
-class Found(Poses):
+class Found(PoseGoals):
     """Poses that the task found by itself."""
 
     @property

@@ -7,7 +7,7 @@ import pytest
 
 from wheelsight.navigation import Costmap, Footprint, LiveObstacles
 from wheelsight.navigation.behaviours import OpenWay, open_way
-from wheelsight.navigation.footprint import outline_of
+from wheelsight.navigation.settings import outline_of
 
 ROBOT = Footprint.rectangle(0.8, 0.3, 0.6)
 MARGIN_M = 0.1

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from narrowing import not_none
 from navigation.rooms import Ride, RoomRobot, Told, Walls, is_near, walls_about
+from patched import patched
 
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.geometry import FloatArray
@@ -28,6 +29,7 @@ from wheelsight.navigation import (
 )
 from wheelsight.navigation.planner import OwnPlanner
 
+constants = patched({"navigator._LOITER_S": 5.0})
 SIZE_M = (8.0, 6.0)
 ROOM = walls_about(*SIZE_M)
 SHUT = (*ROOM, ((4.0, 0.0), (4.0, 6.0)))
@@ -35,7 +37,7 @@ START, GOAL = (1.5, 3.0, 0.0), (6.0, 3.0, 0.0)
 HASTY = NavigationSettings(controller="pure_pursuit", navigator=NavigatorSettings(tries=1, held_s=1.0))
 # A navigator that soon takes a robot that comes no farther for blocked.
 LOITERING = NavigationSettings(
-    controller="pure_pursuit", navigator=NavigatorSettings(tries=1, held_s=1.0, loiter_s=5.0, patience_s=5.0)
+    controller="pure_pursuit", navigator=NavigatorSettings(tries=1, held_s=1.0, patience_s=5.0)
 )
 
 

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from narrowing import not_none
 from navigation.rooms import Ride, Walls, is_near, walls_about
+from patched import patched
 
 from wheelsight.navigation import BehaviourSettings, NavigationReason, NavigationSettings, NavigatorSettings
-from wheelsight.navigation.people import Person
+from wheelsight.navigation.perception import Person
 
+constants = patched({"behaviours._LOOK": (0.2, -0.4, 0.2), "behaviours._BACK_M": 0.05})
 ROOM = walls_about(8.0, 6.0)
 DOOR = (*ROOM, ((4.0, 0.0), (4.0, 2.3)), ((4.0, 3.7), (4.0, 6.0)))
 CROWD = (*DOOR, ((4.0, 2.3), (4.0, 3.7)))
@@ -20,7 +22,7 @@ TRIES_S = 8.0  # longer than one try takes
 
 def ride_to_a_full_door(monkeypatch: pytest.MonkeyPatch, patience_s: float, *, by_people: bool) -> Ride:
     navigator = NavigatorSettings(tries=1, held_s=0.5, patience_s=patience_s)
-    behaviours = BehaviourSettings(wait_s=0.5, look_rad=0.2, back_m=0.05)
+    behaviours = BehaviourSettings(wait_s=0.5)
     settings = NavigationSettings(controller="pure_pursuit", navigator=navigator, behaviours=behaviours)
     ride = Ride.of(Walls.of(*CROWD), BEGIN, (8.0, 6.0), Walls.of(*DOOR), settings)
     monkeypatch.setattr(ride.navigator.senses, "people", lambda now_s: (WALKER,) if by_people else ())

@@ -13,9 +13,8 @@ from navigation.unicycle import Camera
 from scipy.stats import chi2
 
 from wheelsight.core.geometry import FloatArray
-from wheelsight.navigation import PeopleSettings, PeopleTracker, Person
-from wheelsight.navigation.people import Track, discs_of
-from wheelsight.navigation.surroundings import DepthView
+from wheelsight.navigation import PeopleTracker, Person
+from wheelsight.navigation.perception import CHANGE_M2_S3, SIGMA_M, WALK_M_S, DepthView, PersonTrack, discs_of
 
 FRAME_S = 0.1
 BODY_M = 0.25
@@ -118,18 +117,18 @@ def test_whatever_stands_is_nobody_who_walks(
 
 def test_covariances_are_as_large_as_errors() -> None:
     """Normalized estimation error squared, of walks as the filter takes them for: mean of χ² of four degrees."""
-    rng, s, runs, frames = np.random.default_rng(7), PeopleSettings(), 150, 20
-    R = s.sigma_m**2 * np.eye(2)
+    rng, runs, frames = np.random.default_rng(7), 150, 20
+    R = SIGMA_M**2 * np.eye(2)
     step = np.kron(np.array([[FRAME_S**3 / 3, FRAME_S**2 / 2], [FRAME_S**2 / 2, FRAME_S]]), np.eye(2))
     nees = np.zeros(frames)
     for _ in range(runs):
-        truth = np.array([2.0, 1.0, *rng.normal(0, s.walk_m_s, 2)])
-        track = Track(0.0, truth[:2] + rng.normal(0, s.sigma_m, 2), R, s.walk_m_s, s.change_m2_s3)
+        truth = np.array([2.0, 1.0, *rng.normal(0, WALK_M_S, 2)])
+        track = PersonTrack(0.0, truth[:2] + rng.normal(0, SIGMA_M, 2), R)
         for n in range(frames):
             truth[:2] += FRAME_S * truth[2:]
-            truth += rng.multivariate_normal(np.zeros(4), s.change_m2_s3 * step)
+            truth += rng.multivariate_normal(np.zeros(4), CHANGE_M2_S3 * step)
             track.predict((n + 1) * FRAME_S)
-            track.correct(truth[:2] + rng.normal(0, s.sigma_m, 2), R)
+            track.correct(truth[:2] + rng.normal(0, SIGMA_M, 2), R)
             off = truth - track.state
             nees[n] += off @ np.linalg.solve(track.covariance, off) / runs
     low, high = chi2.ppf((0.0005, 0.9995), 4 * runs) / runs

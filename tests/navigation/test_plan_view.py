@@ -11,8 +11,8 @@ from navigation.floors import CHAIR, costmap_of
 
 from wheelsight.core.geometry import FloatArray
 from wheelsight.navigation.costmap import Costmap
-from wheelsight.navigation.surroundings import PlanView
-from wheelsight.navigation.view_kernels import Eye
+from wheelsight.navigation.costmap_kernels import Eye
+from wheelsight.navigation.planning import PlanView
 
 EYE = Eye(x=0.35, y=0.0, half_rad=0.47, near_m=0.5, far_m=3.0)
 VIEW = PlanView(CHAIR, EYE)

@@ -193,17 +193,20 @@ def test_what_cannot_be_is_told_by_its_reason() -> None:
         assert failed(costmap, wrong, start) == PlanReason.INVALID
 
 
-def test_a_search_that_takes_too_long_gives_up() -> None:
+def test_a_search_that_takes_too_long_gives_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wheelsight.navigation.planner._MOST_STATES", 1000)
     cells = room_with_door(0.7)
-    assert failed(costmap_of(cells, 0.02), (1.8, 1.5, 0.3), (4.2, 4.6, 2.0), most_states=1000) == PlanReason.GAVE_UP
+    assert failed(costmap_of(cells, 0.02), (1.8, 1.5, 0.3), (4.2, 4.6, 2.0)) == PlanReason.GAVE_UP
 
 
-def test_where_the_search_gives_up_a_straight_way_that_is_tight_is_taken() -> None:
+def test_where_the_search_gives_up_a_straight_way_that_is_tight_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wheelsight.navigation.planner._MOST_STATES", 1000)
+    monkeypatch.setattr("wheelsight.navigation.path_smoothing._CONNECT_M", 0.0)
     """Through a corridor 0.7 m wide, in which the wanted clearance cannot be kept."""
     cells = np.ones((100, 200), bool)
     cells[43:57, 5:195] = False
     costmap, start, goal = costmap_of(cells), (1.0, 2.5, 0.0), (8.0, 2.5, 0.0)
-    plan = planned(costmap, start, goal, most_states=1000, connect_m=0.0)
+    plan = planned(costmap, start, goal)
     assert plan.states == 0
     assert plan.length_m == pytest.approx(7.0, abs=0.05)
 
@@ -228,7 +231,7 @@ def test_a_start_too_near_to_a_wall_gets_out_first(start: tuple[float, float, fl
     free_from = int(np.flatnonzero(padded)[-1]) + 1
     assert not padded[free_from:].any()
     steps = np.hypot(*np.diff(plan.poses[: free_from + 1, :2], axis=0).T)
-    assert steps.sum() <= PlannerSettings().escape_m + 1e-6
+    assert steps.sum() <= 1.2 + 1e-6
 
 
 @pytest.mark.parametrize(
@@ -255,10 +258,10 @@ def test_a_start_beside_a_wall_between_two_things_gets_out(
     padded = under(MARGIN_M)
     assert padded[0] > 0
     # Controllers reckon from cells' middles less half a side: corners are up to 1 cm nearer.
-    assert not under(clear_m - PlannerSettings().escape_nearer_m - 0.011).any()
+    assert not under(clear_m - 0.01 - 0.011).any()
     out = int(np.flatnonzero(padded)[-1]) + 1
     steps = np.hypot(*np.diff(plan.poses[: out + 1, :2], axis=0).T)
-    assert steps.sum() <= 2 * PlannerSettings().escape_m
+    assert steps.sum() <= 2 * 1.2
 
 
 def test_a_heading_that_nothing_leads_to_is_told_and_the_nearest_one_is_taken() -> None:

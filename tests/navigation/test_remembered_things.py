@@ -10,10 +10,8 @@ from navigation.unicycle import CHAIR, Camera
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.messages import STOP, VelocityCommand
-from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason, MonitorState
-from wheelsight.navigation.footprint import outline_of
-from wheelsight.navigation.settings import MonitorSettings
-from wheelsight.navigation.surroundings import Surroundings
+from wheelsight.navigation.collision_monitor import CollisionMonitor, FloorMemory, MonitorReason, MonitorState
+from wheelsight.navigation.settings import outline_of
 
 KINECT = Camera(half_angle_rad=0.47, near_m=1.9)
 AHEAD = VelocityCommand(0.3)
@@ -75,15 +73,14 @@ def test_a_low_thing_that_came_too_near_to_be_seen_stays() -> None:
 @pytest.mark.parametrize(("turns", "is_known"), [(1, True), (2, False)])
 def test_it_is_forgotten_by_the_way_for_wheels_err_by_that(turns: int, is_known: bool) -> None:
     """Once around, a corner of the front goes 5.4 m."""
-    settings = MonitorSettings()
-    known, box, seconds = Surroundings(outline_of(CHAIR), settings), block(0.4, 0.75), turns * 2 * np.pi / 0.5
+    known, box, seconds = FloorMemory(outline_of(CHAIR), 12.0), block(0.4, 0.75), turns * 2 * np.pi / 0.5
     known.hear(0.0, 0.0, 0.5)
     known.see(Camera(0.0, np.pi, 0.0, 5.0).view(box, np.zeros(3), 0.0))
     for stamp_s in np.linspace(0.0, seconds, 100)[1:]:
         known.hear(float(stamp_s), 0.0, 0.5)
     known.see(KINECT.view(NOTHING, np.zeros(3), seconds))
     found = known.points_at((0.0, 0.0, 1.0, 0.0), seconds, 3.0)
-    assert (len(found) > 0) == is_known == (settings.remember_m > turns * 2 * np.pi * CORNER_M)
+    assert (len(found) > 0) == is_known == (turns * 2 * np.pi * CORNER_M < 10.0)
 
 
 @pytest.mark.parametrize(("way_m", "turn_rad"), [(0.3, 0.0), (0.0, 0.4)])

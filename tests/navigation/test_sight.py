@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from wheelsight.navigation.costmap import CellState
-from wheelsight.navigation.exploration import Sight, marks
+from wheelsight.navigation.exploration import ViewSector, marks
 
 CELL_M = 0.05
-SIGHT = Sight(1.0, 3.0, 0.5)
+SIGHT = ViewSector(1.0, 3.0, 0.5)
 PLANE = np.full((160, 160), CellState.UNKNOWN, np.uint8)
 MIDDLE = np.array([80.0, 80.0])
 
@@ -22,7 +22,7 @@ def gains_of(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("half_rad", [0.1, 0.5, 0.52, 1.0])
 def test_on_an_open_plane_a_view_shows_a_ring_s_part(half_rad: float) -> None:
-    sight = Sight(1.0, 3.0, half_rad)
+    sight = ViewSector(1.0, 3.0, half_rad)
     gains, _ = sight.gains_m2(marks(PLANE != CellState.OCCUPIED, PLANE == CellState.UNKNOWN), CELL_M, MIDDLE[None])
     np.testing.assert_allclose(gains, half_rad * (3.0**2 - 1.0**2), rtol=0.03)
 

@@ -19,7 +19,8 @@ from wheelsight.core.geometry import PinholeCamera
 from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand, WheelTicks
 from wheelsight.core.robots import STOPPED
 from wheelsight.navigation import KnownFloor, NavigationReason, NavigationState, Navigator, Planned, WorkerInStep
-from wheelsight.navigation.collision_monitor import CAMERA_SILENT_S, MonitorReason, MonitorState
+from wheelsight.navigation.collision_monitor import MonitorReason, MonitorState
+from wheelsight.navigation.settings import SILENT_S
 
 THERE, BACK = (0.9, 0.5), (-1.3, -0.4)
 # As in rehearsed drives, but small: frames are drawn for a minute of driving.
@@ -197,7 +198,7 @@ def test_a_silent_camera_stops_the_robot(ride: Ride) -> None:
     begin_s, begin_m = ride.robot.now_s, ride.robot.rolled_m
     ride.robot.is_camera_silent = True
     ride.go(lambda: stands(ride), 1.0)
-    assert ride.robot.now_s - begin_s <= CAMERA_SILENT_S + 0.2
+    assert ride.robot.now_s - begin_s <= SILENT_S + 0.2
     assert ride.robot.rolled_m - begin_m <= 0.3
     assert_gives_up(ride, "the camera sends no frames, for 4 s")
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.messages import STOP, VelocityCommand
 from wheelsight.navigation import RobotLimits
-from wheelsight.navigation.navigator import VelocityRamp
+from wheelsight.navigation.collision_monitor import VelocityRamp
 
 LIMITS = RobotLimits()
 anything = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-2, 2)

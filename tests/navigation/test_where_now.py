@@ -12,8 +12,7 @@ from navigation.rooms import WHEELS
 from wheelsight.core.estimates import Estimate, Status
 from wheelsight.core.geometry import se3
 from wheelsight.core.messages import WheelTicks
-from wheelsight.navigation.localization import WhereNow
-from wheelsight.navigation.settings import HoldSettings
+from wheelsight.navigation.senses import WhereNow
 
 SPEED_M_S = 0.5
 PER_M = WHEELS.ticks_per_turn / (2 * np.pi * 0.17)
@@ -61,7 +60,7 @@ def test_where_it_is_not_known_there_is_no_state(status: Status) -> None:
 
 
 def test_a_start_that_nothing_bears_out_is_believed_for_some_metres() -> None:
-    where = WhereNow(WHEELS, HoldSettings(unproven_m=0.5))
+    where = WhereNow(WHEELS, 0.5)
     steps = iter(range(1000))
 
     def roll(until_s: float) -> None:
@@ -71,22 +70,21 @@ def test_a_start_that_nothing_bears_out_is_believed_for_some_metres() -> None:
     roll(1.0)
     where.answer(told(1.0, 0.0), recognised=0)
     roll(1.9)
-    assert where.is_known(1.0)
+    assert where.is_known
     roll(2.1)
     where.answer(told(2.1, 0.5), recognised=0)
-    assert not where.is_known(1.0)
-    assert "nothing of the map was recognised in 0.6 m of way" in where.why_unknown(1.0)
+    assert "nothing of the map was recognised in 0.6 m of way" in where.why_unknown
     where.answer(told(2.1, 0.5), recognised=1)
     roll(9.0)
-    assert where.is_known(1.0)
+    assert where.is_known
 
 
 def test_where_nobody_looks_for_what_is_known_nothing_needs_to_be() -> None:
-    where = WhereNow(WHEELS, HoldSettings(unproven_m=0.5))
+    where = WhereNow(WHEELS, 0.5)
     where.answer(told(0.0, 0.0))
     for n in range(200):
         where.roll(ticks(0.02 * n))
-    assert where.is_known(1.0)
+    assert where.is_known
 
 
 def test_a_reading_stamped_right_after_another_is_no_burst_of_speed() -> None:

@@ -147,7 +147,7 @@ def test_what_goes_wrong_beside_is_raised_to_who_asks() -> None:
 
 
 def test_a_plan_in_step_costs_simulated_time() -> None:
-    subject = ride(planning_s=0.5)
+    subject = ride(WorkerInStep[Planned](0.5))
     subject.go(3, until=lambda: subject.navigator.state is NavigationState.DRIVING)
     begun, drives = subject.transitions[:2]
     assert drives.stamp_s - begun.stamp_s == pytest.approx(0.55, abs=0.051)
@@ -261,7 +261,7 @@ def test_a_floor_beside_is_the_same_in_the_end() -> None:
 def test_a_plan_is_asked_for_with_the_goal_and_driven_in_the_period_in_which_it_comes() -> None:
     subject = ride(held := Held())
     subject.navigator.cancel_task()
-    while not subject.navigator.senses.where.is_known(1.0):
+    while not subject.navigator.senses.where.is_known:
         subject.navigator.step()
     asked = held.asked
     subject.navigator.go_to_pose(GOAL)

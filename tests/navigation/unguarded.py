@@ -12,7 +12,7 @@ from wheelsight.core.messages import VelocityCommand
 from wheelsight.core.robots import RobotLimits
 from wheelsight.navigation import MonitorResult, MonitorState
 from wheelsight.navigation.clearance_kernels import CostField
-from wheelsight.navigation.path_following import ControlResult, DrivenPath, MotionState
+from wheelsight.navigation.controllers import ControlResult, DrivenPath, MotionState
 
 FULL = VelocityCommand(RobotLimits().forward_m_s, 0.0)
 

@@ -11,8 +11,8 @@ from wheelsight.core.geometry import BoolArray, FloatArray
 from wheelsight.core.messages import VelocityCommand
 from wheelsight.navigation import Footprint, RobotLimits
 from wheelsight.navigation.clearance_kernels import CostField
-from wheelsight.navigation.path_following import Controller, ControlReason, DrivenPath, MotionState
-from wheelsight.navigation.surroundings import DepthView
+from wheelsight.navigation.controllers import Controller, ControlReason, DrivenPath, MotionState
+from wheelsight.navigation.perception import DepthView
 
 CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)
 NOBODY = np.empty((0, 5))

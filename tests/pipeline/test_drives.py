@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from rehearsed_drive import recorded, rehearsed_drive
+from rehearsed_drive import CALIBRATION, recorded, rehearsed_drive
+from sessions.kept_views import write_map
 
+from wheelsight.app.run import drives
 from wheelsight.app.run.drive_record import write_drive
 from wheelsight.app.run.drives import GoalDrive, NamedGoal, drive_in_map
-from wheelsight.app.run.kernel_process import DrawnRobot
+from wheelsight.app.run.kernel_process import DrawnRobot, drawn_room
 from wheelsight.config import load_config
 from wheelsight.core.errors import ArgumentError, ConfigError, DeviceError
 from wheelsight.core.trajectory import read_tum
 from wheelsight.navigation import Feedback, NavigationReason, NavigationState
+from wheelsight.slam.maps import MapFolder
 
 NEAR = NamedGoal.of((-0.7, -0.4), "the middle")
 
@@ -150,3 +156,37 @@ def test_without_a_map_there_is_no_drive() -> None:
         drive_in_map(robot, load_config(), in_step=True) as drive,
     ):
         assert isinstance(drive, GoalDrive)
+
+
+class TakenError(Exception):
+    """The navigator that a drive would make."""
+
+
+@pytest.mark.parametrize("explores", [False, True])
+def test_a_drive_takes_a_planner_and_a_controller_of_the_user(
+    explores: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: dict[str, object] = {}
+
+    def navigator(*_: object, **named: object) -> None:
+        taken.update(named)
+        raise TakenError
+
+    monkeypatch.setattr(drives, "Navigator", navigator)
+    own: dict[str, Any] = {"planner": object(), "controller": object(), "in_step": True}
+    overrides = {"odometry": "wheels,dense"}
+    if explores:
+        config = load_config(overrides=overrides | {"loops.source": "keyframes"})
+        made = drives.exploring(DrawnRobot(CALIBRATION), config, tmp_path / "map", **own)
+    else:
+        write_map(tmp_path / "home", 5)
+        monkeypatch.setattr(drives, "occupancy_of", lambda *_, **__: drawn_room())
+        with closing(MapFolder.open(tmp_path / "home")) as folder:
+            robot = DrawnRobot(
+                replace(folder.calibration, wheels=CALIBRATION.wheels, T_base_camera=CALIBRATION.T_base_camera)
+            )
+        config = load_config(overrides=overrides | {"known_map.path": str(tmp_path / "home")})
+        made = drives.drive_in_map(robot, config, **own)
+    with pytest.raises(TakenError), made:
+        pass
+    assert (taken["planner"], taken["controller"]) == (own["planner"], own["controller"])

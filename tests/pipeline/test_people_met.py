@@ -7,7 +7,7 @@ import pytest
 from rehearsed_drive import recorded, rehearsed_drive
 
 from wheelsight.app.run.drives import NamedGoal
-from wheelsight.navigation.people import Person
+from wheelsight.navigation.perception import Person
 
 
 def test_a_person_beside_the_robot_is_kept_with_his_distance(monkeypatch: pytest.MonkeyPatch) -> None:

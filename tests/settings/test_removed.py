@@ -100,7 +100,7 @@ def test_removed_settings_of_a_section_say_whether_their_value_is_the_constant()
 def test_the_command_prints_the_rest_and_warns_of_what_is_lost(old: Path) -> None:
     printed = CliRunner().invoke(app, ["config", "--config", str(old), "--drop-removed", "--changed"])
     assert printed.exit_code == 0, printed.output
-    assert yaml.safe_load(printed.stdout) ["report"] == {"pictures": 2}
+    assert yaml.safe_load(printed.stdout)["report"] == {"pictures": 2}
     assert "report.title_px = 14 is lost: it is no longer a setting: it is fixed at 12" in printed.stderr
     assert "report.margin.right_px = 7 is lost: it is no longer a setting" in printed.stderr
     assert "left_px" not in printed.stderr

@@ -1,20 +1,28 @@
-"""Interfaces of a robot that drives (`Robot`) and of a source of events (`EventSource`). `VelocityControl` turns
-velocity commands into motor duties, within `RobotLimits`.
+"""Interfaces of a robot that drives (`Robot`), the source of its pose (`Localization`), and of events (`EventSource`).
+
+`WatchedRobot` wraps a robot. `VelocityControl` turns velocity commands into motor duties, within `RobotLimits`.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import Wheels
-from wheelsight.core.messages import STOP, Event, VelocityCommand, WheelTicks
-from wheelsight.core.settings import CHOSEN, ON_SIMULATOR, Settings, setting
+from wheelsight.core.errors import WheelsightError
+from wheelsight.core.estimates import Estimate
+from wheelsight.core.keyframes import KeyframeStore
+from wheelsight.core.messages import STOP, Event, RgbdFrame, VelocityCommand, WheelTicks
+from wheelsight.core.settings import CHOSEN, Settings, setting
+
+CONTROL_PERIOD_S = 0.05
+"""Duration of a step of a robot, 20 Hz; what `Navigator` assumes."""
 
 STOPPED = "it was stopped"
 """The `stop_reason` after `stop`."""
@@ -89,6 +97,99 @@ class EventSource(Protocol):
         """
 
 
+class Localization(Protocol):
+    """Source of the robot's pose, such as `LocalizerInStep` and `LocalizerBeside`."""
+
+    @property
+    def keyframes(self) -> KeyframeStore | None:
+        """Keyframes with their poses; None for wheels alone."""
+
+    @property
+    def recognised(self) -> int | None:
+        """Number of recognitions of an earlier map so far; None if there is no recognition."""
+
+    def hear(self, events: Sequence[Event]) -> Sequence[tuple[Event, Estimate | None]]:
+        """Process events in order; return all estimates that are ready, of this and earlier calls, in order.
+
+        Raises what `Localizer.process` raises.
+        """
+
+    def close(self) -> None:
+        """Stop the worker threads."""
+
+
+class WatchedRobot:
+    """A `Robot` that reports the events of each period to listeners, and stands while it is held, whatever the command.
+
+    Args:
+        robot: the robot.
+        held_by: returns why it must stand; "" if it may move.
+
+    Attributes:
+        frame: last frame of its camera; None before any.
+        is_commanded: whether the last command that it passed on is a motion.
+        listeners: called with the events of each period.
+    """
+
+    def __init__(self, robot: Robot, held_by: Callable[[], str] = lambda: "") -> None:
+        self._robot, self._held_by = robot, held_by
+        self.listeners: list[Callable[[Sequence[Event]], None]] = []
+        self.frame: RgbdFrame | None = None
+        self.is_commanded = False
+
+    @contextmanager
+    def watched_by(self, *listeners: Callable[[Sequence[Event]], None]) -> Iterator[None]:
+        """Call listeners with the events of each period within the block."""
+        self.listeners += listeners
+        try:
+            yield
+        finally:
+            for listener in listeners:
+                self.listeners.remove(listener)
+
+    @property
+    def calibration(self) -> Calibration:
+        """See `Robot`."""
+        return self._robot.calibration
+
+    @property
+    def stop_reason(self) -> str:
+        """See `Robot`."""
+        return self._held_by() or self._robot.stop_reason
+
+    @property
+    def now_s(self) -> float:
+        """See `Robot`."""
+        return self._robot.now_s
+
+    def step(self, command: VelocityCommand) -> list[Event]:
+        """See `Robot`."""
+        obeyed = STOP if self._held_by() else command
+        self.is_commanded = obeyed != STOP
+        events = self._robot.step(obeyed)
+        self.frame = next((event for event in reversed(events) if isinstance(event, RgbdFrame)), self.frame)
+        for listener in self.listeners:
+            listener(events)
+        return events
+
+    def stop(self) -> None:
+        """See `Robot`."""
+        self._robot.stop()
+
+    def close(self) -> None:
+        """See `Robot`."""
+        self._robot.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with suppress(WheelsightError):
+            self.close()
+
+
 class RobotLimits(Settings):
     """Limits on every command; a limit of zero disables that motion."""
 
@@ -104,11 +205,11 @@ class RobotLimits(Settings):
 
 
 class WheelControlSettings(Settings):
-    """Settings of the speed control of wheels, and of its fault detection."""
+    """Motors of a robot, for the control of its wheels' speed."""
 
     full_speed_m_s: float = setting(
         2.6,
-        "of a rim at a duty of 1; only feedback corrects what is wrong about it",
+        "of a rim at a duty of 1; only feedback corrects an error of it",
         "Trinh et al., II.C: 157 pulses of 0.33 mm in 20 ms at top speed",
         gt=0.05,
         le=20,
@@ -116,76 +217,34 @@ class WheelControlSettings(Settings):
     dead_duty: float = setting(
         0.0, "duty at which wheels begin to turn, added to what a speed takes", CHOSEN, ge=0, le=0.5
     )
-    speed_window_s: float = setting(
-        0.06,
-        "over which pulses are counted: one of 0.33 mm more or less is 6 mm/s, and the speed is known half of it late",
-        CHOSEN,
-        gt=0,
-        le=0.5,
-    )
-    answer_s: float = setting(
-        0.13,
-        "time constant with which a wheel answers and its speed is known; feedback compares with what should be by now",
-        "computed from the simulator's motors, 0.1 s, and half of the window; no real motor was measured",
-        gt=0,
-        le=2,
-    )
-    proportional: float = setting(
-        1.0,
-        "duty for an error of full speed; from 0.1 to 2 a ramp to 0.8 m/s ends 4.4 % to 2.6 % too high at worst, with "
-        "motors 15 % weaker or stronger that lag by 0.05 to 0.2 s",
-        ON_SIMULATOR,
-        ge=0,
-        le=10,
-    )
-    integral_per_s: float = setting(
-        3.0,
-        "duty a second for an error of full speed; with 1 in place of 3, weak motors reach 95 % of that speed half a "
-        "second later",
-        ON_SIMULATOR,
-        ge=0,
-        le=50,
-    )
-    most_correction: float = setting(
-        0.2,
-        "duty that feedback may add or take: with an encoder that lies, so much is what a robot is too fast by",
-        CHOSEN,
-        ge=0,
-        le=1,
-    )
-    most_duty: float = setting(1.0, "duty that is never exceeded", CHOSEN, gt=0, le=1)
-    standing_m_s: float = setting(0.01, "speed of a rim below which a wheel stands", CHOSEN, gt=0, le=0.2)
-    silence_s: float = setting(
-        0.15, "without ticks after which the robot stops: seven readings of 20 ms, 15 cm at 1 m/s", CHOSEN, gt=0, le=2
-    )
-    hold_s: float = setting(
-        0.2,
-        "for which motors keep a duty without a new one, less than the firmware's 0.25; then they stand until STOP: "
-        "20 cm at 1 m/s",
-        CHOSEN,
-        gt=0.02,
-        le=0.25,
-    )
-    doubt_m_s: float = setting(
-        0.15,
-        "difference of a rim's speed from the command at which it counts as blocked, running away, or wrongly wired",
-        "found on the simulator alone: 0.04 m/s under commands by chance (floor4, real, five seeds, 37 s)",
-        gt=0,
-        le=2,
-    )
-    doubt_s: float = setting(
-        0.4,
-        "for so long, after which the robot stops; less in proportion where it is more, so that a wheel is off by 6 cm",
-        CHOSEN,
-        gt=0,
-        le=5,
-    )
 
 
+# Window in which pulses are counted: one of 0.33 mm more or less is 6 mm/s, and the speed is known half of it late.
+_SPEED_WINDOW_S = 0.06
+# Time constant with which a wheel answers and its speed is known; feedback compares with what should be by now.
+# Computed from the simulator's motors, 0.1 s, and half of the window; no real motor was measured.
+_ANSWER_S = 0.13
+# Duty for an error of full speed, and duty a second for it. On the simulator, from 0.1 to 2 a ramp to 0.8 m/s ends 4.4
+# % to 2.6 % too high at worst, with motors 15 % weaker or stronger that lag by 0.05 to 0.2 s. With 1 in place of 3 a
+# second, weak motors reach 95 % of that speed half a second later.
+_PROPORTIONAL, _INTEGRAL_PER_S = 1.0, 3.0
+# Duty that feedback may add or take, by which a robot with an encoder that lies is too fast; and the largest duty.
+_MOST_CORRECTION, _MOST_DUTY = 0.2, 1.0
+# Speed of a rim below which a wheel stands.
+_RIM_STANDS_M_S = 0.01
+# Time without ticks after which the robot stops: seven readings of 20 ms, 15 cm at 1 m/s.
+TICKS_SILENT_S = 0.15
+# Time for which motors keep a duty without a new one, less than the firmware's 0.25; then they stand until STOP: 20 cm
+# at 1 m/s.
+HOLD_S = 0.2
+# Difference of a rim's speed from the command at which it counts as blocked, running away, or wrongly wired (by chance
+# it is 0.04 m/s on the simulator: floor4, real, five seeds, 37 s); and the time of it after which the robot stops, in
+# proportion less where it is more, so that a wheel is off by 6 cm.
+_FAULT_M_S, _FAULT_S = 0.15, 0.4
 # After a stop the motors have no voltage until the wheels stand. A robot that rolls longer than this, down a slope, is
 # braked by its motors again.
 _ROLLS_S = 1.0
-# Time for which the speed must stay below `standing_m_s`; between single pulses it does so for less.
+# Time for which the speed must stay below `_RIM_STANDS_M_S`; between single pulses it does so for less.
 _STOOD_S = 0.1
 
 
@@ -271,11 +330,6 @@ class VelocityControl:
         self.reason = ""
 
     @property
-    def settings(self) -> WheelControlSettings:
-        """Settings of the control loop."""
-        return self._settings
-
-    @property
     def velocity(self) -> VelocityCommand:
         """The present velocity command after limits."""
         return self._velocity.now
@@ -301,7 +355,7 @@ class VelocityControl:
         """
         since_s = 0.0 if self._last_s is None else max(now_s - self._last_s, 0.0)
         self._last_s = now_s
-        if since_s > self._settings.hold_s:
+        if since_s > HOLD_S:
             # The link has stopped the motors meanwhile; a command before the gap does not count after it.
             self.stop(f"the program stood still for {since_s:.1f} s" if self._is_driven else "")
             for loop in self._loops:
@@ -312,7 +366,7 @@ class VelocityControl:
             self._has_ticks = True
             for loop, count in zip(self._loops, (ticks.left, ticks.right), strict=True):
                 loop.count(ticks.stamp_s, count)
-        if now_s - self._last_ticks_s > self._settings.silence_s:
+        if now_s - self._last_ticks_s > TICKS_SILENT_S:
             self.stop("no wheel readings come")
         elif self._stood_still(now_s) and self.reason and command.is_stop:
             self.reason = ""
@@ -326,7 +380,7 @@ class VelocityControl:
     def _stood_still(self, now_s: float) -> bool:
         """Whether the wheels stand, or still roll after a long time without voltage."""
         self._stopped_s = now_s if self._stopped_s is None else self._stopped_s
-        if any(abs(loop.speed_m_s) >= self._settings.standing_m_s for loop in self._loops):
+        if any(abs(loop.speed_m_s) >= _RIM_STANDS_M_S for loop in self._loops):
             self._rolled_s = now_s
         return now_s - self._rolled_s > _STOOD_S or now_s - self._stopped_s > _ROLLS_S
 
@@ -335,7 +389,7 @@ class VelocityControl:
         across_m_s = velocity.turn_rad_s * self._half_track_m
         rims_m_s = velocity.forward_m_s - across_m_s, velocity.forward_m_s + across_m_s
         # If one wheel saturates, both are slowed by the same factor, so that the robot keeps its path.
-        share = min(1.0, self._settings.most_duty * self._settings.full_speed_m_s / max(*map(abs, rims_m_s), 1e-9))
+        share = min(1.0, _MOST_DUTY * self._settings.full_speed_m_s / max(*map(abs, rims_m_s), 1e-9))
         left, right = (loop.duty(share * rim_m_s, since_s) for loop, rim_m_s in zip(self._loops, rims_m_s, strict=True))
         for loop in self._loops:
             if loop.reason:
@@ -364,7 +418,7 @@ class _WheelLoop:
         if self._counts and stamp_s <= self._counts[-1][0]:
             return
         self._counts.append((stamp_s, count))
-        while len(self._counts) > 2 and stamp_s - self._counts[1][0] >= self._settings.speed_window_s - 1e-6:
+        while len(self._counts) > 2 and stamp_s - self._counts[1][0] >= _SPEED_WINDOW_S - 1e-6:
             self._counts.popleft()
 
     @property
@@ -376,33 +430,30 @@ class _WheelLoop:
 
     def duty(self, wanted_m_s: float, since_s: float) -> float:
         """The duty from -1 to 1; sets `reason` if the wheel has not followed for too long."""
-        settings, speed_m_s = self._settings, self.speed_m_s
-        answered = 1 - math.exp(-since_s / settings.answer_s)
+        full_m_s, speed_m_s = self._settings.full_speed_m_s, self.speed_m_s
+        answered = 1 - math.exp(-since_s / _ANSWER_S)
         self._expected_m_s += answered * (wanted_m_s - self._expected_m_s)
-        fault = self._fault(self._expected_m_s, speed_m_s)
+        fault, expected_m_s = "", self._expected_m_s
+        if expected_m_s * speed_m_s < 0 and abs(speed_m_s) > _FAULT_M_S:
+            fault = "turns the wrong way"
+        elif abs(speed_m_s) > abs(expected_m_s) + _FAULT_M_S:
+            fault = "runs away"
+        elif abs(expected_m_s) > 2 * _RIM_STANDS_M_S:
+            # A slow wheel cannot be slower by that much; it must turn at all.
+            is_blocked = abs(speed_m_s) < abs(expected_m_s) - min(_FAULT_M_S, 0.8 * abs(expected_m_s))
+            fault = "is blocked" if is_blocked else ""
         # A dead encoder shows a large error at once: the larger the error, the shorter the time to the fault.
-        weight = max(abs(self._expected_m_s - speed_m_s) / settings.doubt_m_s, 1.0)
+        weight = max(abs(self._expected_m_s - speed_m_s) / _FAULT_M_S, 1.0)
         self._fault_s = self._fault_s + weight * since_s if fault else 0.0
-        if self._fault_s > settings.doubt_s:
+        if self._fault_s > _FAULT_S:
             self.reason = f"the {self._name} wheel {fault}: command {wanted_m_s:.2f} m/s, encoder {speed_m_s:.2f}"
-        if wanted_m_s == 0 and abs(speed_m_s) < settings.standing_m_s:
+        if wanted_m_s == 0 and abs(speed_m_s) < _RIM_STANDS_M_S:
             self._sum = self._expected_m_s = 0.0
             return 0.0
-        error = (self._expected_m_s - speed_m_s) / settings.full_speed_m_s
-        most = settings.most_correction
-        self._sum = min(max(self._sum + settings.integral_per_s * error * since_s, -most), most)
-        correction = min(max(settings.proportional * error + self._sum, -most), most)
-        known = wanted_m_s / settings.full_speed_m_s
-        known += math.copysign(settings.dead_duty, wanted_m_s) if wanted_m_s else 0.0
-        return min(max(known + correction, -settings.most_duty), settings.most_duty)
-
-    def _fault(self, wanted_m_s: float, speed_m_s: float) -> str:
-        """The fault of the wheel, or an empty string."""
-        much = self._settings.doubt_m_s
-        if wanted_m_s * speed_m_s < 0 and abs(speed_m_s) > much:
-            return "turns the wrong way"
-        if abs(speed_m_s) > abs(wanted_m_s) + much:
-            return "runs away"
-        # A slow wheel cannot be slower by that much; it must turn at all.
-        is_blocked = abs(speed_m_s) < abs(wanted_m_s) - min(much, 0.8 * abs(wanted_m_s))
-        return "is blocked" if is_blocked and abs(wanted_m_s) > 2 * self._settings.standing_m_s else ""
+        error = (self._expected_m_s - speed_m_s) / full_m_s
+        most = _MOST_CORRECTION
+        self._sum = min(max(self._sum + _INTEGRAL_PER_S * error * since_s, -most), most)
+        correction = min(max(_PROPORTIONAL * error + self._sum, -most), most)
+        known = wanted_m_s / full_m_s
+        known += math.copysign(self._settings.dead_duty, wanted_m_s) if wanted_m_s else 0.0
+        return min(max(known + correction, -_MOST_DUTY), _MOST_DUTY)

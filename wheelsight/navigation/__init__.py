@@ -1,25 +1,46 @@
 """Navigation: costmap, planner, controller and collision monitor; from a map and a goal to velocity commands."""
 
-from wheelsight.core.robots import RobotLimits
+from wheelsight.core.robots import Localization, RobotLimits
+from wheelsight.core.threads import Worker, WorkerBeside, WorkerInStep
 from wheelsight.navigation.behaviours import Behaviour, Straight, Turn, Wait
 from wheelsight.navigation.clearance_kernels import CostField
-from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason, MonitorResult, MonitorState
-from wheelsight.navigation.controllers import MppiController, PurePursuitController
-from wheelsight.navigation.costmap import CellState, Costmap, LiveLayer, LiveObstacles, StaticLayer
+from wheelsight.navigation.collision_monitor import (
+    CollisionMonitor,
+    MonitorReason,
+    MonitorResult,
+    MonitorState,
+    VelocityRamp,
+)
+from wheelsight.navigation.controllers import (
+    Controller,
+    ControlReason,
+    ControlResult,
+    DrivenPath,
+    MotionState,
+    MppiController,
+    PurePursuitController,
+)
+from wheelsight.navigation.costmap import (
+    CellState,
+    Costmap,
+    Floor,
+    GrowingFloor,
+    KnownFloor,
+    LiveObstacles,
+    SeenFloor,
+    StaticLayer,
+)
 from wheelsight.navigation.exploration import Exploration
-from wheelsight.navigation.footprint import Footprint
-from wheelsight.navigation.goals import Goals, Poses, Way
-from wheelsight.navigation.localization import Localization, planar_pose
-from wheelsight.navigation.navigator import Navigator, VelocityRamp
-from wheelsight.navigation.path_following import Controller, ControlReason, ControlResult, DrivenPath, MotionState
-from wheelsight.navigation.people import PeopleTracker, Person
+from wheelsight.navigation.navigator import Navigator
+from wheelsight.navigation.perception import DepthView, DepthViewer, LiveLayer, PeopleTracker, Person
 from wheelsight.navigation.planner import PathPlanner, Plan, PlanFailure, Planner, PlanReason, cost_to_go
-from wheelsight.navigation.planning import Planned, Planning
+from wheelsight.navigation.planning import Goals, Planned, Planning, PoseGoals, RecordedPath
+from wheelsight.navigation.senses import planar_pose
 from wheelsight.navigation.settings import (
     BehaviourSettings,
     CostmapSettings,
-    ExplorationSettings,
     FollowSettings,
+    Footprint,
     FootprintSettings,
     LiveLayerSettings,
     MonitorSettings,
@@ -28,14 +49,8 @@ from wheelsight.navigation.settings import (
     NavigatorSettings,
     PeopleSettings,
     PlannerSettings,
-    PurePursuitSettings,
-    ViewSettings,
-    WheelCheckSettings,
 )
-from wheelsight.navigation.static_map import Floor, GrowingFloor, KnownFloor, SeenFloor
-from wheelsight.navigation.surroundings import DepthView, DepthViewer
 from wheelsight.navigation.task import Feedback, NavigationReason, NavigationResult, NavigationState, Transition
-from wheelsight.navigation.workers import Worker, WorkerBeside, WorkerInStep
 
 __all__ = [
     "Behaviour",
@@ -52,7 +67,6 @@ __all__ = [
     "DepthViewer",
     "DrivenPath",
     "Exploration",
-    "ExplorationSettings",
     "Feedback",
     "Floor",
     "FollowSettings",
@@ -89,9 +103,9 @@ __all__ = [
     "Planner",
     "PlannerSettings",
     "Planning",
-    "Poses",
+    "PoseGoals",
     "PurePursuitController",
-    "PurePursuitSettings",
+    "RecordedPath",
     "RobotLimits",
     "SeenFloor",
     "StaticLayer",
@@ -99,10 +113,7 @@ __all__ = [
     "Transition",
     "Turn",
     "VelocityRamp",
-    "ViewSettings",
     "Wait",
-    "Way",
-    "WheelCheckSettings",
     "Worker",
     "WorkerBeside",
     "WorkerInStep",

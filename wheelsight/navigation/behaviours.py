@@ -18,11 +18,19 @@ from wheelsight.core.geometry.se2 import wrap_angle
 from wheelsight.core.messages import STOP, VelocityCommand
 from wheelsight.navigation.clearance_kernels import CostField, Outline, clearance_at, free_arc, moved
 from wheelsight.navigation.costmap import CellState, Costmap
-from wheelsight.navigation.footprint import checked
-from wheelsight.navigation.settings import BehaviourSettings
+from wheelsight.navigation.settings import BehaviourSettings, checked
 
-# Least progress, radians and metres.
-_LEAST_RAD, _LEAST_M = 0.02, 0.01
+# Least progress, radians and metres; and the time that the collision monitor may hold a behaviour before it ends.
+_LEAST_RAD, _LEAST_M, _REFUSED_S = 0.02, 0.01, 2.0
+# Turn rate of turns to look around or to search; images blur beyond.
+_TURN_RAD_S = 0.4
+# Turn to either side to look around, as the view of a Kinect is 1 rad wide; and of a lost robot, once around.
+_LOOK_RAD, _SEARCH_RAD = 1.0, 6.4
+# Speed of the way to the next place of a search, and the least such way; less shows nothing new.
+_SEARCH_M_S, _LEAST_SEARCH_M = 0.2, 0.5
+# Way back, without a camera; and way back from unseen floor: a chair's camera, 0.35 m ahead of the axle, observes floor
+# from 0.5 m on, where the front was. Both at this speed.
+_BACK_M, _UNSEEN_BACK_M, _BACK_M_S = 0.3, 0.8, 0.1
 
 
 class Behaviour(Protocol):
@@ -61,15 +69,13 @@ class Turn:
     """Turn in place by angles, one after another; counter-clockwise if positive."""
 
     angles_rad: tuple[float, ...]
-    speed_rad_s: float
-    refused_s: float
     name: str = "look about"
     _progress: _Progress = field(init=False)
     _left: list[float] = field(init=False)
     _yaw: float | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        self._progress, self._left = _Progress(self.refused_s, _LEAST_RAD), list(self.angles_rad)
+        self._progress, self._left = _Progress(_LEAST_RAD), list(self.angles_rad)
 
     def command(self, now_s: float, odom_pose: FloatArray | None) -> VelocityCommand | None:
         """See `Behaviour`."""
@@ -82,9 +88,9 @@ class Turn:
         self._left[0] -= turned
         if self._left[0] * sign <= 0 or self._progress.is_held(now_s, abs(self._left[0])):
             self._left.pop(0)
-            self._progress = _Progress(self.refused_s, _LEAST_RAD)
+            self._progress = _Progress(_LEAST_RAD)
             return STOP if self._left else None
-        return VelocityCommand(0.0, sign * self.speed_rad_s)
+        return VelocityCommand(0.0, sign * _TURN_RAD_S)
 
 
 @dataclass
@@ -93,13 +99,12 @@ class Straight:
 
     way_m: float
     speed_m_s: float
-    refused_s: float
     name: str
     _progress: _Progress = field(init=False)
     _from: FloatArray | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        self._progress = _Progress(self.refused_s, _LEAST_M)
+        self._progress = _Progress(_LEAST_M)
 
     def command(self, now_s: float, odom_pose: FloatArray | None) -> VelocityCommand | None:
         """See `Behaviour`."""
@@ -133,51 +138,45 @@ class Series:
 class _Progress:
     """Detects that the rest of a motion has not decreased for too long."""
 
-    def __init__(self, held_s: float, least: float) -> None:
-        self._held_s, self._least = held_s, least
+    def __init__(self, least: float) -> None:
+        self._least = least
         self._best, self._since_s = math.inf, math.nan
 
     def is_held(self, now_s: float, left: float) -> bool:
         """Update by the rest of the motion; return whether it is stuck."""
         if left < self._best - self._least or math.isnan(self._since_s):
             self._best, self._since_s = left, now_s
-        return now_s - self._since_s > self._held_s
+        return now_s - self._since_s > _REFUSED_S
 
 
-def when_blocked(attempt: int, settings: BehaviourSettings) -> Behaviour:
+_LOOK = (_LOOK_RAD, -2 * _LOOK_RAD, _LOOK_RAD)
+
+
+def when_blocked(attempt: int, wait_s: float) -> Behaviour:
     """Return the behaviour of an attempt to get free, the gentlest first."""
-    s = settings
-    back = Straight(-s.back_m, s.back_m_s, s.refused_s, "back up")
-    ways: tuple[Behaviour, ...] = (Wait(s.wait_s), _look(s), back)
+    ways: tuple[Behaviour, ...] = (Wait(wait_s), Turn(_LOOK), Straight(-_BACK_M, _BACK_M_S, "back up"))
     return ways[attempt % len(ways)]
 
 
-def beside_goal(settings: BehaviourSettings) -> Behaviour:
+def beside_goal(wait_s: float) -> Behaviour:
     """Return the behaviour beside a goal that is occupied: wait, then look around.
 
     The camera does not see what is beside the robot, so it must look there to see that a person has left.
     """
-    return Series((Wait(settings.wait_s), _look(settings)), "wait until there is room at its goal")
+    return Series((Wait(wait_s), Turn(_LOOK)), "wait until there is room at its goal")
 
 
-def when_unseen(attempt: int, settings: BehaviourSettings, *, was_backward: bool) -> Behaviour:
+def when_unseen(attempt: int, *, was_backward: bool) -> Behaviour:
     """Return the behaviour in front of unseen floor, where waiting does not help.
 
     The robot first backs up until its camera sees the floor that was under its front. After a backward motion it drives
     forward instead, as no camera looks behind it.
     """
-    s = settings
     if attempt % 2:
-        return _look(s)
+        return Turn(_LOOK)
     if was_backward:
-        return Straight(s.unseen_back_m, s.back_m_s, s.refused_s, "drive on, away from what is behind")
-    return Straight(-s.unseen_back_m, s.back_m_s, s.refused_s, "back up, to see where its front was")
-
-
-def _look(settings: BehaviourSettings) -> Turn:
-    """Return a turn to either side and back."""
-    s = settings
-    return Turn((s.look_rad, -2 * s.look_rad, s.look_rad), s.turn_rad_s, s.refused_s)
+        return Straight(_UNSEEN_BACK_M, _BACK_M_S, "drive on, away from what is behind")
+    return Straight(-_UNSEEN_BACK_M, _BACK_M_S, "back up, to see where its front was")
 
 
 def when_lost(
@@ -198,19 +197,18 @@ def when_lost(
         is_held: whether the collision monitor or the map stopped the last attempt.
         sees: whether the camera has depth.
     """
-    s, begins = settings, status is Status.INITIALIZING
+    begins = status is Status.INITIALIZING
     if attempt == 0 and not begins:
-        return Wait(s.wait_s / 2, "wait to see where it is")
+        return Wait(settings.wait_s / 2, "wait to see where it is")
     if is_held and (attempt % 3 == 2 or (attempt > 0 and not sees)):
-        return Straight(-s.back_m, s.back_m_s, s.refused_s, "back up, to see where it is")
+        return Straight(-_BACK_M, _BACK_M_S, "back up, to see where it is")
     is_second = (attempt + begins) % 2 == 0
-    if is_second and not is_held and open_way is not None and open_way.way_m >= s.least_search_m:
-        turn = Turn((open_way.turn_rad,), s.turn_rad_s, s.refused_s)
-        way_m = min(open_way.way_m, s.search_m)
-        parts = turn, Straight(way_m, s.search_m_s, s.refused_s, "drive on")
+    if is_second and not is_held and open_way is not None and open_way.way_m >= _LEAST_SEARCH_M:
+        way_m = min(open_way.way_m, settings.search_m)
+        parts = Turn((open_way.turn_rad,)), Straight(way_m, _SEARCH_M_S, "drive on")
         return Series(parts, f"look for a known place {way_m:.1f} m from here")
     sign = -1.0 if is_second else 1.0
-    return Turn((sign * s.search_rad,), s.turn_rad_s, s.refused_s, "look for a known place")
+    return Turn((sign * _SEARCH_RAD,), "look for a known place")
 
 
 _DIRECTIONS = 24
@@ -248,8 +246,9 @@ def open_way(costmap: Costmap, outline: Outline, pose: FloatArray, margin_m: flo
     return OpenWay(float(turns[best]), steps[best] * _STEP_M)
 
 
-# Step of the prediction in `keeps_clear`.
-_STEP_S = 0.1
+# Of `keeps_clear`: the least distance to obstacles of the map, a cell, which is the error of maps; the time ahead that
+# is checked, as the robot has stopped by then; and its steps.
+_CLEAR_M, _CLEAR_S, _STEP_S = 0.05, 0.8, 0.1
 
 
 def keeps_clear(
@@ -257,11 +256,10 @@ def keeps_clear(
     outline: Outline,
     pose: FloatArray,
     command: VelocityCommand,
-    settings: BehaviourSettings,
     *,
     minds_unknown: bool = False,
 ) -> bool:
-    """Return whether a command, driven for `clear_s`, keeps a distance of `clear_m` from obstacles of the map.
+    """Return whether a command, driven for `_CLEAR_S`, keeps a distance of `_CLEAR_M` from obstacles of the map.
 
     Behaviours follow no plan, the camera does not see all around, and the monitor forgets obstacles out of view. A
     robot that looked around beside a kitchen counter turned into it, 40 s after it had seen it. A robot that is nearer
@@ -272,7 +270,6 @@ def keeps_clear(
         outline: of the robot.
         pose: (3,) x, y, yaw in the map.
         command: to check.
-        settings: of behaviours.
         minds_unknown: whether unknown floor counts as an obstacle.
     """
     is_obstacle = costmap.state == CellState.OCCUPIED
@@ -282,10 +279,10 @@ def keeps_clear(
     distance_m = cv2.distanceTransform(is_free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * np.float32(costmap.resolution_m)
     field = CostField(distance_m, np.zeros_like(distance_m), costmap.resolution_m, costmap.origin)
     at = (float(pose[0]), float(pose[1]), float(np.cos(pose[2])), float(np.sin(pose[2])))
-    least_m = float(clearance_at(field, outline, at, settings.clear_m))
-    for _ in range(round(settings.clear_s / _STEP_S)):
+    least_m = float(clearance_at(field, outline, at, _CLEAR_M))
+    for _ in range(round(_CLEAR_S / _STEP_S)):
         at = moved(at, command.forward_m_s * _STEP_S, command.turn_rad_s * _STEP_S)
-        clearance_m = float(clearance_at(field, outline, at, settings.clear_m))
-        if clearance_m < min(settings.clear_m, least_m):
+        clearance_m = float(clearance_at(field, outline, at, _CLEAR_M))
+        if clearance_m < min(_CLEAR_M, least_m):
             return False
     return True

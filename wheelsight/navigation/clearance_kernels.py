@@ -248,7 +248,7 @@ def free_arc(field: CostField, outline: Outline, people: FloatArray, pose: Any, 
 # Free part of an arc, by obstacles and by unseen floor.
 
 
-class Ground(NamedTuple):
+class UnseenGround(NamedTuple):
     """Unseen floor around a robot.
 
     Attributes:
@@ -343,7 +343,9 @@ def zone_share(sides: FloatArray, points: FloatArray, arc: Any, steps: int, zone
 
 
 @kernel
-def seen_shares(outline: FloatArray, sides: FloatArray, ground: Ground, arc: Any, steps: int, deep_m: float) -> Any:
+def seen_shares(
+    outline: FloatArray, sides: FloatArray, ground: UnseenGround, arc: Any, steps: int, deep_m: float
+) -> Any:
     """Return two shares of an arc for the points (K, 2) of an outline, except for floor under the robot now.
 
     The first ends where a point is too deep in floor that was never seen, the second at floor not seen lately.
@@ -370,7 +372,7 @@ def seen_shares(outline: FloatArray, sides: FloatArray, ground: Ground, arc: Any
 
 
 @kernel
-def deepest_m(points: FloatArray, ground: Ground) -> Any:
+def deepest_m(points: FloatArray, ground: UnseenGround) -> Any:
     """Return the largest depth of points (N, 2) of a robot in unseen floor; infinite beyond the known window."""
     px, py, pc, ps = ground.pose
     rows, columns = ground.deep_m.shape
@@ -407,7 +409,7 @@ class Memory(NamedTuple):
     cell_m: float
 
 
-class Sight(NamedTuple):
+class SeenSector(NamedTuple):
     """A camera's view of the floor in the plane.
 
     Attributes:
@@ -446,7 +448,7 @@ def slot(memory: Memory, i: int, j: int) -> Any:
 
 
 @kernel
-def mark_seen(memory: Memory, sight: Sight, x: float, y: float) -> None:
+def mark_seen(memory: Memory, sight: SeenSector, x: float, y: float) -> None:
     """Mark what a camera sees, and remove obstacles that it sees through, in the window around (x, y)."""
     n, cell = len(memory.seen_s), memory.cell_m
     first_i, first_j = int(np.floor(x / cell)) - n // 2, int(np.floor(y / cell)) - n // 2
@@ -467,7 +469,7 @@ def mark_seen(memory: Memory, sight: Sight, x: float, y: float) -> None:
 
 
 @kernel
-def _bounds(sight: Sight) -> Any:
+def _bounds(sight: SeenSector) -> Any:
     """Return the least and largest x and y that a camera sees."""
     left, right, below, above = sight.x, sight.x, sight.y, sight.y
     # An arc between two columns exceeds the chord.
@@ -480,7 +482,7 @@ def _bounds(sight: Sight) -> Any:
 
 
 @kernel
-def _is_seen(sight: Sight, x: float, y: float, short_m: float, near_m: float) -> Any:
+def _is_seen(sight: SeenSector, x: float, y: float, short_m: float, near_m: float) -> Any:
     """Return whether a column sees more than `short_m` beyond a point that is at `near_m` or farther."""
     dx, dy = x - sight.x, y - sight.y
     away = np.sqrt(dx * dx + dy * dy)

@@ -1,36 +1,71 @@
-"""CollisionMonitor: slows or stops a command before a collision. WheelCheck: detects wheels that do not follow it."""
+"""CollisionMonitor: slows or stops a command before a collision, by a memory of the floor around the robot.
+
+`ControlChain` is the way of each command: a velocity ramp, then the monitor. `WheelCheck` detects wheels that do not
+follow their commands.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from enum import StrEnum
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wheelsight.core.errors import ArgumentError
 from wheelsight.core.estimates import Status
-from wheelsight.core.geometry import FloatArray
+from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray
 from wheelsight.core.messages import STOP, VelocityCommand
-from wheelsight.core.robots import RobotLimits
+from wheelsight.core.robots import CONTROL_PERIOD_S, RobotLimits
 from wheelsight.navigation.clearance_kernels import (
-    Ground,
+    Memory,
+    Outline,
+    SeenSector,
+    UnseenGround,
     all_outside_m,
     clear_share,
     deepest_m,
+    mark_seen,
+    mark_under,
+    moved,
+    remembered,
     seen_shares,
+    store_hits,
+    unseen,
     zone_share,
 )
-from wheelsight.navigation.footprint import Footprint, outline_of
-from wheelsight.navigation.settings import MonitorSettings, WheelCheckSettings
-from wheelsight.navigation.surroundings import DepthView, Pose, Surroundings
+from wheelsight.navigation.perception import DepthView
+from wheelsight.navigation.settings import (
+    SILENT_S,
+    Footprint,
+    MonitorSettings,
+    NavigationSettings,
+    outline_of,
+    sides_of,
+)
 
 # Least speeds of a base; a command below both is a stop.
 _LEAST_M_S, _LEAST_RAD_S = 0.02, 0.02
-# Without any frame for this time the camera, its cable or its driver has failed, and the motors stop at once. A frame
-# older than `frame_age_s` only brakes.
-CAMERA_SILENT_S = 0.4
 _STATUS_TO_STAND = (Status.INITIALIZING, Status.FAILING, Status.LOST)
+# Depth of a point inside the outline that stops the robot.
+_INSIDE_M = 0.1
+# Way since the newest usable frame beyond which it stops: at 1 m/s a control period adds 0.05 m, and 0.3 m may be
+# driven blind (issue 32).
+_FRAME_WAY_M = 0.24
+# How far a stamp may be in the future; clocks err by less.
+_AHEAD_S = 0.05
+# Least share of bearings with depth in a usable frame.
+_SEEN_SHARE = 0.3
+# Depth of the front in unseen floor up to which the floor that it crosses counts as seen: a corner precedes the view of
+# 60° by 0.04 m in a turn.
+_LEAD_M = 0.1
+# Gap between wheel readings that invalidates the memory.
+_GAP_S = 0.5
+# Motion of the outline between two poses of an arc that are checked.
+_STEP_M = 0.02
 
 
 class MonitorState(StrEnum):
@@ -78,33 +113,101 @@ class MonitorResult:
     reason: MonitorReason | None = None
 
 
+class ControlChain:
+    """Passes each requested command through a velocity ramp and the collision monitor.
+
+    Args:
+        settings: limits, footprint and monitor of the robot.
+
+    Attributes:
+        monitor: decides on the final command.
+        checked: the monitor's result for the last command.
+        was_backward: whether the last command that the monitor stopped was backward.
+    """
+
+    def __init__(self, settings: NavigationSettings) -> None:
+        self.monitor = CollisionMonitor(settings.footprint.outline, settings.limits, settings.monitor)
+        self.checked = MonitorResult(STOP, MonitorState.FREE)
+        self._stopped: tuple[float, MonitorReason | None] = (-math.inf, None)
+        self.was_backward = False
+        self._ramp = VelocityRamp(settings.limits)
+
+    @property
+    def command(self) -> VelocityCommand:
+        """Command for the robot."""
+        return self.checked.command
+
+    def ask(
+        self,
+        asked: VelocityCommand,
+        now_s: float,
+        status: Status,
+        *,
+        stands_by_itself: bool,
+        silent: MonitorReason | None = None,
+    ) -> None:
+        """Compute the command of a period.
+
+        Args:
+            asked: command that the navigator requests.
+            now_s: time of the period.
+            status: of the localization.
+            stands_by_itself: whether the robot has stopped by itself, and does not obey.
+            silent: the part that does not answer; with one the command is a stop.
+        """
+        if stands_by_itself:
+            # A ramp down during its own stop would look like disobedience, and would delay the stop command.
+            self._ramp.follow(STOP)
+        ramped = self._ramp.step(asked.forward_m_s, asked.turn_rad_s, CONTROL_PERIOD_S)
+        self.checked = self.monitor.check(ramped, now_s, status, silent)
+        if self.checked.state is not MonitorState.FREE:
+            self._ramp.follow(self.checked.command)
+        if self.checked.state is MonitorState.STOPPED:
+            self._stopped = now_s, self.checked.reason
+            self.was_backward = asked.forward_m_s < 0
+
+    def clear_fault(self) -> None:
+        """Permit driving again after a person has checked the wheels."""
+        self.monitor.clear_fault()
+        if self.checked.reason is MonitorReason.WHEELS_OFF:
+            self.checked = MonitorResult(STOP, MonitorState.FREE)
+
+    def stopped_by(self, since_s: float) -> MonitorReason | None:
+        """Return why the monitor last stopped the robot since a time. A controller only knows that it does not move."""
+        return self._stopped[1] if self._stopped[0] >= since_s else None
+
+
 class CollisionMonitor:
     """Reduces commands so that the robot does not collide. No later part may make a command faster.
 
     It knows no plans, maps and controllers. It checks the arcs that the robot drives until it stands against obstacles
     and unseen floor. It also stops the robot if any of its data are old or inconsistent.
+
+    Attributes:
+        memory: of the floor around the robot.
     """
 
     def __init__(
-        self,
-        footprint: Footprint,
-        limits: RobotLimits | None = None,
-        settings: MonitorSettings | None = None,
-        wheel_settings: WheelCheckSettings | None = None,
+        self, footprint: Footprint, limits: RobotLimits | None = None, settings: MonitorSettings | None = None
     ) -> None:
         self._outline = outline_of(footprint)
         self._limits, self._settings = limits or RobotLimits(), settings or MonitorSettings()
-        self._wheels = WheelCheck(self._limits, wheel_settings or WheelCheckSettings())
-        self._surroundings = Surroundings(self._outline, self._settings)
-        sides, cell_m = self._outline.sides, self._settings.cell_m
+        self._wheels = WheelCheck(self._limits)
+        self.memory = FloorMemory(self._outline, self._settings.fresh_s)
         # Points (K, 2) along the outline.
-        self._edge = np.array([side[:2] + d * side[2:4] for side in sides for d in np.arange(0.0, side[4], cell_m)])
+        sides = self._outline.sides
+        self._edge = np.array([side[:2] + d * side[2:4] for side in sides for d in np.arange(0.0, side[4], _CELL_M)])
         self._reach_m = float(np.linalg.norm(footprint.corners, axis=1).max())
         self._frame_s, self._wheels_s = -np.inf, -np.inf
         self._any_frame_s, self._blind_way_m = -np.inf, 0.0
         self._measured = (0.0, 0.0)
         self._is_frame_sound, self._are_wheels_sound = True, True
         self._are_wheels_off = False
+
+    @property
+    def has_wheel_fault(self) -> bool:
+        """Whether wheels did not follow their commands; it stays so until `clear_fault`."""
+        return self._are_wheels_off
 
     def clear_fault(self) -> None:
         """Permit driving again after a person has checked the wheels."""
@@ -116,7 +219,7 @@ class CollisionMonitor:
 
         Obstacles in frames still count there. It applies to the robot's current place, and ends as other memory does.
         """
-        self._surroundings.trust(radius_m)
+        self.memory.trust(radius_m)
 
     def hear(
         self, stamp_s: float, forward_m_s: float, turn_rad_s: float, rolled: tuple[float, float] | None = None
@@ -131,12 +234,12 @@ class CollisionMonitor:
         self._are_wheels_sound = bool(np.isfinite([stamp_s, forward_m_s, turn_rad_s, *(rolled or ())]).all())
         if not self._are_wheels_sound or stamp_s <= self._wheels_s:
             return
-        if stamp_s - self._wheels_s > self._settings.gap_s:
-            self._surroundings.forget()
+        if stamp_s - self._wheels_s > _GAP_S:
+            self.memory.forget()
             self._wheels.reset()
             self._frame_s = -np.inf
-        self._blind_way_m += abs(forward_m_s) * min(stamp_s - self._wheels_s, self._settings.gap_s)
-        self._surroundings.hear(stamp_s, forward_m_s, turn_rad_s, rolled)
+        self._blind_way_m += abs(forward_m_s) * min(stamp_s - self._wheels_s, _GAP_S)
+        self.memory.hear(stamp_s, forward_m_s, turn_rad_s, rolled)
         self._wheels_s, self._measured = stamp_s, (forward_m_s, turn_rad_s)
         self._are_wheels_off |= self._wheels.is_off(forward_m_s, turn_rad_s, stamp_s)
 
@@ -145,32 +248,14 @@ class CollisionMonitor:
         self._is_frame_sound = view.is_sound
         if view.is_sound:
             self._any_frame_s = max(self._any_frame_s, view.stamp_s)
-        if not view.is_sound or view.stamp_s <= self._frame_s or view.share < self._settings.seen_share:
+        if not view.is_sound or view.stamp_s <= self._frame_s or view.share < _SEEN_SHARE:
             return
-        if self._surroundings.see(view):
+        if self.memory.see(view):
             self._frame_s, self._blind_way_m = view.stamp_s, 0.0
 
-    def hidden(self, reach_m: float, deep_m: float) -> FloatArray:
-        """Return (N, 2) in the base: floor within reach that lies deeper than `deep_m` in unseen floor.
-
-        The monitor cannot forbid all of it, as in a turn the corners precede the view. Planners should avoid it.
-        """
-        return self._surroundings.hidden_about(reach_m, deep_m)
-
-    def forget_near(self, xy_base: ArrayLike, radius_m: float) -> None:
-        """Remove remembered obstacles near a place (2,) in the base, because a person sees none there.
-
-        Obstacles in later frames still count.
-        """
-        self._surroundings.forget_near(xy_base, radius_m)
-
-    def remembered(self, reach_m: float) -> FloatArray:
-        """Return (N, 2) in the base: obstacles within reach that it remembers, but that the newest frame lacks."""
-        return self._surroundings.out_of_sight(reach_m)
-
     def is_camera_silent(self, now_s: float) -> bool:
-        """Return whether no frame came for `CAMERA_SILENT_S` since the last one; a covered lens still sends frames."""
-        return bool(np.isfinite(self._any_frame_s) and now_s - self._any_frame_s > CAMERA_SILENT_S)
+        """Return whether no frame came for `SILENT_S`, as of a failed camera; a covered lens still sends frames."""
+        return bool(np.isfinite(self._any_frame_s) and now_s - self._any_frame_s > SILENT_S)
 
     def check(
         self, asked: VelocityCommand, now_s: float, status: Status, silent: MonitorReason | None = None
@@ -204,13 +289,13 @@ class CollisionMonitor:
         """Return why any command is unsafe; None if none is."""
         s, newest_s = self._settings, max(self._frame_s, self._wheels_s)
         age_s = now_s - self._frame_s
-        is_old = age_s > s.frame_age_s or abs(self._measured[0]) * age_s > s.frame_way_m
+        is_old = age_s > s.frame_age_s or abs(self._measured[0]) * age_s > _FRAME_WAY_M
         # It may back up a little from an obstacle too near for its camera, while that sends frames.
         is_alive = now_s - self._any_frame_s <= s.frame_age_s
         backs_up = is_alive and asked.forward_m_s < 0 and asked.turn_rad_s == 0 and self._blind_way_m < s.blind_m
         wrong = {
             MonitorReason.INVALID: not (np.isfinite(now_s) and self._is_frame_sound and self._are_wheels_sound),
-            MonitorReason.FROM_AHEAD: newest_s > now_s + s.ahead_s,
+            MonitorReason.FROM_AHEAD: newest_s > now_s + _AHEAD_S,
             MonitorReason.NO_WHEELS: now_s - self._wheels_s > s.encoder_age_s,
             MonitorReason.NO_FRAME: is_old and not backs_up,
             MonitorReason.WHEELS_OFF: self._are_wheels_off,
@@ -221,13 +306,13 @@ class CollisionMonitor:
     def _share(self, asked: VelocityCommand, now_s: float, status: Status) -> tuple[float, MonitorReason | None]:
         """Return the share of a command that may be driven, and what limits it."""
         s = self._settings
-        pose = self._surroundings.pose_at(now_s)
+        pose = self.memory.pose_at(now_s)
         if pose is None:
             return 0.0, MonitorReason.NO_WHEELS
         twist = (asked.forward_m_s, asked.turn_rad_s)
-        points = self._surroundings.points_at(pose, now_s, self._look_m(twist))
+        points = self.memory.points_at(pose, now_s, self._look_m(twist))
         away = all_outside_m(self._outline.sides, points)
-        if (away < -s.inside_m).any():
+        if (away < -_INSIDE_M).any():
             return 0.0, MonitorReason.INSIDE
         shares = [(1.0, None), *self._by_things(twist, points, bool((away < s.margin_m).any()))]
         shares += self._by_floor(twist, pose, now_s)
@@ -265,13 +350,20 @@ class CollisionMonitor:
     ) -> list[tuple[float, MonitorReason | None]]:
         """Judge unseen floor along the requested arc."""
         s = self._settings
-        about = self._surroundings.unseen_about(pose, now_s, self._look_m(twist))
-        ground = Ground(about.never_m, about.is_old, about.first, s.cell_m, pose)
-        if self._is_led_by_its_front(ground, ground._replace(deep_m=about.hidden_m)):
-            self._surroundings.cover(pose, now_s)
+        about = self.memory.unseen_about(pose, now_s, self._look_m(twist))
+        ground = UnseenGround(about.never_m, about.is_old, about.first, _CELL_M, pose)
+        # It moves forward or turns, and its front is no deeper in unseen floor than a corner's lead. Floor that the
+        # robot has crossed counts as seen, which alone would let it drive on and on. So its front must also stay within
+        # `blind_m` of floor that a camera has seen.
+        forward, turn = self._measured
+        is_led_by_its_front = forward >= _LEAST_M_S or (forward >= -_LEAST_M_S and abs(turn) >= _LEAST_RAD_S)
+        front = self._edge[self._edge[:, 0] >= 0]
+        hidden = ground._replace(deep_m=about.hidden_m)
+        if is_led_by_its_front and deepest_m(front, ground) <= _LEAD_M and deepest_m(front, hidden) <= s.blind_m:
+            self.memory.cover(pose, now_s)
         arc, steps = self._arc(twist)
         # Distances between cell centres are off by up to a diagonal.
-        deep_m = max(s.blind_m - 1.5 * s.cell_m, 0.0)
+        deep_m = max(s.blind_m - 1.5 * _CELL_M, 0.0)
         deep, lately = seen_shares(self._edge, self._outline.sides, ground, arc, steps, deep_m)
         blind = _within(twist, s.blind_m_s, s.blind_rad_s)
         lately = 0.0 if twist[0] < 0 else self._stops_within(twist, lately)
@@ -279,19 +371,6 @@ class CollisionMonitor:
             (self._stops_within(twist, deep), MonitorReason.NEVER_SEEN),
             (max(lately, blind), MonitorReason.NOT_SEEN_LATELY),
         ]
-
-    def _is_led_by_its_front(self, ground: Ground, hidden: Ground) -> bool:
-        """Return whether it moves forward or turns, and its front is no deeper in unseen floor than a corner's lead.
-
-        Floor that the robot has crossed counts as seen, which alone would let it drive on and on. So its front must
-        also stay within `blind_m` of floor that a camera has seen.
-        """
-        forward, turn = self._measured
-        if forward < -_LEAST_M_S or (forward < _LEAST_M_S and abs(turn) < _LEAST_RAD_S):
-            return False
-        front = self._edge[self._edge[:, 0] >= 0]
-        s = self._settings
-        return bool(deepest_m(front, ground) <= s.lead_m and deepest_m(front, hidden) <= s.blind_m)
 
     def _slowing_s(self, twist: tuple[float, float]) -> float:
         """Return the time from a twist to a stop, along its arc."""
@@ -302,7 +381,7 @@ class CollisionMonitor:
         """Return way and turn until the robot stands, and the number of steps for the check."""
         seconds = self._settings.reaction_s + self._slowing_s(twist) / 2
         way = self._rate(twist) * seconds
-        return (twist[0] * seconds, twist[1] * seconds), max(int(np.ceil(way / self._settings.step_m)), 1)
+        return (twist[0] * seconds, twist[1] * seconds), max(int(np.ceil(way / _STEP_M)), 1)
 
     def _stops_within(self, twist: tuple[float, float], share: float) -> float:
         """Return the share of a twist whose arc ends within a share of the whole twist's arc."""
@@ -330,6 +409,18 @@ def _within(twist: tuple[float, float], most_m_s: float, most_rad_s: float) -> f
     return min(1.0, *shares)
 
 
+# Speed errors beyond what acceleration explains (a blocked wheel is off by half the speed), and the time of such an
+# error until it is a fault (issue 32).
+OFF_M_S, OFF_RAD_S, _OFF_S = 0.15, 0.3, 0.3
+# Longest lag of a base's response to a command.
+_LAG_S = 0.3
+# Least and largest time that a base keeps a command before it stops by itself: as `robots.HOLD_S`, and the firmware's
+# watchdog (docs/serial-link.md).
+_HELD_S, _WATCHDOG_S = 0.2, 0.25
+# Shares of the limits' accelerations of the slowest and the fastest base.
+_SLOW_SHARE, _FAST_SHARE = 0.5, 1.5
+
+
 class WheelCheck:
     """Detects wheels that do not follow their commands.
 
@@ -337,8 +428,8 @@ class WheelCheck:
     speed early and quickly, and loses it late and slowly; the lower end does the opposite.
     """
 
-    def __init__(self, limits: RobotLimits, settings: WheelCheckSettings) -> None:
-        self._limits, self._settings = limits, settings
+    def __init__(self, limits: RobotLimits) -> None:
+        self._limits = limits
         self._sent: deque[tuple[float, VelocityCommand]] = deque()
         self._lowest, self._highest = (0.0, 0.0), (0.0, 0.0)
         self._stamp_s: float | None = None
@@ -354,31 +445,31 @@ class WheelCheck:
 
     def is_off(self, forward_m_s: float, turn_rad_s: float, stamp_s: float) -> bool:
         """Return whether the measured speeds have been out of range for too long."""
-        s, measured = self._settings, (forward_m_s, turn_rad_s)
+        measured = (forward_m_s, turn_rad_s)
         if self._stamp_s is None:
             self._lowest = self._highest = measured
             self._stamp_s = stamp_s
             return False
         step_s, self._stamp_s = stamp_s - self._stamp_s, stamp_s
         # All commands that the base may follow at this time, with its lag.
-        late_s = stamp_s - s.lag_s
-        sent = [self._command_at(stamp_s, s.held_s), self._command_at(late_s, s.watchdog_s)]
+        late_s = stamp_s - _LAG_S
+        sent = [self._command_at(stamp_s, _HELD_S), self._command_at(late_s, _WATCHDOG_S)]
         sent += [command for sent_s, command in self._sent if late_s < sent_s <= stamp_s]
         ahead, turns = [one.forward_m_s for one in sent], [one.turn_rad_s for one in sent]
-        self._lowest = self._next(self._lowest, (min(ahead), min(turns)), step_s, s.slow_share, s.fast_share)
-        self._highest = self._next(self._highest, (max(ahead), max(turns)), step_s, s.fast_share, s.slow_share)
+        self._lowest = self._next(self._lowest, (min(ahead), min(turns)), step_s, _SLOW_SHARE, _FAST_SHARE)
+        self._highest = self._next(self._highest, (max(ahead), max(turns)), step_s, _FAST_SHARE, _SLOW_SHARE)
         bounds = zip(self._lowest, measured, self._highest, strict=True)
         off = [max(low - value, value - high, 0.0) for low, value, high in bounds]
-        is_off = off[0] > s.off_m_s or off[1] > s.off_rad_s
+        is_off = off[0] > OFF_M_S or off[1] > OFF_RAD_S
         self._off_s = self._off_s + step_s if is_off else 0.0
-        return self._off_s >= s.off_s
+        return self._off_s >= _OFF_S
 
     def _command_at(self, stamp_s: float, kept_s: float) -> VelocityCommand:
         """Return the last command at a time; a stop if it is older than a base keeps it.
 
         The program may have hung, and the base has then stopped by itself, as it should.
         """
-        oldest_s = stamp_s - self._settings.lag_s
+        oldest_s = stamp_s - _LAG_S
         while len(self._sent) > 1 and self._sent[1][0] <= oldest_s:
             self._sent.popleft()
         before = [(sent_s, command) for sent_s, command in self._sent if sent_s <= stamp_s]
@@ -398,3 +489,296 @@ def _toward(speed: float, wanted: float, rates: tuple[float, float], weighted_s:
     rate = rates[0] if speed * (wanted - speed) >= 0 else rates[1]
     change = rate * weighted_s[0 if wanted > speed else 1]
     return speed + min(max(wanted - speed, -change), change)
+
+
+# Pose in the plane of a `FloorMemory`: x, y, cosine and sine of the yaw.
+Pose = tuple[float, float, float, float]
+_MOST_POINTS = 20_000
+# Side of the memory's cells, and of its square around the robot: twice what a stop needs.
+_CELL_M, _WINDOW_M = 0.03, 6.0
+# Least distance from the camera at which it observes the air over unseen floor: an obstacle up to its lowest ray would
+# be visible there. A Kinect measures nothing nearer.
+AIR_M = 0.5
+# Longest time that an obstacle out of sight is remembered, as one that has left is cleared sooner; and the longest way
+# of the farthest corner until then: wheels err by 1 % of it, which is 0.1 m, as `_INSIDE_M`.
+_REMEMBER_S, _REMEMBER_M = 600.0, 10.0
+# History of wheel poses, for late frames.
+_HISTORY_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnseenFloor:
+    """Unseen floor around a robot, in cells; rows along x, columns along y.
+
+    Attributes:
+        never_m: (m, m) depth in metres into floor that was never seen nor driven over.
+        is_old: (m, m) 1 where it was not seen lately.
+        hidden_m: (m, m) depth in metres into floor that no camera has seen, not even the air over it.
+        first: i and j of the first cell.
+    """
+
+    never_m: Float32Array
+    is_old: ByteArray
+    hidden_m: Float32Array
+    first: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class _TimedPose:
+    """A wheel reading, with the pose of the base in the plane."""
+
+    stamp_s: float
+    pose: Pose
+    forward_m_s: float
+    turn_rad_s: float
+
+
+class FloorMemory:
+    """Obstacles and seen floor in a plane where wheel odometry gives the robot's pose.
+
+    The plane has a frame of its own, which drifts. Its content is never older than the robot needs to leave it.
+    """
+
+    def __init__(self, outline: Outline, fresh_s: float) -> None:
+        self._outline, self._fresh_s = outline, fresh_s
+        self._readings: deque[_TimedPose] = deque()
+        self._newest = np.empty((0, 2))
+        self._newest_s, self._trusted_m, self._way_m = -np.inf, 0.0, 0.0
+        # Depth of cells in floor that no camera has seen, for the last reading; None after a change.
+        self._hidden: tuple[Float32Array, tuple[int, int]] | None = None
+        self._reach_m = float(np.linalg.norm(outline.sides[:, :2], axis=1).max())
+        self.forget()
+
+    def forget(self) -> None:
+        """Clear everything but the robot's own place."""
+        self._hidden = None
+        n = int(np.ceil(_WINDOW_M / _CELL_M))
+        never = np.full((n, n), -np.inf)
+        nowhere = np.full((n, n, 2), np.iinfo(np.int64).min)
+        hits = np.zeros((n, n, 4))
+        self._memory = Memory(nowhere, never, never.copy(), never.copy(), hits, _CELL_M)
+        self._readings.clear()
+        self._newest, self._newest_s = np.empty((0, 2)), -np.inf
+
+    def hear(
+        self, stamp_s: float, forward_m_s: float, turn_rad_s: float, rolled: tuple[float, float] | None = None
+    ) -> None:
+        """Process a wheel reading; stamps must be in order. `rolled` as in `CollisionMonitor.hear`."""
+        self._hidden = None
+        if not self._readings:
+            pose = (0.0, 0.0, 1.0, 0.0)
+            mark_under(self._memory, self._outline.sides, pose, stamp_s, -np.inf)
+            if self._trusted_m > 0:
+                mark_under(self._memory, sides_of(Footprint.circle(self._trusted_m)), pose, stamp_s, -np.inf)
+        else:
+            last = self._readings[-1]
+            step_s = stamp_s - last.stamp_s
+            if rolled is None:
+                rolled = (
+                    step_s * (last.forward_m_s + forward_m_s) / 2,
+                    step_s * (last.turn_rad_s + turn_rad_s) / 2,
+                )
+            pose = moved(last.pose, *rolled)
+            self._way_m += abs(rolled[0]) + self._reach_m * abs(rolled[1])
+        self._readings.append(_TimedPose(stamp_s, pose, forward_m_s, turn_rad_s))
+        while len(self._readings) > 1 and self._readings[1].stamp_s < stamp_s - _HISTORY_S:
+            self._readings.popleft()
+
+    def trust(self, radius_m: float) -> None:
+        """Mark the floor within a radius of the axle as seen, now or at the first reading."""
+        self._hidden = None
+        self._trusted_m = 0.0 if self._readings else radius_m
+        if self._readings and radius_m > 0:
+            last = self._readings[-1]
+            mark_under(self._memory, sides_of(Footprint.circle(radius_m)), last.pose, last.stamp_s, -np.inf)
+
+    def forget_near(self, xy_base: ArrayLike, radius_m: float) -> None:
+        """Remove remembered obstacles near a place (2,) in the current base. The next frames show real ones again."""
+        if self._readings:
+            at = _placed(np.asarray(xy_base, float).reshape(1, 2), self._readings[-1].pose)[0]
+            is_near = np.hypot(*np.moveaxis(self._memory.hits[..., :2] - at, -1, 0)) <= radius_m
+            self._memory.hit_s[is_near] = -np.inf
+
+    def pose_at(self, stamp_s: float) -> Pose | None:
+        """Return the pose of the base at a time, extrapolated if it is later than the readings; None if too early."""
+        before = [reading for reading in self._readings if reading.stamp_s <= stamp_s]
+        if not before:
+            return None
+        last, step_s = before[-1], stamp_s - before[-1].stamp_s
+        x, y, c, s = moved(last.pose, last.forward_m_s * step_s, last.turn_rad_s * step_s)
+        return float(x), float(y), float(c), float(s)
+
+    def cover(self, pose: Pose, stamp_s: float) -> None:
+        """Mark the floor under the robot ahead of its axle as seen, as its front covers that before its sides do."""
+        self._hidden = None
+        mark_under(self._memory, self._outline.sides, pose, stamp_s, 0.0)
+
+    def see(self, view: DepthView) -> bool:
+        """Add a frame; return False if the pose at its time is unknown."""
+        self._hidden = None
+        pose = self.pose_at(view.stamp_s)
+        if pose is None:
+            return False
+        points = _placed(np.asarray(view.points, float), pose)
+        camera = _placed(np.array([view.camera], float), pose)[0]
+        first_rad = view.first_rad + float(np.arctan2(pose[3], pose[2]))
+        seen_m = np.ascontiguousarray(view.seen_m, float)
+        near_far = (min(AIR_M, view.near_m), view.near_m, float(seen_m.max()))
+        at = float(camera[0]), float(camera[1])
+        sight = SeenSector(*at, first_rad, view.step_rad, *near_far, seen_m, view.stamp_s)
+        mark_seen(self._memory, sight, pose[0], pose[1])
+        # Points become visible again where they were visible, and nearer if they are high enough.
+        shows_m = np.asarray(np.hypot(*(np.asarray(view.points, float) - view.camera).T) - _CELL_M)
+        if view.shows_m is not None:
+            shows_m = np.asarray(np.minimum(shows_m, np.maximum(view.shows_m, AIR_M)))
+        store_hits(self._memory, points, shows_m, view.stamp_s, (pose[0], pose[1]), self._way_m)
+        self._newest, self._newest_s = points, view.stamp_s
+        return True
+
+    def points_at(self, pose: Pose, now_s: float, reach_m: float) -> FloatArray:
+        """Return obstacles (N, 2) within reach, in the frame of a pose: all of the newest frame, and remembered ones.
+
+        Memory ends after a distance driven, as wheels drift with it, rather than after a time: beside a robot that
+        stands, an obstacle stays. Remembered obstacles under the robot are removed.
+        """
+        old = self._all_remembered(pose, now_s, reach_m)
+        apart = self._newest - np.array(pose[:2])
+        apart = apart[np.hypot(*apart.T) < reach_m]
+        R = np.array([[pose[2], -pose[3]], [pose[3], pose[2]]])
+        return np.ascontiguousarray(np.concatenate([apart @ R, old[:, :2]]))
+
+    def remembered(self, reach_m: float) -> FloatArray:
+        """Return remembered obstacles (N, 2) within reach in the current base that the newest frame lacks."""
+        if not self._readings:
+            return np.empty((0, 2))
+        last = self._readings[-1]
+        old = self._all_remembered(last.pose, last.stamp_s, reach_m)
+        return np.asarray(old[old[:, 2] < self._newest_s, :2])
+
+    def _all_remembered(self, pose: Pose, now_s: float, reach_m: float) -> FloatArray:
+        """Return (N, 3), x and y in the frame of a pose, and the time of the observation."""
+        out = np.empty((_MOST_POINTS, 3))
+        since = (now_s - _REMEMBER_S, self._way_m - _REMEMBER_M)
+        old = out[: remembered(self._memory, pose, since, reach_m, out)]
+        within = all_outside_m(self._outline.sides, np.ascontiguousarray(old[:, :2])) < -_INSIDE_M
+        return np.asarray(old[~(within & (old[:, 2] < now_s - self._fresh_s))])
+
+    def hidden(self, reach_m: float, deep_m: float) -> FloatArray:
+        """Return the centres (N, 2), in the current base, of cells within reach that lie deep in unseen floor.
+
+        The monitor cannot forbid all of it, as in a turn the corners precede the view; planners should avoid it.
+        Driving over unseen floor shows that there is floor, but not what is beside it: that keeps its depth.
+
+        Args:
+            reach_m: distance from the axle.
+            deep_m: depth in metres beyond which cells count.
+        """
+        if not self._readings:
+            return np.empty((0, 2))
+        last = self._readings[-1]
+        if np.isfinite(reach_m):  # cells up to `deep_m` beyond the reach affect the depth within it
+            deep, first = self._hidden_within(reach_m + deep_m)
+        else:
+            self._hidden = deep, first = self._hidden or self._hidden_within(_WINDOW_M / 2)
+        x, y, c, s = last.pose
+        away = (np.argwhere(deep > deep_m) + first + 0.5) * _CELL_M - (x, y)
+        away = away[np.hypot(*away.T) < reach_m]
+        return np.asarray(away @ np.array([[c, -s], [s, c]]))
+
+    def _hidden_within(self, reach_m: float) -> tuple[Float32Array, tuple[int, int]]:
+        """Return (m, m), the depth in metres into unseen floor, 0 where it was seen, and i and j of the first cell."""
+        last = self._readings[-1]
+        out, first = self._unseen(last.pose, last.stamp_s, reach_m)
+        return np.where(out[..., 0] > 0, _deep_m(out[..., 2]), 0), first
+
+    def unseen_about(self, pose: Pose, now_s: float, reach_m: float) -> UnseenFloor:
+        """Return the unseen floor within reach of a pose."""
+        out, first = self._unseen(pose, now_s, reach_m)
+        return UnseenFloor(_deep_m(out[..., 0]), np.ascontiguousarray(out[..., 1]), _deep_m(out[..., 2]), first)
+
+    def _unseen(self, pose: Pose, now_s: float, reach_m: float) -> tuple[ByteArray, tuple[int, int]]:
+        """Return (m, m, 3), 1 for floor never driven or seen, not seen lately, and never seen; and the first cell."""
+        half = min(int(np.ceil(reach_m / _CELL_M)) + 1, len(self._memory.seen_s) // 2)
+        first = (int(np.floor(pose[0] / _CELL_M)) - half, int(np.floor(pose[1] / _CELL_M)) - half)
+        out = np.empty((2 * half, 2 * half, 3), np.uint8)
+        unseen(self._memory, first, now_s - self._fresh_s, out)
+        return out, first
+
+
+def _deep_m(is_none: ByteArray) -> Float32Array:
+    """Return (m, m), the distance in metres from cells that are 1 to the nearest that is 0."""
+    deep = cv2.distanceTransform(np.ascontiguousarray(is_none), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.asarray(deep * _CELL_M, np.float32)
+
+
+def _placed(points: FloatArray, pose: Pose) -> FloatArray:
+    """Return points (N, 2) of the frame of a pose, in the plane."""
+    x, y, c, s = pose
+    return np.asarray(points @ np.array([[c, s], [-s, c]]) + np.array([x, y]))
+
+
+class VelocityRamp:
+    """Keeps the limits on speed, acceleration and jerk (`RobotLimits`) from one command to the next.
+
+    Acceleration rises with limited jerk, and falls with it near the requested speed. Deceleration is not limited by
+    jerk: a stop or a lower requested speed ends acceleration at once. Turns have a limit on acceleration only.
+    """
+
+    def __init__(self, limits: RobotLimits | None = None) -> None:
+        self._limits = limits or RobotLimits()
+        self._given = STOP
+        self._acceleration_m_s2 = 0.0
+
+    @property
+    def given(self) -> VelocityCommand:
+        """Last command."""
+        return self._given
+
+    def follow(self, driven: VelocityCommand) -> None:
+        """Continue from a command that was reduced after the ramp."""
+        self._given, self._acceleration_m_s2 = driven, 0.0
+
+    def step(self, forward_m_s: float, turn_rad_s: float, period_s: float) -> VelocityCommand:
+        """Return the command one period after the last one.
+
+        Args:
+            forward_m_s: requested speed; a value that is not finite requests a stop of both.
+            turn_rad_s: requested turn rate.
+            period_s: time since the last command, above 0.
+
+        Raises:
+            ArgumentError: the period is not a positive number.
+        """
+        if not (math.isfinite(period_s) and period_s > 0):
+            raise ArgumentError(f"a period of {period_s} s", fix="give seconds since the last command, above 0")
+        if not (math.isfinite(forward_m_s) and math.isfinite(turn_rad_s)):
+            forward_m_s, turn_rad_s = 0.0, 0.0
+        most = self._limits
+        wanted = min(max(forward_m_s, -most.backward_m_s), most.forward_m_s)
+        forward = self._forward(wanted, period_s)
+        turn = min(max(turn_rad_s, -most.turn_rad_s), most.turn_rad_s)
+        change = most.turn_acceleration_rad_s2 * period_s
+        before = self._given.turn_rad_s
+        self._given = VelocityCommand(forward, before + min(max(turn - before, -change), change))
+        return self._given
+
+    def _forward(self, wanted: float, period_s: float) -> float:
+        """Return the next forward speed within acceleration, braking and jerk."""
+        speed, limits = self._given.forward_m_s, self._limits
+        slows = speed * (wanted - speed) < 0
+        if slows:
+            # Stop at zero: the other direction begins with its own acceleration.
+            wanted = wanted if wanted * speed > 0 else 0.0
+            change = limits.braking_m_s2 * period_s
+            self._acceleration_m_s2 = 0.0
+            return speed + min(max(wanted - speed, -change), change)
+        sign = math.copysign(1.0, wanted - speed)
+        # Speed gained while acceleration falls to zero with limited jerk: a² / 2j + a period / 2, in discrete steps.
+        # Only the step that reaches the speed may exceed the jerk, by an eighth.
+        half = limits.jerk_m_s3 * period_s / 2
+        most = math.sqrt(half * half + 2 * limits.jerk_m_s3 * abs(wanted - speed)) - half
+        most = min(limits.acceleration_m_s2, most)
+        grown = max(self._acceleration_m_s2 * sign, 0.0) + limits.jerk_m_s3 * period_s
+        change = min(min(most, grown) * period_s, abs(wanted - speed))
+        self._acceleration_m_s2 = sign * change / period_s
+        return wanted if change == abs(wanted - speed) else speed + sign * change

@@ -1,14 +1,17 @@
 """Costmap: free space, distance to obstacles and cost of each cell.
 
-`StaticLayer` is the map with its edits. `LiveLayer` has the obstacles of recent depth images, cleared by ray casting.
-`FloorNow` joins both at one moment.
+`StaticLayer` is the map with its edits, from a `Floor`: a map of an earlier session, or one that grows on the way.
+`LiveObstacles` are those of recent depth images. `FloorNow` joins both at one moment.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from itertools import pairwise
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -16,19 +19,20 @@ from numpy.typing import ArrayLike
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import ArgumentError
-from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, PinholeCamera, se2
+from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, se2
 from wheelsight.core.geometry.se2 import wrap_angle
+from wheelsight.core.robots import Localization
+from wheelsight.core.threads import Worker, WorkerInStep
 from wheelsight.io.ros_map import FREE, OCCUPIED
-from wheelsight.mapping.map_edits import MapEdits
-from wheelsight.mapping.occupancy import OccupancyGrid, camera_over_floor
+from wheelsight.mapping import EditKind, MapEdits, OccupancyGrid, OccupancyMapper, OccupancySettings
 from wheelsight.navigation import costmap_kernels as kernels
 from wheelsight.navigation.clearance_kernels import CostField
-from wheelsight.navigation.costmap_kernels import Heights, Noise, Rules, View, any_left, mark_met, mark_passed, remember
-from wheelsight.navigation.footprint import Footprint
-from wheelsight.navigation.settings import CostmapSettings, LiveLayerSettings
+from wheelsight.navigation.settings import FLOOR_SILENT_S, CostmapSettings, Footprint
 
 # Distance where nothing is occupied; infinite ones would become NaN between cells.
 FARTHEST_M = 100.0
+# Decrease of the cost around obstacles, exp(-decay · distance): at 0.3 m a quarter is left.
+_DECAY_PER_M = 5.0
 # Area of a caster's print: rays would have hit anything that stands on less floor.
 _HOLE_M2 = 0.02
 
@@ -50,19 +54,19 @@ class StaticLayer:
         speed_m_s: (H, W) float32 speed limits of zones, infinite elsewhere.
         resolution_m: side of a cell.
         origin: x and y in `map` of the corner of cell (0, 0).
-        is_told: (H, W) free floor that is unseen, but that a person said is free; None for none.
+        is_assumed: (H, W) free floor that is unseen, but that a person said is free; None for none.
     """
 
     state: ByteArray
     speed_m_s: Float32Array
     resolution_m: float
     origin: tuple[float, float]
-    is_told: BoolArray | None = None
+    is_assumed: BoolArray | None = None
 
     @property
     def is_unseen(self) -> BoolArray:
         """(H, W) floor that no sensor has seen: unknown, or free only because a person said so."""
-        return _unseen(self.state, self.is_told)
+        return _unseen(self.state, self.is_assumed)
 
     @classmethod
     def of(cls, grid: OccupancyGrid, edits: MapEdits | None = None, T_map_keyframe: ArrayLike = ()) -> StaticLayer:
@@ -78,7 +82,7 @@ class StaticLayer:
         return cls(state, edits.limits_m_s(edited, T_map_keyframe), grid.resolution_m, grid.origin)
 
     def window(self, xy: ArrayLike, size_m: float) -> StaticLayer:
-        """Return a square around a place (2,), metres. Cells beyond the edges are unknown. It has no `is_told`."""
+        """Return a square around a place (2,), metres. Cells beyond the edges are unknown. It has no `is_assumed`."""
         side = math.ceil(size_m / self.resolution_m)
         column, row = np.floor((np.asarray(xy, float) - self.origin) / self.resolution_m).astype(int) - side // 2
         low = np.clip([row, column], 0, self.state.shape)
@@ -109,16 +113,16 @@ class StaticLayer:
         state = np.pad(self.state, around, constant_values=int(CellState.UNKNOWN))
         speed = np.pad(self.speed_m_s, around, constant_values=np.inf)
         origin = float(self.origin[0] - left * size_m), float(self.origin[1] - bottom * size_m)
-        is_told = None if self.is_told is None else np.pad(self.is_told, around)
-        return StaticLayer(state, speed, size_m, origin, is_told)
+        is_assumed = None if self.is_assumed is None else np.pad(self.is_assumed, around)
+        return StaticLayer(state, speed, size_m, origin, is_assumed)
 
-    def with_floor(self, is_floor: BoolArray, *, is_told: bool = False) -> StaticLayer:
-        """Return the layer with unknown cells (H, W) free; with `is_told`, because a person said so."""
+    def with_floor(self, is_floor: BoolArray, *, is_assumed: bool = False) -> StaticLayer:
+        """Return the layer with unknown cells (H, W) free; with `is_assumed`, because a person said so."""
         is_new = is_floor & (self.state == CellState.UNKNOWN)
         state = self.state.copy()
         state[is_new] = CellState.FREE
-        told = self.is_told
-        if is_told:
+        told = self.is_assumed
+        if is_assumed:
             told = is_new if told is None else told | is_new
         return StaticLayer(state, self.speed_m_s, self.resolution_m, self.origin, told)
 
@@ -139,7 +143,7 @@ class Costmap:
         frame: `map` or `odom`.
         inscribed_m: inscribed radius of the footprint.
         settings: of the costmap.
-        is_told: as in `StaticLayer`.
+        is_assumed: as in `StaticLayer`.
         dearness: (H, W) float32 factor of the cost of a metre; None for 1.
     """
 
@@ -153,13 +157,13 @@ class Costmap:
     frame: str
     inscribed_m: float
     settings: CostmapSettings
-    is_told: BoolArray | None = None
+    is_assumed: BoolArray | None = None
     dearness: Float32Array | None = None
 
     @property
     def is_unseen(self) -> BoolArray:
         """As in `StaticLayer`."""
-        return _unseen(self.state, self.is_told)
+        return _unseen(self.state, self.is_assumed)
 
     @classmethod
     def of(
@@ -188,13 +192,13 @@ class Costmap:
             if at.shape != (3,) or not np.isfinite(at).all():
                 raise ArgumentError(f"T_map_live is {at}", fix="x, y and yaw of the obstacles' frame in map, finite")
             x, y, yaw = (float(value) for value in at)
-            of = kernels.Cells(live.resolution_m, *live.origin)
-            to = kernels.Cells(static.resolution_m, *static.origin)
+            of = kernels.CellFrame(live.resolution_m, *live.origin)
+            to = kernels.CellFrame(static.resolution_m, *static.origin)
             T = x, y, np.cos(yaw), np.sin(yaw)
             kernels.mark_occupied(live.is_occupied, of, T, to, CellState.OCCUPIED.value, state)
         place = static.resolution_m, static.origin, "map"
         made = _made(state, static.speed_m_s, place, footprint.inscribed_m, settings or CostmapSettings())
-        return replace(made, is_told=static.is_told)
+        return replace(made, is_assumed=static.is_assumed)
 
     @property
     def field(self) -> CostField:
@@ -267,14 +271,14 @@ def _made(
     distance_m = distances_m(is_lethal, resolution_m)
     # Distance to the nearest edge of a cell, along a row or column.
     near_m = 0.5 * resolution_m + inscribed_m
-    falls = kernels.Falls(near_m, settings.inflation_m, settings.decay_per_m, settings.unknown_cost)
+    falls = kernels.Falls(near_m, settings.inflation_m, _DECAY_PER_M, settings.unknown_cost)
     cost = kernels.costs(state, is_lethal, distance_m, falls, CellState.UNKNOWN.value)
     return Costmap(state, is_lethal, distance_m, cost, speed_m_s, resolution_m, origin, frame, inscribed_m, settings)
 
 
-def _unseen(state: ByteArray, is_told: BoolArray | None) -> BoolArray:
+def _unseen(state: ByteArray, is_assumed: BoolArray | None) -> BoolArray:
     is_unknown = state == CellState.UNKNOWN
-    return np.asarray(is_unknown if is_told is None else is_unknown | (is_told & (state == CellState.FREE)))
+    return np.asarray(is_unknown if is_assumed is None else is_unknown | (is_assumed & (state == CellState.FREE)))
 
 
 def _fill_holes(state: ByteArray, resolution_m: float) -> None:
@@ -298,11 +302,6 @@ def distances_m(is_lethal: BoolArray, resolution_m: float) -> Float32Array:
         return np.full(is_lethal.shape, FARTHEST_M, np.float32)
     cells = cv2.distanceTransform((~is_lethal).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     return np.asarray(np.minimum(cells * resolution_m, FARTHEST_M), np.float32)
-
-
-# An obstacle in view, but not in the images of `_LOOKED_S`, has no depth behind it: five images would clear it.
-# Bearings have columns of a degree or two, and the edge of the view does not count.
-_LOOKED_S, _COLUMNS, _WITHIN = 1.0, 32, 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -338,182 +337,6 @@ class LiveObstacles:
         return replace(self, is_occupied=is_occupied, is_standing=is_standing)
 
 
-class LiveLayer:
-    """Cells around a robot with the obstacles of its camera, in layers of height.
-
-    A cell is occupied from the first image that shows an obstacle in it. It is free once some images have seen through
-    all its occupied layers. Outside the view it stays until the robot is half the layer's size away. An obstacle that
-    was seen only briefly is removed sooner, as it may be a person. The robot's own place is free.
-
-    Args:
-        calibration: of the robot: its depth camera, and the mount of it over the floor.
-        footprint: of the robot.
-        settings: None for the defaults.
-        frame: frame of the poses.
-
-    Raises:
-        CalibrationError: there is no camera.
-        MapError: the mount of the camera is unknown.
-    """
-
-    def __init__(
-        self,
-        calibration: Calibration,
-        footprint: Footprint,
-        settings: LiveLayerSettings | None = None,
-        frame: str = "odom",
-    ) -> None:
-        self._T_base_camera, self._noise = camera_over_floor(calibration), calibration.depth_noise
-        _, self._camera = calibration.cameras
-        self._slopes = np.ascontiguousarray(self._camera.rays()[..., :2], np.float32)
-        self.settings, self.frame, self._footprint = settings or LiveLayerSettings(), frame, footprint
-        heights = {name: getattr(self.settings, name) for name in Heights._fields if name != "pixels"}
-        self._heights = Heights(**heights, pixels=max(1, round(self._camera.width / self.settings.columns)))
-        side = math.ceil(self.settings.size_m / self.settings.resolution_m)
-        layers = max(1, math.ceil((self.settings.height_m - self.settings.floor_m) / self.settings.layer_m))
-        self._low: IntArray = np.zeros(2, np.int64)  # row and column of cell (0, 0), from the frame's origin
-        self._left = np.zeros((side, side, layers + 1), np.uint8)
-        self._seen = np.zeros_like(self._left)
-        self._met_s = np.full((side, side, 2), (np.inf, -np.inf))  # first and last
-        self._newest_s = -math.inf
-        self._known: LiveObstacles | None = None  # cached; None after a change
-
-    def is_due(self, stamp_s: float) -> bool:
-        """Return whether `period_s` has passed since the last image, or the clock was set back."""
-        return not 0 <= stamp_s - self._newest_s < self.settings.period_s
-
-    def update(self, depth_m: ArrayLike, pose: ArrayLike, stamp_s: float) -> None:
-        """Process a depth image.
-
-        Args:
-            depth_m: (H, W) metres; values that are not finite and over 0 have no depth.
-            pose: (3,) x, y, yaw of `base` in the layer's frame at that time.
-            stamp_s: time of the image.
-
-        Raises:
-            ArgumentError: the image has another size, or pose or stamp is not finite. The layer stays as it is.
-        """
-        depth, at = checked_depth(depth_m, self._camera), np.asarray(pose, float)
-        if at.shape != (3,) or not np.isfinite(at).all() or not math.isfinite(stamp_s):
-            raise ArgumentError(f"pose {at} at {stamp_s} s", fix="give x, y and yaw of the base, and when, finite")
-        self._move_to(at)
-        is_own = self._is_own(at)
-        # From the camera to column and row in cells, and height.
-        c, s = np.cos(at[2]), np.sin(at[2])
-        T_frame_base = np.array([[c, -s, 0, at[0]], [s, c, 0, at[1]], [0, 0, 1, 0], [0, 0, 0, 1.0]])
-        M = np.asarray((T_frame_base @ self._T_base_camera)[:3])
-        M[:2] /= self.settings.resolution_m
-        M[:2, 3] -= self._low[::-1]
-        view = View(depth, self._slopes, np.ascontiguousarray(M))
-        noise = Noise(self._noise.constant_m, self._noise.quadratic_per_m, self.settings.margin_sigmas)
-        mark_met(view, self._heights, is_own, self._seen)
-        mark_passed(view, self._heights, noise, self._seen)
-        # An image without depth removes nothing.
-        forget_s = self.settings.forget_s if self._seen.any() else math.inf
-        rules = Rules(self.settings.passes, forget_s, self.settings.stays)
-        remember(self._seen, is_own, self._left, self._met_s, stamp_s, rules)
-        self._newest_s, self._known = stamp_s, None
-
-    def obstacles(self) -> LiveObstacles:
-        """Return the current obstacles."""
-        if self._known is None:
-            size_m = self.settings.resolution_m
-            y, x = (size_m * self._low).tolist()
-            is_left = any_left(self._left)
-            is_standing = is_left & (self._newest_s - self._met_s[..., 0] >= self.settings.standing_s)
-            stamp_s = self._newest_s if math.isfinite(self._newest_s) else None
-            self._known = LiveObstacles(is_left, size_m, (x, y), self.frame, stamp_s, is_standing)
-        return self._known
-
-    def clear(self, stood_s: float = math.inf) -> None:
-        """Remove the obstacles that were seen for less time than `stood_s`; by default all."""
-        self._left[~self._has_stood(stood_s)] = 0
-        self._known = None
-
-    def clear_ahead(self, stood_s: float, eye: ArrayLike, half_view_rad: float) -> None:
-        """Remove such obstacles within a camera's view only. Real ones return with the next image.
-
-        Args:
-            stood_s: as in `clear`.
-            eye: (3,) x, y and heading of the camera in the layer's frame.
-            half_view_rad: half of its field of view.
-        """
-        x, y, yaw = map(float, np.asarray(eye, float))
-        rows, columns = np.indices(self._left.shape[:2])
-        size_m, (row, column) = self.settings.resolution_m, self._low.tolist()
-        to_x, to_y = (columns + column + 0.5) * size_m - x, (rows + row + 0.5) * size_m - y
-        is_ahead = np.abs(wrap_angle(np.arctan2(to_y, to_x) - yaw)) < half_view_rad
-        self._left[is_ahead & ~self._has_stood(stood_s)] = 0
-        self._known = None
-
-    def _has_stood(self, stood_s: float) -> BoolArray:
-        """Return (N, N) whether the obstacle of each cell was seen for at least `stood_s`."""
-        return np.asarray(self._met_s[..., 1] - self._met_s[..., 0] >= stood_s)
-
-    def not_seen_through(self, eye: ArrayLike, half_view_rad: float, near_m: float) -> FloatArray:
-        """Return (N, 2) places of obstacles in view that no recent image shows, and that cannot be cleared.
-
-        Nothing hides such an obstacle, but there is no depth behind it, as in front of a hall, a window or black
-        surfaces. It stays, since glass and black objects give no depth themselves.
-
-        Args:
-            eye: (3,) x, y and heading of the camera in the layer's frame.
-            half_view_rad: half of its field of view.
-            near_m: distance of the nearest visible floor; nearer obstacles may be below the view.
-        """
-        x, y, yaw = map(float, np.asarray(eye, float))
-        cells = np.argwhere(any_left(self._left))
-        places = ((cells + self._low)[:, ::-1] + 0.5) * self.settings.resolution_m
-        away_m = np.hypot(*(places - (x, y)).T)
-        bearing = wrap_angle(np.arctan2(places[:, 1] - y, places[:, 0] - x) - yaw)
-        is_met = self._newest_s - self._met_s[cells[:, 0], cells[:, 1], 1] <= _LOOKED_S
-        column = np.clip((bearing / half_view_rad + 1) / 2 * _COLUMNS, 0, _COLUMNS - 1).astype(np.int64)
-        hides_m = np.full(_COLUMNS, np.inf)
-        np.minimum.at(hides_m, column[is_met], away_m[is_met])
-        # Near the camera a cell is wider than a column.
-        hides_m = np.minimum(hides_m, np.minimum(np.r_[hides_m[1:], np.inf], np.r_[np.inf, hides_m[:-1]]))
-        is_looked_at = (np.abs(bearing) < _WITHIN * half_view_rad) & (away_m > near_m) & (away_m < self.settings.far_m)
-        return np.asarray(places[~is_met & is_looked_at & (away_m < hides_m[column])])
-
-    def wipe(self, ends: ArrayLike, radius_m: float) -> None:
-        """Remove obstacles within a radius of a line between places (2, 2). Real ones return with the next image."""
-        a, b = np.asarray(ends, float)
-        cells = np.argwhere(any_left(self._left))
-        places = ((cells + self._low)[:, ::-1] + 0.5) * self.settings.resolution_m
-        share = np.clip((places - a) @ (b - a) / max(float((b - a) @ (b - a)), 1e-9), 0, 1)
-        near = cells[np.hypot(*(places - a - share[:, None] * (b - a)).T) <= radius_m]
-        self._left[near[:, 0], near[:, 1]] = 0
-        self._known = None
-
-    def _move_to(self, pose: FloatArray) -> None:
-        """Move the window to a pose, by whole cells."""
-        side = len(self._left)
-        low = np.floor(pose[1::-1] / self.settings.resolution_m).astype(np.int64) - side // 2
-        if (low == self._low).all():
-            return
-        moved, met_s = np.zeros_like(self._left), np.full_like(self._met_s, (np.inf, -np.inf))
-        first, last = np.maximum(low, self._low), np.minimum(low, self._low) + side
-        if (first < last).all():
-            to, of = (tuple(slice(a, b) for a, b in zip(first - at, last - at, strict=True)) for at in (low, self._low))
-            moved[to], met_s[to] = self._left[of], self._met_s[of]
-        self._low, self._left, self._met_s = low, moved, met_s
-
-    def _is_own(self, pose: FloatArray) -> BoolArray:
-        """Return (N, N) cells that lie completely under the robot."""
-        side, size_m = len(self._left), self.settings.resolution_m
-        is_own = np.zeros((side, side), bool)
-        outline = self._footprint.at(pose) / size_m - self._low[::-1]
-        left, bottom = np.floor(outline.min(axis=0)).astype(int)
-        right, top = np.ceil(outline.max(axis=0)).astype(int)
-        corners = np.stack(np.meshgrid(np.arange(left, right + 1), np.arange(bottom, top + 1)), axis=-1)
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        places = (corners + self._low[::-1]) * size_m - pose[:2]
-        inside = self._footprint.contains(places @ np.array([[c, -s], [s, c]]))
-        # The robot is in the middle of the layer, which is larger.
-        is_own[bottom:top, left:right] = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]
-        return is_own
-
-
 _NOWHERE: FloatArray = np.empty((0, 2))
 
 
@@ -544,10 +367,263 @@ class FloorNow:
         return Costmap.of(self.layer, self.footprint, self.settings, live, self.T_map_odom)
 
 
-def checked_depth(depth_m: ArrayLike, camera: PinholeCamera) -> Float32Array:
-    """Return (H, W) metres, contiguous. Raises ArgumentError if the image has another size than the camera's."""
-    depth = np.ascontiguousarray(depth_m, np.float32)
-    if depth.shape != (camera.height, camera.width):
-        fix = f"give {camera.height} rows of {camera.width}, as the calibration says"
-        raise ArgumentError(f"a depth image of shape {depth.shape}", fix=fix)
-    return depth
+# Half a cell: keyframes that moved by less show the same cells.
+_LEAST_SHIFT_M = 0.025
+# Spacing of the outlines that mark a path as floor.
+_STAMP_M, _STAMP_RAD = 0.05, 0.1
+# Margin of floor beside a driven outline. It exceeds the 4 cm of plans and controllers (`follow.margin_m`), as poses of
+# a plan differ from driven ones.
+_BESIDE_M = 0.05
+
+
+class Floor(Protocol):
+    """Known part of the building's floor."""
+
+    @property
+    def revision(self) -> int:
+        """Number that changes with the layer."""
+
+    @property
+    def layer(self) -> StaticLayer:
+        """Static layer in the frame `map`."""
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether it comes from an earlier session, so that obstacles besides it are temporary."""
+
+    @property
+    def has_keep_out(self) -> bool:
+        """Whether it has a keep-out zone, which no camera sees."""
+
+    def update(self, pose: FloatArray | None, now_s: float) -> None:
+        """Update it for a robot at (3,) in the map; called once per period, so it must be fast."""
+
+    def is_silent(self, now_s: float) -> bool:
+        """Return whether its computation hangs."""
+
+
+class KnownFloor:
+    """Floor of a fixed map, extended by the floor that the robot itself drives over.
+
+    Args:
+        grid: of the map.
+        edits: edits of the map by people.
+        T_map_keyframe: (K, 4, 4) poses of keyframes that edits are anchored to.
+        driven: sections (K, 3) of x, y, yaw of an earlier drive, about straight between poses. Unknown floor under the
+            outline there, and 5 cm beside it, is free.
+        footprint: of that robot and of this one, whose own place is free too; None to mark neither.
+        trusted_m: radius around the start, in sight of it, where unknown floor is free, because a person looked at it.
+    """
+
+    is_fixed = True
+
+    def __init__(
+        self,
+        grid: OccupancyGrid,
+        edits: MapEdits | None = None,
+        T_map_keyframe: ArrayLike = (),
+        driven: Sequence[FloatArray] = (),
+        footprint: Footprint | None = None,
+        trusted_m: float = 0.0,
+    ) -> None:
+        static, self.revision = StaticLayer.of(grid, edits, T_map_keyframe), 0
+        self.has_keep_out = edits is not None and any(edit.kind is EditKind.KEEP_OUT for edit in edits.edits)
+        self.layer, self._footprint, self._trusted_m = static, footprint, trusted_m
+        self._stood: FloatArray | None = None
+        if footprint is not None and len(driven):
+            # Poses at a spacing of a cell and a few degrees.
+            poses = []
+            for stretch in driven:
+                poses.append(stretch[:1])
+                for before, after in pairwise(stretch):
+                    turn = float(wrap_angle(after[2] - before[2]))
+                    count = 1 + int(max(np.hypot(*(after - before)[:2]) / _STAMP_M, abs(turn) / _STAMP_RAD))
+                    poses.append(before + np.linspace(0, 1, count + 1)[1:, None] * [*(after - before)[:2], turn])
+            self.layer = _driven_over(static, np.concatenate(poses), footprint)
+
+    def update(self, pose: FloatArray | None, now_s: float) -> None:
+        """Mark the floor under the robot as free, and the trusted floor around its start."""
+        if pose is None or self._footprint is None or (self._stood is not None and not _apart(pose, self._stood)):
+            return
+        layer = _driven_over(self.layer, pose[None], self._footprint)
+        if self._stood is None and self._trusted_m:
+            layer = layer.grown(pose[:2] + self._trusted_m * np.array([[-1.0], [1.0]]))
+            layer = layer.with_floor(_in_sight(layer, pose[:2], self._trusted_m), is_assumed=True)
+        self._stood = pose
+        if layer is not self.layer:
+            self.layer, self.revision = layer, self.revision + 1
+
+    def is_silent(self, now_s: float) -> bool:
+        """Return False, as nothing computes it."""
+        return False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenFloor:
+    """Floor that a camera has seen: as a map, and as a static layer."""
+
+    grid: OccupancyGrid
+    layer: StaticLayer
+
+
+class GrowingFloor:
+    """Floor from the keyframes of a localization, computed again when they move.
+
+    It is free where the robot stood, and within a radius of its start, because a person looked at it.
+
+    Args:
+        localization: source of the keyframes.
+        calibration: of the robot.
+        footprint: of the robot.
+        trusted_m: radius around the start of free floor that the camera cannot see from there.
+        settings: of occupancy; None for the defaults.
+        holds: (N, 2) places that the layer must include, even unseen, such as a goal beyond all known floor.
+        worker: computes the grid; None for at once. The caller closes it.
+
+    Attributes:
+        grid: grid of the camera alone.
+
+    Raises:
+        MapError: the calibration does not say where the camera sits on the base.
+    """
+
+    is_fixed = has_keep_out = False
+
+    def __init__(
+        self,
+        localization: Localization,
+        calibration: Calibration,
+        footprint: Footprint,
+        trusted_m: float = 0.0,
+        settings: OccupancySettings | None = None,
+        holds: ArrayLike = (),
+        worker: Worker[SeenFloor] | None = None,
+    ) -> None:
+        self._localization, self._footprint, self._trusted_m = localization, footprint, trusted_m
+        self._reached = np.array([[np.inf] * 2, [-np.inf] * 2])
+        self._reach(np.asarray(holds, float).reshape(-1, 2))
+        self._mapper = OccupancyMapper(calibration, settings)
+        self._worker: Worker[SeenFloor] = worker or WorkerInStep()
+        self._stood: list[FloatArray] = []
+        self._stamped = 0
+        self._marked: tuple[BoolArray, tuple[float, float]] | None = None
+        self._trusted: tuple[tuple[StaticLayer, tuple[float, float], tuple[int, ...]], BoolArray] | None = None
+        self._count, self._store_revision, self._asked_s = 0, -1, 0.0
+        self.revision = 0
+        self.grid = self._mapper.grid()
+        self._seen = self.layer = StaticLayer.of(self.grid)
+
+    def update(self, pose: FloatArray | None, now_s: float) -> None:
+        """Update the layer. A grid of moved keyframes may take a second, and is used when it is ready."""
+        has_moved = pose is not None and (not self._stood or _apart(pose, self._stood[-1]))
+        if pose is not None and has_moved:
+            self._stood.append(pose)
+            self._reach(pose[None, :2])
+        self._look(now_s)
+        seen = self._worker.answer(now_s)
+        if seen is not None:
+            self.grid, self._seen = seen.grid, seen.layer
+        elif not has_moved:
+            return
+        if self._stood:
+            reach_m = max(self._footprint.circumscribed_m, self._trusted_m) + 0.1
+            self.layer = self._with_stood(self._seen.grown(self._reached + [[-reach_m], [reach_m]]))
+        else:
+            self.layer = self._seen
+        self.revision += 1
+
+    def is_silent(self, now_s: float) -> bool:
+        """Return whether the worker hangs."""
+        return self._worker.is_asked and now_s - self._asked_s > FLOOR_SILENT_S
+
+    def _look(self, now_s: float) -> None:
+        """Request a new grid if keyframes changed and none is requested."""
+        store = self._localization.keyframes
+        if store is None or self._worker.is_asked:
+            return
+        if len(store) == self._count and store.revision == self._store_revision:
+            return
+        self._count, self._store_revision, self._asked_s = len(store), store.revision, now_s
+
+        def made() -> SeenFloor:
+            self._mapper.update(store, _LEAST_SHIFT_M)
+            grid = self._mapper.grid()
+            return SeenFloor(grid, StaticLayer.of(grid))
+
+        self._worker.ask(made, now_s)
+
+    def _reach(self, places: FloatArray) -> None:
+        """Extend the bounds to include places (N, 2)."""
+        if len(places):
+            low, high = self._reached
+            self._reached = np.array([np.minimum(low, places.min(axis=0)), np.maximum(high, places.max(axis=0))])
+
+    def _with_stood(self, static: StaticLayer) -> StaticLayer:
+        """Return the layer with the floor where the robot stood, and with the trusted floor."""
+        is_stood = np.zeros(static.state.shape, bool)
+        if self._marked is not None:
+            # Both origins lie on the same grid of cells.
+            before, origin = self._marked
+            column, row = np.rint((np.array(origin) - static.origin) / static.resolution_m).astype(int)
+            low = np.maximum([row, column], 0)
+            high = np.minimum([row + before.shape[0], column + before.shape[1]], is_stood.shape)
+            if (low < high).all():
+                (top, left), (bottom, right) = low, high
+                is_stood[top:bottom, left:right] = before[top - row : bottom - row, left - column : right - column]
+        for pose in self._stood[self._stamped :]:
+            _stamp(is_stood, static, pose, self._footprint)
+        self._stamped, self._marked = len(self._stood), (is_stood, static.origin)
+        known = static.with_floor(is_stood)
+        if not self._trusted_m:
+            return known
+        # Cached, as it takes 16 ms.
+        of = self._seen, static.origin, static.state.shape
+        if self._trusted is None or self._trusted[0][0] is not self._seen or self._trusted[0][1:] != of[1:]:
+            self._trusted = of, _in_sight(static, self._stood[0][:2], self._trusted_m)
+        return known.with_floor(self._trusted[1], is_assumed=True)
+
+
+def _driven_over(static: StaticLayer, poses: FloatArray, footprint: Footprint) -> StaticLayer:
+    """Return the layer with floor at poses (N, 3), large enough to include it; the same object if nothing is new."""
+    reach_m = footprint.circumscribed_m + 2 * _BESIDE_M
+    bounds = np.array([poses[:, :2].min(axis=0) - reach_m, poses[:, :2].max(axis=0) + reach_m])
+    high = np.array(static.origin) + np.array(static.state.shape[::-1]) * static.resolution_m
+    is_inside = (bounds[0] >= static.origin).all() and (bounds[1] <= high).all()
+    grown = static if is_inside else static.grown(bounds)
+    is_stood = np.zeros(grown.state.shape, bool)
+    for pose in poses:
+        _stamp(is_stood, grown, pose, footprint)
+    is_new = (is_stood & (grown.state == CellState.UNKNOWN)).any()
+    return grown.with_floor(is_stood) if is_new else grown
+
+
+def _apart(pose: FloatArray, other: FloatArray) -> bool:
+    """Return whether the motion between two poses changes the floor that is covered."""
+    return bool(np.hypot(*(pose[:2] - other[:2])) > _STAMP_M or abs(wrap_angle(pose[2] - other[2])) > _STAMP_RAD)
+
+
+def _stamp(found: BoolArray, static: StaticLayer, pose: FloatArray, footprint: Footprint) -> None:
+    """Mark the cells under an outline at a pose, with the margin beside it."""
+    # All cells that the outline touches: a cell's corners are half a diagonal off its middle.
+    outline = footprint.padded(_BESIDE_M + np.sqrt(0.5) * static.resolution_m)
+    xy, reach_m = pose[:2], outline.circumscribed_m
+    low = np.maximum(np.floor((xy - reach_m - static.origin) / static.resolution_m).astype(int), 0)
+    high = np.ceil((xy + reach_m - static.origin) / static.resolution_m).astype(int)
+    right, top = np.minimum(high, static.state.shape[::-1]).tolist()
+    left, bottom = low.tolist()
+    # Centres of the cells near the pose, relative to it.
+    x, y = (
+        (np.arange(a, b) + 0.5) * static.resolution_m + origin - at
+        for a, b, origin, at in zip((left, bottom), (right, top), static.origin, xy, strict=True)
+    )
+    away = np.stack(np.meshgrid(x, y), axis=-1)
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    found[bottom:top, left:right] |= outline.contains(away @ np.array([[c, -s], [s, c]]))
+
+
+def _in_sight(static: StaticLayer, xy: FloatArray, reach_m: float) -> BoolArray:
+    """Return (H, W), the unknown cells within `reach_m` of a place, with only unknown or free cells between."""
+    found = np.zeros(static.state.shape, bool)
+    cells, reach = (xy - np.array(static.origin)) / static.resolution_m, reach_m / static.resolution_m
+    kernels.mark_in_sight(static.state, cells, reach, (int(CellState.UNKNOWN), int(CellState.OCCUPIED)), found)
+    return found

@@ -1,6 +1,6 @@
 """Exploration: selects viewpoints that show unseen floor.
 
-`Sight` computes the floor that a depth camera sees from a viewpoint.
+`ViewSector` computes the floor that a depth camera sees from a viewpoint.
 """
 
 from __future__ import annotations
@@ -15,12 +15,27 @@ from numpy.typing import ArrayLike
 from wheelsight.core.geometry import BoolArray, ByteArray, FloatArray, IntArray
 from wheelsight.core.geometry.se2 import wrap_angle
 from wheelsight.navigation.costmap import CellState, Costmap, StaticLayer, distances_m
-from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.planner import cost_to_go
-from wheelsight.navigation.settings import NavigationSettings
+from wheelsight.navigation.settings import Footprint
 
 # Spacing of the places that are candidates.
 _APART_M = 0.25
+# Least width of unseen floor that is worth a look: a robot needs as much. Least unseen floor of a viewpoint, a third of
+# a wheelchair's area (found on the simulator alone: docs/decisions/planner).
+_LEAST_M, _LEAST_M2 = 0.6, 0.2
+# Largest distance at which floor counts as visible: a Kinect's floor is rough beyond.
+FAR_M = 3.5
+# Discount of a viewpoint's value per metre of way, e⁻¹ at 2 m: González-Baños and Latombe have 0.2, but a camera of 60°
+# has more views at one place (simulator). Cost of a radian of turn in metres: the same time over floor not seen lately,
+# at 0.2 m/s and 0.5 rad/s.
+_WAY_PER_M, _TURN_M = 0.5, 0.4
+# Share of a viewpoint's floor that makes it unnecessary once it was seen from elsewhere: the next one shows the rest.
+_SHOWN = 0.9
+# Looks at floor that stays unseen before it is given up, and looks in a whole turn in place at the start.
+_TRIES, TURNS = 2, 3
+# Distance and angle below which viewpoints count as one; and from a viewpoint that are near enough. A Kinect sees 1
+# rad.
+_SAME_M, _SAME_RAD, _THERE_M, _THERE_RAD = 0.7, 0.5, 0.15, 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,20 +59,23 @@ class Exploration:
     sees what is behind them.
 
     Args:
-        footprint, settings: of the robot.
+        footprint: of the robot.
+        margin_m: least clearance of plans.
         near_m: distance from the axle to the nearest floor that its camera sees.
         half_view_rad: half of its field of view.
     """
 
-    def __init__(self, footprint: Footprint, settings: NavigationSettings, near_m: float, half_view_rad: float) -> None:
-        self._footprint, self._settings = footprint, settings
-        self._sight = Sight(near_m, max(settings.exploration.far_m, near_m), half_view_rad)
+    def __init__(self, footprint: Footprint, margin_m: float, near_m: float, half_view_rad: float) -> None:
+        self._footprint = footprint
+        # Least distance of the footprint's centre line to obstacles.
+        self._least_m = footprint.inscribed_m + margin_m
+        self._sight = ViewSector(near_m, max(FAR_M, near_m), half_view_rad)
         self._looked: list[FloatArray] = []  # (3,) visited views
         self._at: FloatArray | None = None  # (3,) last pose
         # Viewpoints of the current plan, and of the one that is computed.
         self._aim: _Viewpoint | None = None
         self._next: _Viewpoint | None = None
-        self._turns = settings.exploration.turns
+        self._turns = TURNS
         self.left = 1
         self.name = "explore"
 
@@ -69,7 +87,7 @@ class Exploration:
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
         """Return the next poses of a full turn at first, then the best viewpoint; see `Goals`."""
         if self._turns > 0:
-            step = 2 * np.pi / self._settings.exploration.turns
+            step = 2 * np.pi / TURNS
             self._next = None
             return (np.array([pose[0], pose[1], wrap_angle(pose[2] + step)]),)
         is_wanted = self._wanted(costmap, pose)
@@ -80,7 +98,7 @@ class Exploration:
         # The number of areas that are large enough for a look, but at least the next one.
         _, _, areas, _ = cv2.connectedComponentsWithStats(is_wanted.astype(np.uint8), connectivity=8)
         areas_m2 = np.asarray(areas)[1:, cv2.CC_STAT_AREA] * costmap.resolution_m**2
-        self.left = max(1, int(np.count_nonzero(areas_m2 >= self._settings.exploration.least_m2)))
+        self.left = max(1, int(np.count_nonzero(areas_m2 >= _LEAST_M2)))
         return (self._next.view,)
 
     def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
@@ -88,11 +106,11 @@ class Exploration:
         self._at = pose
         if self._turns > 0 or self._aim is None:
             return False
-        s, view = self._settings.exploration, self._aim.view
-        if _apart_m(view, pose) <= s.there_m and _turn_rad(view, pose) <= s.there_rad:
+        view = self._aim.view
+        if _apart_m(view, pose) <= _THERE_M and _turn_rad(view, pose) <= _THERE_RAD:
             return True
         left = len(self._seen_from(view, layer, layer.is_unseen))
-        return left <= (1 - s.shown) * self._aim.gain
+        return left <= (1 - _SHOWN) * self._aim.gain
 
     def taken(self) -> None:
         """Start to drive to the next viewpoint; see `Goals`."""
@@ -104,8 +122,8 @@ class Exploration:
             self._turns -= 1
         elif self._aim is not None:
             # A view from elsewhere does not rule out another look from the viewpoint.
-            s, at, view = self._settings.exploration, self._at, self._aim.view
-            is_there = at is not None and _apart_m(at, view) < s.same_m and _turn_rad(at, view) < s.same_rad
+            at, view = self._at, self._aim.view
+            is_there = at is not None and _apart_m(at, view) < _SAME_M and _turn_rad(at, view) < _SAME_RAD
             self._looked.append(at if at is not None and is_there else view)
 
     def missed(self) -> bool:
@@ -118,7 +136,7 @@ class Exploration:
 
     def _wanted(self, costmap: Costmap, pose: FloatArray) -> BoolArray:
         """Return (H, W), unseen floor that is wide enough for a robot, connected to it, and not given up."""
-        s, size_m = self._settings.exploration, costmap.resolution_m
+        size_m = costmap.resolution_m
         is_wide = self._is_wide(costmap.state, size_m)
         row, column = costmap.cells_at(pose[:2]).tolist()
         is_wide[row, column] = True
@@ -128,26 +146,33 @@ class Exploration:
         for view in self._looked:
             cells = self._seen_from(view, costmap, is_wanted)
             looks[cells[:, 0], cells[:, 1]] += 1
-        return np.asarray(is_wanted & (looks < s.tries))
+        return np.asarray(is_wanted & (looks < _TRIES))
 
     def _best(self, pose: FloatArray, costmap: Costmap, is_wanted: BoolArray) -> _Viewpoint | None:
         """Return the viewpoint with the highest value; None if none shows enough."""
-        s = self._settings.exploration
         cells, ways_m = self._places(pose, costmap, is_wanted)
         is_clear = self._is_about(self._is_wide(costmap.state, costmap.resolution_m), costmap.resolution_m)
         marked = marks(is_clear, is_wanted)
         gains, headings = self._sight.gains_m2(marked, costmap.resolution_m, np.asarray(cells + 0.5, float))
         worth = np.zeros_like(gains)
-        shows = gains >= s.least_m2
+        shows = gains >= _LEAST_M2
         place, heading = np.nonzero(shows)
         poses = np.column_stack([costmap.middle_of(cells[place]), headings[heading]])
         turn_rad = np.abs(wrap_angle(headings[heading] - pose[2]))
-        value = gains[shows] * np.exp(-s.way_per_m * (ways_m[place] + s.turn_m * turn_rad))
+        value = gains[shows] * np.exp(-_WAY_PER_M * (ways_m[place] + _TURN_M * turn_rad))
         is_visited = np.zeros(len(poses), bool)
         for looked in self._looked:
-            is_near = np.hypot(*(poses[:, :2] - looked[:2]).T) < s.same_m
-            is_visited |= is_near & (np.cos(poses[:, 2] - looked[2]) > np.cos(s.same_rad))
-        worth[shows] = np.where(self._fits(costmap, poses) & ~is_visited, value, 0.0)
+            is_near = np.hypot(*(poses[:, :2] - looked[:2]).T) < _SAME_M
+            is_visited |= is_near & (np.cos(poses[:, 2] - looked[2]) > np.cos(_SAME_RAD))
+        # Whether circles along the outline's centre line fit: a fast test for walls.
+        radius_m, along_x = self._footprint.inscribed_m, self._footprint.corners[:, 0]
+        low, high = along_x.min() + radius_m, along_x.max() - radius_m
+        fits = np.ones(len(poses), bool)
+        for along_m in np.linspace(low, max(low, high), 1 + math.ceil(max(high - low, 0.0) / radius_m)):
+            middles = poses[:, :2] + along_m * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+            at = np.clip(costmap.cells_at(middles), 0, np.array(costmap.state.shape) - 1)
+            fits &= costmap.distance_m[at[:, 0], at[:, 1]] >= self._least_m
+        worth[shows] = np.where(fits & ~is_visited, value, 0.0)
         if not worth.any():
             return None
         best, heading_of = np.unravel_index(int(worth.argmax()), worth.shape)
@@ -167,27 +192,11 @@ class Exploration:
         cells = np.argwhere(np.isfinite(ways_m) & is_near & is_asked)
         return cells, ways_m[cells[:, 0], cells[:, 1]]
 
-    @property
-    def _least_m(self) -> float:
-        """Least distance of the footprint's centre line to obstacles."""
-        return self._footprint.inscribed_m + self._settings.planner.margin_m
-
-    def _fits(self, costmap: Costmap, poses: FloatArray) -> BoolArray:
-        """Return (N,) whether circles along the outline's centre line fit at poses (N, 3): a fast test for walls."""
-        radius_m = self._footprint.inscribed_m
-        low, high = self._footprint.corners[:, 0].min() + radius_m, self._footprint.corners[:, 0].max() - radius_m
-        fits = np.ones(len(poses), bool)
-        for along_m in np.linspace(low, max(low, high), 1 + math.ceil(max(high - low, 0.0) / radius_m)):
-            middles = poses[:, :2] + along_m * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
-            at = np.clip(costmap.cells_at(middles), 0, np.array(costmap.state.shape) - 1)
-            fits &= costmap.distance_m[at[:, 0], at[:, 1]] >= self._least_m
-        return fits
-
     def _seen_from(self, view: FloatArray, of: Costmap | StaticLayer, is_wanted: BoolArray) -> IntArray:
         """Return wanted cells (N, 2) that a view shows."""
         cell, size_m = (view[1::-1] - of.origin[::-1]) / of.resolution_m, of.resolution_m
         # Cut to what is in reach, as this is called often.
-        reach = math.ceil((self._sight.far_m + self._settings.exploration.least_m) / size_m)
+        reach = math.ceil((self._sight.far_m + _LEAST_M) / size_m)
         low = np.clip(cell.astype(int) - reach, 0, of.state.shape)
         high = np.clip(cell.astype(int) + reach + 1, 0, of.state.shape)
         cut = slice(low[0], high[0]), slice(low[1], high[1])
@@ -198,12 +207,12 @@ class Exploration:
 
     def _is_wide(self, state: ByteArray, resolution_m: float) -> BoolArray:
         """Return (H, W) places where a robot might be: far enough from occupied cells, even if unknown."""
-        least_m = self._settings.exploration.least_m / 2
+        least_m = _LEAST_M / 2
         return np.asarray(distances_m(state == CellState.OCCUPIED, resolution_m) >= least_m)
 
     def _is_about(self, is_wide: BoolArray, resolution_m: float) -> BoolArray:
         """Return (H, W) floor around such places, less a cell, so that holes in walls show nothing behind them."""
-        reach_m = self._settings.exploration.least_m / 2 - resolution_m
+        reach_m = _LEAST_M / 2 - resolution_m
         return np.asarray(distances_m(is_wide, resolution_m) <= max(reach_m, 0.0))
 
 
@@ -226,7 +235,7 @@ _WANTED, _OPAQUE = 1, 2
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class ViewSector:
     """View of a camera that looks ahead.
 
     Attributes:
@@ -278,7 +287,7 @@ class Sight:
 
 
 def marks(is_clear: BoolArray, is_wanted: BoolArray) -> ByteArray:
-    """Return (H, W) marked cells for `Sight`: wanted ones, and opaque ones, which hide what is behind them."""
+    """Return (H, W) marked cells for `ViewSector`: wanted ones, and opaque ones, which hide what is behind them."""
     return np.where(is_clear, np.where(is_wanted, _WANTED, 0), _OPAQUE).astype(np.uint8)
 
 

@@ -39,7 +39,7 @@ class Begin(NamedTuple):
     apart_m: float
 
 
-class Way(NamedTuple):
+class PathAhead(NamedTuple):
     """Part of a path that is driven in one direction.
 
     Attributes:
@@ -75,7 +75,7 @@ class Dynamics(NamedTuple):
     reach_m: float
 
 
-class Weights(NamedTuple):
+class RolloutWeights(NamedTuple):
     """Weights of a rollout's costs, per second unless stated.
 
     Nearness costs by way instead of time. Otherwise a robot would creep or stand in front of a goal beside a wall.
@@ -133,11 +133,11 @@ def draw(nominal: FloatArray, noise: Float32Array, spread: Any, dynamics: Dynami
 @kernel(error_model="numpy", fastmath=_FAST)
 def costs_of(
     begin: Begin,
-    way: Way,
+    way: PathAhead,
     field: CostField,
     people: FloatArray,
     dynamics: Dynamics,
-    weights: Weights,
+    weights: RolloutWeights,
     drawn: Float32Array,
     costs: FloatArray,
 ) -> None:
@@ -150,11 +150,11 @@ def costs_of(
 @kernel(error_model="numpy", fastmath=_FAST)
 def roll_out(
     begin: Begin,
-    way: Way,
+    way: PathAhead,
     field: CostField,
     people: FloatArray,
     dynamics: Dynamics,
-    weights: Weights,
+    weights: RolloutWeights,
     commands: Float32Array,
     poses: FloatArray,
 ) -> Any:
@@ -188,7 +188,7 @@ def roll_out(
 
 
 @kernel(error_model="numpy", fastmath=_FAST)
-def _look(field: CostField, pose: Any, clearance: float, weights: Weights) -> Any:
+def _look(field: CostField, pose: Any, clearance: float, weights: RolloutWeights) -> Any:
     """Return clearance, cost of a metre, and speed limit at a pose."""
     share = max(weights.near_m - clearance, 0.0) / (weights.near_m - weights.margin_m)
     floor, fastest = cost_and_speed_at(field, pose[0], pose[1])
@@ -196,7 +196,7 @@ def _look(field: CostField, pose: Any, clearance: float, weights: Weights) -> An
 
 
 @kernel(error_model="numpy", fastmath=_FAST)
-def _close(apart: float, weights: Weights) -> Any:
+def _close(apart: float, weights: RolloutWeights) -> Any:
     """Return the cost of a second at a distance from people."""
     share = max(weights.people_m - apart, 0.0) / (weights.people_m - weights.people_margin_m)
     return weights.people * share * share
@@ -223,14 +223,14 @@ def _moved(pose: Any, way_m: float, turn_rad: float) -> Any:
 
 
 @kernel(error_model="numpy", fastmath=_FAST)
-def _along(way: Way, point: int, x: float, y: float) -> Any:
+def _along(way: PathAhead, point: int, x: float, y: float) -> Any:
     """Return how far a place lies beyond a point of the way, in its direction."""
     p = way.points
     return way.direction * ((x - p[point, 0]) * p[point, 2] + (y - p[point, 1]) * p[point, 3])
 
 
 @kernel(error_model="numpy", fastmath=_FAST)
-def _advance(way: Way, point: int, x: float, y: float) -> Any:
+def _advance(way: PathAhead, point: int, x: float, y: float) -> Any:
     """Return the point of the way that a robot has reached, from the one before."""
     last = len(way.points) - 1
     while point < last:
@@ -241,14 +241,14 @@ def _advance(way: Way, point: int, x: float, y: float) -> Any:
 
 
 @kernel(error_model="numpy", fastmath=_FAST)
-def _ends(v: float, way: Way, point: int) -> Any:
+def _ends(v: float, way: PathAhead, point: int) -> Any:
     """Limit a commanded speed so that the robot stops at the way's end."""
     most = way.points[point, 5]
     return min(max(v, -most), most)
 
 
 @kernel(error_model="numpy", fastmath=_FAST)
-def _of_way(way: Way, point: int, pose: Any, v: float, weights: Weights) -> Any:
+def _of_way(way: PathAhead, point: int, pose: Any, v: float, weights: RolloutWeights) -> Any:
     p = way.points
     px, py, pc, ps = p[point, 0], p[point, 1], p[point, 2], p[point, 3]
     aside = (pose[1] - py) * pc - (pose[0] - px) * ps
@@ -260,7 +260,7 @@ def _of_way(way: Way, point: int, pose: Any, v: float, weights: Weights) -> Any:
 
 
 @kernel(error_model="numpy", fastmath=_FAST)
-def _of_changes(commands: Float32Array, t: int, weights: Weights) -> Any:
+def _of_changes(commands: Float32Array, t: int, weights: RolloutWeights) -> Any:
     if t == 0:
         return 0.0
     dv, dw = commands[t, 0] - commands[t - 1, 0], commands[t, 1] - commands[t - 1, 1]
@@ -274,7 +274,7 @@ def _touches(clearance: float, before: float, margin_m: float) -> Any:
 
 
 @kernel(error_model="numpy", fastmath=_FAST)
-def _of_end(way: Way, begin: int, point: int, pose: Any, weights: Weights) -> Any:
+def _of_end(way: PathAhead, begin: int, point: int, pose: Any, weights: RolloutWeights) -> Any:
     along = _along(way, point, pose[0], pose[1])
     beyond = max(along, 0.0) if point == len(way.points) - 1 else 0.0
     return weights.beyond * beyond * beyond - weights.progress * (way.points[point, 4] - way.points[begin, 4] + along)

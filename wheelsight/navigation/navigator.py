@@ -2,7 +2,7 @@
 
 `Navigator.step` is the whole of a period: a state machine over planner, controller and recovery behaviours. A
 `ControlChain` passes each requested command through a velocity ramp and the collision monitor. The monitor's command
-is the one that the robot gets.
+is the one that the robot gets. `NavigationTask` is the navigator's memory of one task.
 """
 
 from __future__ import annotations
@@ -19,33 +19,52 @@ from wheelsight.core.errors import ArgumentError, PartError, WheelsightError
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.messages import STOP, VelocityCommand
-from wheelsight.core.robots import STOPPED, Robot, RobotLimits
-from wheelsight.core.threads import OneCaller, one_at_a_time
-from wheelsight.navigation.behaviours import beside_goal
-from wheelsight.navigation.collision_monitor import CollisionMonitor, MonitorReason, MonitorResult, MonitorState
-from wheelsight.navigation.controllers import MppiController, PurePursuitController
+from wheelsight.core.robots import STOPPED, Localization, Robot
+from wheelsight.core.threads import OneCaller, Worker, one_at_a_time
+from wheelsight.navigation.behaviours import (
+    Behaviour,
+    OpenWay,
+    Wait,
+    beside_goal,
+    when_blocked,
+    when_lost,
+    when_unseen,
+)
+from wheelsight.navigation.collision_monitor import ControlChain, MonitorReason, MonitorResult, MonitorState
+from wheelsight.navigation.controllers import STUCK_S, Controller, ControlReason, ControlResult, controller_of, stands
+from wheelsight.navigation.costmap import Floor
 from wheelsight.navigation.exploration import Exploration
-from wheelsight.navigation.footprint import Footprint
-from wheelsight.navigation.goals import Goals, Poses, Way, checked_goal
-from wheelsight.navigation.localization import Localization, WhereNow
-from wheelsight.navigation.path_following import Controller, ControlReason, ControlResult, OwnController
-from wheelsight.navigation.people import discs_of
-from wheelsight.navigation.planner import PathPlanner, Plan, PlanFailure
-from wheelsight.navigation.planning import Planned, Planning, to_go_m
-from wheelsight.navigation.senses import Senses
-from wheelsight.navigation.settings import NavigationSettings
-from wheelsight.navigation.static_map import Floor
+from wheelsight.navigation.perception import discs_of
+from wheelsight.navigation.planner import PathPlanner, Plan, PlanFailure, PlanReason
+from wheelsight.navigation.planning import (
+    ONWARD_M,
+    Goals,
+    Planned,
+    Planning,
+    PoseGoals,
+    RecordedPath,
+    checked_goal,
+    to_go_m,
+)
+from wheelsight.navigation.senses import Senses, WhereNow
+from wheelsight.navigation.settings import Footprint, NavigationSettings, NavigatorSettings
 from wheelsight.navigation.task import (
     Feedback,
     NavigationReason,
     NavigationResult,
     NavigationState,
-    Task,
     Transition,
     stays_words,
 )
-from wheelsight.navigation.workers import Worker
 
+# Time between checks of the path ahead, and the least time between plans while it drives.
+_CHECK_S, _REPLAN_S = 0.5, 1.0
+# Distance from the last recovery that is progress; and the time without it before it recovers: a path with many turns
+# in a narrow place takes 20 s. Consecutive plans may lead to and fro.
+_PROGRESS_M, _LOITER_S = 1.0, 30.0
+# A robot waits before a detour longer than this factor times the rest of the old path, plus this addition: the way that
+# a wait takes at walking speed among people.
+_ROUND_TIMES, _ROUND_M = 1.5, 1.0
 # The time in which `Navigator.run` waits for a standstill after the task is complete.
 _STOPPING_S = 5.0
 # Consecutive goals to skip before the robot recovers instead: then it is the robot that is blocked.
@@ -102,7 +121,7 @@ class Navigator(OneCaller):
         self._controller = controller_of(self._footprint, s, controller)
         self._on_transition = on_transition
         self.state = NavigationState.IDLE
-        self._task: Task | None = None
+        self._task: NavigationTask | None = None
         self._predicted: FloatArray = np.empty((0, 3))
         self._result: NavigationResult | None = None
         self._stepped_s, self._is_halted = -math.inf, False
@@ -119,19 +138,20 @@ class Navigator(OneCaller):
 
     def go_to_pose(self, goal: ArrayLike, name: str = "") -> None:
         """Start to drive to x, y, yaw (3,) in the map, or to x and y (2,). Raises ArgumentError if it is not a pose."""
-        self.begin(Poses([goal], name))
+        self.begin(PoseGoals([goal], name))
 
     def go_through_poses(self, goals: Sequence[ArrayLike], name: str = "") -> None:
         """Start to drive to several poses, with a stop at each. Raises ArgumentError."""
-        self.begin(Poses(goals, name))
+        self.begin(PoseGoals(goals, name))
 
     def follow_way(self, way: ArrayLike, name: str = "a recorded way") -> None:
         """Start to drive along a recorded path (N, 3). Raises ArgumentError."""
-        self.begin(Way(way, self.settings.navigator.through_m, name))
+        self.begin(RecordedPath(way, name))
 
     def explore(self) -> None:
         """Start to explore all reachable floor of a growing map."""
-        self.begin(Exploration(self._footprint, self.settings, self._senses.near_m, self._senses.half_view_rad))
+        margin_m, senses = self.settings.planner.margin_m, self._senses
+        self.begin(Exploration(self._footprint, margin_m, senses.near_m, senses.half_view_rad))
 
     @one_at_a_time
     def why_no_goal(self, goal: ArrayLike) -> str:
@@ -152,9 +172,9 @@ class Navigator(OneCaller):
             self.cancel_task()
         self._result = None
         self._planning.drop()
-        self._task, self._stepped_s = Task(goals, self._robot.now_s), self._robot.now_s
+        self._task, self._stepped_s = NavigationTask(goals, self._robot.now_s), self._robot.now_s
         self._become(NavigationState.PLANNING, f"to {goals.name}")
-        if self._senses.where.is_known(self.settings.navigator.unsure_m):
+        if self._senses.where.is_known:
             # The plan is ready a period earlier if it is requested now.
             self._planning.ask(goals, self._robot.now_s)
 
@@ -176,6 +196,11 @@ class Navigator(OneCaller):
         self._senses.clear_near(at[:2], radius_m)
         if self._task is not None:
             self._task.checked_s = -math.inf
+
+    @one_at_a_time
+    def clear_fault(self) -> None:
+        """Permit driving again after a person has checked wheels that did not follow their commands."""
+        self._chain.clear_fault()
 
     def is_task_complete(self) -> bool:
         """Return whether no task is active."""
@@ -232,7 +257,8 @@ class Navigator(OneCaller):
             with suppress(WheelsightError):  # a controller that does not confirm stops by its own watchdog
                 self._robot.stop()
         stands_by_itself = bool(self._robot.stop_reason)
-        self._chain.ask(asked, now_s, self._senses.where, stands_by_itself=stands_by_itself, silent=silent)
+        status = self._senses.where.driving_status
+        self._chain.ask(asked, now_s, status, stands_by_itself=stands_by_itself, silent=silent)
         return self.feedback
 
     def _silent_part(self, now_s: float) -> MonitorReason | None:
@@ -272,6 +298,7 @@ class Navigator(OneCaller):
             # For a stop by the navigator itself, the monitor has the reason.
             robot_stop="" if self._is_halted and self._robot.stop_reason == STOPPED else self._robot.stop_reason,
             stays_at=None if self.is_task_complete() else self._senses.what_stays(),
+            has_wheel_fault=self.monitor.has_wheel_fault,
         )
 
     def _decide(self, now_s: float) -> VelocityCommand:
@@ -281,7 +308,7 @@ class Navigator(OneCaller):
         if task is None or self.is_task_complete():
             return STOP
         meets_people = bool(self._senses.people(now_s))
-        task.roll(now_s, self._senses.where, self.settings.navigator, meets_people=meets_people)
+        task.roll(now_s, self._senses.where, meets_people=meets_people)
         if self._chain.checked.reason is MonitorReason.WHEELS_OFF:
             return self._fail(NavigationReason.DISOBEYS, "look at the wheels, then clear the fault")
         if task.stopped_for_s(now_s, bool(self._robot.stop_reason)) > self.settings.navigator.held_s:
@@ -299,10 +326,10 @@ class Navigator(OneCaller):
         }
         return ways[self.state](task, now_s)
 
-    def _plan(self, task: Task, now_s: float) -> VelocityCommand:
+    def _plan(self, task: NavigationTask, now_s: float) -> VelocityCommand:
         """Wait for a plan and drive it, or recover if there is none."""
-        if not self._senses.where.is_known(self.settings.navigator.unsure_m):
-            return self._look_about(task, self._senses.where.why_unknown(self.settings.navigator.unsure_m))
+        if not self._senses.where.is_known:
+            return self._look_about(task, self._senses.where.why_unknown)
         if not self._planning.is_asked:
             self._planning.ask(task.goals, now_s)
         planned = self._planning.answer(now_s)
@@ -313,7 +340,7 @@ class Navigator(OneCaller):
         # In the same period, so that the caller does not wait for another one.
         return self._drive(task, now_s) if self.state is NavigationState.DRIVING else command
 
-    def _take(self, task: Task, planned: Planned, now_s: float) -> VelocityCommand:
+    def _take(self, task: NavigationTask, planned: Planned, now_s: float) -> VelocityCommand:
         """Act on the answer of the planner."""
         task.goals.taken()
         task.passes_hidden |= planned.passes_hidden
@@ -325,14 +352,16 @@ class Navigator(OneCaller):
             return STOP
         if isinstance(planned.found, PlanFailure):
             return self._without_plan(task, planned.found)
-        if self._senses.floor.is_fixed and task.await_way(planned.found, self._senses.where, self.settings.behaviours):
+        if self._senses.floor.is_fixed and task.await_way(
+            planned.found, self._senses.where, self.settings.behaviours.wait_s
+        ):
             self._become(NavigationState.RECOVERING, task.doing)
             return STOP
         task.take(planned.found, now_s, planned.T_map_odom)
         self._become(NavigationState.DRIVING, f"{planned.found.length_m:.1f} m to go")
         return STOP
 
-    def _without_plan(self, task: Task, failure: PlanFailure) -> VelocityCommand:
+    def _without_plan(self, task: NavigationTask, failure: PlanFailure) -> VelocityCommand:
         """Skip the goal, recover or give up. A plan may exist once people have left or more floor is visible."""
         why = f"{failure.reason}: {failure.detail}"
         if not failure.reason.is_for_good and (stays := stays_words(self._senses.what_stays())):
@@ -347,13 +376,13 @@ class Navigator(OneCaller):
         is_same = task.why_first.startswith(failure.reason)
         return self._give_up(task, NavigationReason.NO_PLAN, why if is_same else f"{task.why_first}; at last {why}")
 
-    def _drive(self, task: Task, now_s: float) -> VelocityCommand:
+    def _drive(self, task: NavigationTask, now_s: float) -> VelocityCommand:
         """Follow the plan while it is valid."""
-        s, where = self.settings.navigator, self._senses.where
+        where = self._senses.where
         state, local, plan = where.state, self._senses.local(), task.plan
-        if (why := where.why_unknown(s.unsure_m)) or state is None or local is None or plan is None:
+        if (why := where.why_unknown) or state is None or local is None or plan is None:
             return self._look_about(task, why)
-        if now_s - task.checked_s >= s.check_s:
+        if now_s - task.checked_s >= _CHECK_S:
             task.checked_s = now_s
             if task.goals.is_met(state.pose, self._senses.floor.layer):
                 return self._reached(task)
@@ -368,20 +397,20 @@ class Navigator(OneCaller):
                 return command
         people = discs_of(self._senses.people(now_s))
         try:
-            result = self._controller.command(state, task.plan or plan, local.field, people)
+            result = self._controller.command(state, plan if task.plan is None else task.plan, local.field, people)
         except PartError as error:
             return self._fail(NavigationReason.CONTROLLER, error.problem)
         self._predicted = result.predicted
         return self._follow(task, result, now_s)
 
-    def _may_go_on(self, task: Task, plan: Plan, now_s: float) -> bool:
+    def _may_go_on(self, task: NavigationTask, plan: Plan, now_s: float) -> bool:
         """Return whether the plan is free. A new plan is requested a period after the check, as both take long."""
         if self._planning.is_asked:
-            return self._planning.is_free(plan, self.settings.navigator.onward_m)
+            return self._planning.is_free(plan, ONWARD_M)
         if task.wants_replan:
             task.wants_replan = False
             self._planning.ask(task.goals, now_s)
-        if self._planning.is_asked or now_s - task.planned_s < self.settings.navigator.anew_s:
+        if self._planning.is_asked or now_s - task.planned_s < _REPLAN_S:
             return True
         look = self._planning.look(plan, task.T_map_odom, now_s)
         if not look.is_free:
@@ -391,7 +420,7 @@ class Navigator(OneCaller):
         task.replan_reason = look.why
         return look.is_free
 
-    def _follow(self, task: Task, result: ControlResult, now_s: float) -> VelocityCommand:
+    def _follow(self, task: NavigationTask, result: ControlResult, now_s: float) -> VelocityCommand:
         """Act on the result of the controller."""
         if result.reason is ControlReason.ARRIVED:
             return self._reached(task)
@@ -403,31 +432,31 @@ class Navigator(OneCaller):
             return STOP
         is_held = result.reason is not None or self._chain.checked.state is MonitorState.STOPPED
         if task.held_for_s(now_s, is_held) > self.settings.navigator.held_s:
-            stopped_by = self._chain.stopped_by(now_s - self.settings.navigator.held_s - self.settings.follow.stuck_s)
+            stopped_by = self._chain.stopped_by(now_s - self.settings.navigator.held_s - STUCK_S)
             stays = stays_words(self._senses.what_stays())
             why = f"{stopped_by or result.reason}{f'; {stays}' if stays else ''}"
             return self._get_out(task, why, stopped_by)
-        if task.loiters_s > self.settings.navigator.loiter_s:
+        if task.loiters_s > _LOITER_S:
             return self._get_out(task, "it comes no farther")
         return result.command
 
-    def _reached(self, task: Task) -> VelocityCommand:
+    def _reached(self, task: NavigationTask) -> VelocityCommand:
         """Continue with the next goal. If the plan ended beside the goal because of a person, wait there once."""
         self._planning.drop()
         if self._planning.is_busy:
             return STOP
         if task.may_wait:
-            task.await_goal(beside_goal(self.settings.behaviours))
+            task.await_goal(beside_goal(self.settings.behaviours.wait_s))
             self._become(NavigationState.RECOVERING, task.doing)
             return STOP
         task.reached((self.settings.follow.goal_m, self.settings.follow.goal_rad))
         self._become(NavigationState.PLANNING, "a goal is reached")
         return STOP
 
-    def _recover(self, task: Task, now_s: float) -> VelocityCommand:
+    def _recover(self, task: NavigationTask, now_s: float) -> VelocityCommand:
         """Continue the recovery behaviour, then plan again."""
         where = self._senses.where
-        if task.is_lost and (is_known := where.is_known(self.settings.navigator.unsure_m)):
+        if task.is_lost and (is_known := where.is_known):
             self._become(NavigationState.PLANNING, "it knows where it is")
             return STOP
         assert task.behaviour is not None
@@ -436,12 +465,12 @@ class Navigator(OneCaller):
             task.is_refused = not self._senses.keeps_clear(command)
             return STOP if task.is_refused else command
         if task.is_lost and not is_known:
-            return self._look_about(task, f"still {where.why_unknown(self.settings.navigator.unsure_m)}")
+            return self._look_about(task, f"still {where.why_unknown}")
         self._senses.clear(only_ahead=task.awaits_way)
         self._become(NavigationState.PLANNING, f"after it has done so: {task.behaviour.name}")
         return STOP
 
-    def _get_out(self, task: Task, why: str, stopped_by: MonitorReason | None = None) -> VelocityCommand:
+    def _get_out(self, task: NavigationTask, why: str, stopped_by: MonitorReason | None = None) -> VelocityCommand:
         """Start a recovery behaviour, or give up."""
         if not task.may_try(self.settings.navigator):
             return self._give_up(task, NavigationReason.BLOCKED, why)
@@ -450,7 +479,7 @@ class Navigator(OneCaller):
         self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
         return STOP
 
-    def _give_up(self, task: Task, reason: NavigationReason, why: str) -> VelocityCommand:
+    def _give_up(self, task: NavigationTask, reason: NavigationReason, why: str) -> VelocityCommand:
         """Continue without an unreachable goal; fail if the task requires it."""
         self._planning.drop()
         if self._planning.is_busy:
@@ -462,7 +491,7 @@ class Navigator(OneCaller):
             self._become(NavigationState.PLANNING, f"{why}; on without what is there")
         return STOP
 
-    def _look_about(self, task: Task, why: str) -> VelocityCommand:
+    def _look_about(self, task: NavigationTask, why: str) -> VelocityCommand:
         """Start a behaviour that finds the robot's pose."""
         self._planning.drop()
         task.search(self.settings, self._senses.where.status, self._chain.checked, self._senses.open_way())
@@ -488,143 +517,235 @@ class Navigator(OneCaller):
     def _stands(self) -> bool:
         """Return whether the wheels stand still, or have given no reading yet."""
         speed = self._senses.where.speed
-        return self.settings.follow.stands(speed.forward_m_s, speed.turn_rad_s) or not math.isfinite(speed.stamp_s)
+        return stands(speed.forward_m_s, speed.turn_rad_s) or not math.isfinite(speed.stamp_s)
 
 
-class ControlChain:
-    """Passes each requested command through a velocity ramp and the collision monitor.
+class NavigationTask:
+    """Goals, plan, recovery attempts and timers of one task.
 
     Args:
-        settings: limits, footprint and monitor of the robot.
+        goals: goals of the task.
+        now_s: start time.
 
     Attributes:
-        monitor: decides on the final command.
-        checked: the monitor's result for the last command.
-        was_backward: whether the last command that the monitor stopped was backward.
+        plan: the plan that is driven; None until there is one for the next goal.
+        planned_s, checked_s: when the plan was made, and when it was last checked against the surroundings.
+        T_map_odom: (3,) x, y, yaw of `odom` in `map` at the request of the plan.
+        replan_reason: why another plan was requested while this one is driven.
+        wants_replan: whether another plan is still to be requested.
+        goal_change: why the last goal reached differs from the requested one.
+        beside: the same for the first goal where the robot stopped outside the tolerance; empty without any.
+        behaviour: current recovery behaviour; None without any.
+        is_lost: whether the behaviour searches for the robot's pose.
+        awaits_way: whether the behaviour waits for a blocked path to become free.
+        is_refused: whether the map forbids the behaviour's command, because an obstacle is too near.
+        tries: recovery attempts since the last progress.
+        passes_hidden: whether plans may cross unseen floor, as no other path was found since the last progress.
+        skips: goals skipped since the last plan or recovery.
+        searches: searches for the pose since it was last known.
+        known_s: when the pose was last known.
+        why_first: reason of the first failed plan since the last plan or progress; empty without any.
+        transitions: all changes of state.
     """
 
-    def __init__(self, settings: NavigationSettings) -> None:
-        self.monitor = CollisionMonitor(
-            settings.footprint.outline, settings.limits, settings.monitor, settings.wheel_check
-        )
-        self.checked = MonitorResult(STOP, MonitorState.FREE)
-        self._stopped: tuple[float, MonitorReason | None] = (-math.inf, None)
-        self.was_backward = False
-        self._ramp, self._period_s = VelocityRamp(settings.limits), settings.follow.period_s
+    def __init__(self, goals: Goals, now_s: float) -> None:
+        self.goals, self._why_lost = goals, ""
+        self.plan: Plan | None = None
+        self.planned_s = self.checked_s = -math.inf
+        self.T_map_odom: FloatArray = np.zeros(3)
+        self.replan_reason = self.goal_change = self.beside = ""
+        self.wants_replan = False
+        self.behaviour: Behaviour | None = None
+        self.is_lost = self.awaits_way = self.is_refused = False
+        self.tries, self.skips, self.searches = 0, 0, 0
+        self.passes_hidden = self._has_waited = self._has_awaited_way = self._has_met_people = False
+        self.known_s = now_s
+        self.why_first = ""
+        self.transitions: list[Transition] = []
+        self._begun_s = self._rolled_s = self._tried_s = now_s
+        self._way_m = 0.0
+        self._here = self._from = np.full(2, math.nan)
+        self._now_s = self._since_s = now_s
+        self._planned_m, self._plans, self._recoveries = 0.0, 0, 0
+        self._held, self._stopped, self._silent = _Stopwatch(), _Stopwatch(), _Stopwatch()
 
     @property
-    def command(self) -> VelocityCommand:
-        """Command for the robot."""
-        return self.checked.command
+    def doing(self) -> str:
+        """Name of the current behaviour or goal."""
+        return self.goals.name if self.behaviour is None else self.behaviour.name
 
-    def ask(
-        self,
-        asked: VelocityCommand,
-        now_s: float,
-        where: WhereNow,
-        *,
-        stands_by_itself: bool,
-        silent: MonitorReason | None = None,
+    def roll(self, now_s: float, where: WhereNow, *, meets_people: bool) -> None:
+        """Update distance and progress. Progress resets the recovery attempts, even if the robot goes to and fro."""
+        self._now_s = now_s
+        self._has_met_people |= meets_people
+        # Integrated over readings: failed encoders add no distance.
+        speed = where.speed
+        if speed.stamp_s > self._rolled_s:
+            self._way_m += abs(speed.forward_m_s) * (speed.stamp_s - self._rolled_s)
+            self._rolled_s = speed.stamp_s
+        if where.odom_pose is not None:
+            self._here = where.odom_pose[:2]
+            if not np.hypot(*(self._here - self._from)) <= _PROGRESS_M:
+                self.tries, self.passes_hidden, self._has_awaited_way = 0, False, False
+                self._has_met_people, self._tried_s, self.why_first = False, now_s, ""
+                self.restart_progress()
+        self._why_lost = where.why_unknown
+        if not self._why_lost:
+            self.known_s, self.searches = now_s, 0
+
+    def restart_progress(self) -> None:
+        """Measure progress from here and now."""
+        self._from, self._since_s = self._here, self._now_s
+
+    @property
+    def loiters_s(self) -> float:
+        """Seconds without progress, even if the robot moved."""
+        return self._now_s - self._since_s
+
+    def take(self, plan: Plan, now_s: float, T_map_odom: FloatArray) -> None:
+        """Drive a new plan."""
+        self._plans += 1
+        self._planned_m = self._planned_m or plan.length_m
+        self.plan, self.planned_s, self.checked_s, self.T_map_odom = plan, now_s, now_s, T_map_odom
+        self.behaviour, self.skips, self._held, self.wants_replan = None, 0, _Stopwatch(), False
+        self.why_first = ""
+
+    def recover(self, behaviour: Behaviour, *, is_lost: bool) -> None:
+        """Start a recovery behaviour."""
+        self.behaviour, self.is_lost, self._held, self.skips = behaviour, is_lost, _Stopwatch(), 0
+        self.awaits_way = self.is_refused = False
+        self._recoveries += 1
+        if is_lost:
+            self.searches += 1
+        else:
+            self.tries += 1
+        self.restart_progress()
+
+    def may_try(self, settings: NavigatorSettings) -> bool:
+        """Return whether another recovery may start. Near people the limit is a time, else a number of attempts."""
+        has_time = self._now_s - self._tried_s < settings.patience_s
+        return self.tries < settings.tries or (self._has_met_people and has_time)
+
+    def get_out(self, settings: NavigationSettings, stopped_by: MonitorReason | None, *, was_backward: bool) -> None:
+        """Start the next recovery behaviour after a stop by the monitor.
+
+        Waiting does not help at unseen floor: only another path does.
+        """
+        wait_s, tries = settings.behaviours.wait_s, self.tries
+        self.passes_hidden = stopped_by is not MonitorReason.NEVER_SEEN
+        if tries >= settings.navigator.tries:
+            self.recover(Wait(wait_s, "wait until people have gone"), is_lost=False)
+        elif self.passes_hidden:
+            self.recover(when_blocked(tries, wait_s), is_lost=False)
+        else:
+            self.recover(when_unseen(tries, was_backward=was_backward), is_lost=False)
+
+    def why_over(self, now_s: float, settings: NavigationSettings) -> tuple[NavigationReason, str] | None:
+        """Return why the task cannot succeed: a limit of zero, or a pose unknown for too long. None if it can."""
+        limits, lost_s = settings.limits, now_s - self.known_s
+        if limits.forward_m_s == 0 and limits.backward_m_s == 0:
+            return NavigationReason.NO_PLAN, f"{PlanReason.STANDS}: forward_m_s and backward_m_s are 0"
+        if limits.turn_rad_s == 0 and lost_s > settings.behaviours.wait_s:
+            return NavigationReason.LOST, "nor can it look about: turn_rad_s is 0"
+        most_s = settings.navigator.lost_s
+        return (NavigationReason.LOST, f"for {most_s:g} s: {self._why_lost}") if lost_s > most_s else None
+
+    def search(
+        self, settings: NavigationSettings, status: Status, checked: MonitorResult, open_way: OpenWay | None
     ) -> None:
-        """Compute the command of a period.
+        """Start a behaviour that searches for the pose; see `when_lost`.
 
-        Args:
-            asked: command that the navigator requests.
-            now_s: time of the period.
-            where: pose and its status.
-            stands_by_itself: whether the robot has stopped by itself, and does not obey.
-            silent: the part that does not answer; with one the command is a stop.
+        A robot that may not turn waits: it must not drive before a whole turn has shown its surroundings.
         """
-        if stands_by_itself:
-            # A ramp down during its own stop would look like disobedience, and would delay the stop command.
-            self._ramp.follow(STOP)
-        ramped = self._ramp.step(asked.forward_m_s, asked.turn_rad_s, self._period_s)
-        # Without a place in the map, but with a known motion, the robot may turn to search for it.
-        is_searching = where.status is Status.INITIALIZING and where.is_rolling
-        status = Status.COASTING if is_searching else where.status
-        self.checked = self.monitor.check(ramped, now_s, status, silent)
-        if self.checked.state is not MonitorState.FREE:
-            self._ramp.follow(self.checked.command)
-        if self.checked.state is MonitorState.STOPPED:
-            self._stopped = now_s, self.checked.reason
-            self.was_backward = asked.forward_m_s < 0
-
-    def stopped_by(self, since_s: float) -> MonitorReason | None:
-        """Return why the monitor last stopped the robot since a time. A controller only knows that it does not move."""
-        return self._stopped[1] if self._stopped[0] >= since_s else None
-
-
-def controller_of(footprint: Footprint, settings: NavigationSettings, own: Controller | None = None) -> Controller:
-    """Return a user's own controller, else the one that the settings name."""
-    if own is not None:
-        return OwnController(own, settings.follow.goal_m, settings.follow.goal_rad)
-    if settings.controller == "mppi":
-        return MppiController(footprint, settings.limits, settings.mppi, settings.follow)
-    return PurePursuitController(footprint, settings.limits, settings.pure_pursuit, settings.follow)
-
-
-class VelocityRamp:
-    """Keeps the limits on speed, acceleration and jerk (`RobotLimits`) from one command to the next.
-
-    Acceleration rises with limited jerk, and falls with it near the requested speed. Deceleration is not limited by
-    jerk: a stop or a lower requested speed ends acceleration at once. Turns have a limit on acceleration only.
-    """
-
-    def __init__(self, limits: RobotLimits | None = None) -> None:
-        self._limits = limits or RobotLimits()
-        self._given = STOP
-        self._acceleration_m_s2 = 0.0
+        s = settings.behaviours
+        if settings.limits.turn_rad_s == 0:
+            self.recover(Wait(s.wait_s, "wait to see where it is"), is_lost=True)
+            return
+        is_held = self.is_refused or checked.state is MonitorState.STOPPED
+        sees = checked.reason is not MonitorReason.NO_FRAME
+        self.recover(when_lost(self.searches, s, status, open_way, is_held=is_held, sees=sees), is_lost=True)
 
     @property
-    def given(self) -> VelocityCommand:
-        """Last command."""
-        return self._given
+    def may_wait(self) -> bool:
+        """Return whether to wait for a person at the goal, once per goal."""
+        return bool(self._change) and not self._has_waited
 
-    def follow(self, driven: VelocityCommand) -> None:
-        """Continue from a command that was reduced after the ramp."""
-        self._given, self._acceleration_m_s2 = driven, 0.0
+    def await_goal(self, behaviour: Behaviour) -> None:
+        """Wait for a person at the goal."""
+        self.recover(behaviour, is_lost=False)
+        self._has_waited = True
 
-    def step(self, forward_m_s: float, turn_rad_s: float, period_s: float) -> VelocityCommand:
-        """Return the command one period after the last one.
+    def await_way(self, plan: Plan, where: WhereNow, wait_s: float) -> bool:
+        """Wait, once per place, instead of driving a long detour; return whether it does so.
+
+        A person in the way usually leaves sooner than the detour takes (cf. Nav2's `PathLongerOnApproach`).
+        """
+        if self.plan is None or where.state is None or self._has_awaited_way:
+            return False
+        left_m = to_go_m(self.plan, where.state.pose)
+        if plan.length_m <= _ROUND_TIMES * left_m + _ROUND_M:
+            return False
+        self.recover(Wait(wait_s, f"wait, rather than go {plan.length_m - left_m:.1f} m round"), is_lost=False)
+        self.awaits_way = self._has_awaited_way = True
+        return True
+
+    @property
+    def _change(self) -> str:
+        """Why the plan's goal differs from the requested one; empty if it does not, or if no place was requested."""
+        return self.plan.goal_change if self.plan is not None and self.goals.is_asked_for else ""
+
+    def reached(self, tolerance: tuple[float, float]) -> None:
+        """Record that the plan's goal is reached, and why it differs from the requested one.
 
         Args:
-            forward_m_s: requested speed; a value that is not finite requests a stop of both.
-            turn_rad_s: requested turn rate.
-            period_s: time since the last command, above 0.
-
-        Raises:
-            ArgumentError: the period is not a positive number.
+            tolerance: distance in metres and angle in radians that still count as an arrival.
         """
-        if not (math.isfinite(period_s) and period_s > 0):
-            raise ArgumentError(f"a period of {period_s} s", fix="give seconds since the last command, above 0")
-        if not (math.isfinite(forward_m_s) and math.isfinite(turn_rad_s)):
-            forward_m_s, turn_rad_s = 0.0, 0.0
-        most = self._limits
-        wanted = min(max(forward_m_s, -most.backward_m_s), most.forward_m_s)
-        forward = self._forward(wanted, period_s)
-        turn = min(max(turn_rad_s, -most.turn_rad_s), most.turn_rad_s)
-        change = most.turn_acceleration_rad_s2 * period_s
-        before = self._given.turn_rad_s
-        self._given = VelocityCommand(forward, before + min(max(turn - before, -change), change))
-        return self._given
+        self.goal_change, plan = self._change, self.plan
+        if self.goal_change and plan is not None and not self.beside:
+            is_beside = plan.goal_off_m > tolerance[0] or plan.goal_off_rad > tolerance[1]
+            self.beside = self.goal_change if is_beside else ""
+        self.plan = None
+        self.goals.reached()
+        self.restart_progress()
+        self._has_waited = False
 
-    def _forward(self, wanted: float, period_s: float) -> float:
-        """Return the next forward speed within acceleration, braking and jerk."""
-        speed, limits = self._given.forward_m_s, self._limits
-        slows = speed * (wanted - speed) < 0
-        if slows:
-            # Stop at zero: the other direction begins with its own acceleration.
-            wanted = wanted if wanted * speed > 0 else 0.0
-            change = limits.braking_m_s2 * period_s
-            self._acceleration_m_s2 = 0.0
-            return speed + min(max(wanted - speed, -change), change)
-        sign = math.copysign(1.0, wanted - speed)
-        # Speed gained while acceleration falls to zero with limited jerk: a² / 2j + a period / 2, in discrete steps.
-        # Only the step that reaches the speed may exceed the jerk, by an eighth.
-        half = limits.jerk_m_s3 * period_s / 2
-        most = math.sqrt(half * half + 2 * limits.jerk_m_s3 * abs(wanted - speed)) - half
-        most = min(limits.acceleration_m_s2, most)
-        grown = max(self._acceleration_m_s2 * sign, 0.0) + limits.jerk_m_s3 * period_s
-        change = min(min(most, grown) * period_s, abs(wanted - speed))
-        self._acceleration_m_s2 = sign * change / period_s
-        return wanted if change == abs(wanted - speed) else speed + sign * change
+    def held_for_s(self, now_s: float, is_held: bool) -> float:
+        """Return the seconds since the robot is held; 0 if it is not."""
+        return self._held.for_s(now_s, is_held)
+
+    def stopped_for_s(self, now_s: float, is_stopped: bool) -> float:
+        """Return the seconds since the robot stopped by itself; 0 if it did not."""
+        return self._stopped.for_s(now_s, is_stopped)
+
+    def silent_for_s(self, now_s: float, is_silent: bool) -> float:
+        """Return the seconds since a part of the program is silent; 0 if none is."""
+        return self._silent.for_s(now_s, is_silent)
+
+    def result(self, has_arrived: bool, reason: NavigationReason | None, detail: str, now_s: float) -> NavigationResult:
+        """Return the result of the task."""
+        return NavigationResult(
+            has_arrived,
+            reason,
+            detail,
+            self.goal_change,
+            tuple(self.transitions),
+            now_s - self._begun_s,
+            self._way_m,
+            self._planned_m,
+            self._plans,
+            self._recoveries,
+        )
+
+
+class _Stopwatch:
+    """Measures for how long a condition has held without a break."""
+
+    def __init__(self) -> None:
+        self._since_s: float | None = None
+
+    def for_s(self, now_s: float, is_so: bool) -> float:
+        if not is_so:
+            self._since_s = None
+        elif self._since_s is None:
+            self._since_s = now_s
+        return 0.0 if self._since_s is None else now_s - self._since_s

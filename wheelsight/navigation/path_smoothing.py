@@ -13,14 +13,13 @@ import numpy as np
 from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, IntArray
 from wheelsight.core.robots import RobotLimits
 from wheelsight.navigation.costmap import Costmap
-from wheelsight.navigation.footprint import Footprint
 from wheelsight.navigation.planner_kernels import (
     CURVE,
     CURVE_BACK,
     TURN_AND_DRIVE,
     WAYS,
-    Cells,
-    Rules,
+    DriveRules,
+    PlanCells,
     Shape,
     cost_of,
     least_clearance,
@@ -28,7 +27,7 @@ from wheelsight.navigation.planner_kernels import (
     write_arc,
     write_way,
 )
-from wheelsight.navigation.settings import PlannerSettings
+from wheelsight.navigation.settings import Footprint, PlannerSettings
 
 # Distances before and after a corner where a curve may begin and end; the first free one is used.
 _ROUNDINGS_M = (1.5, 1.0, 0.6, 0.35)
@@ -196,6 +195,26 @@ def _recentred(piece: FloatArray, drivable: Drivable) -> FloatArray | None:
     return best
 
 
+# Usual speed: a metre in a slower zone costs more, in proportion to its time.
+_USUAL_M_S = 0.6
+# Extra cost of a metre with the least clearance only, quadratic between that and the wanted one; a free metre costs 1.
+# Of 80 plans in four real buildings 1 is nearer than 5 cm to anything, with a cost of 2 there are 7
+# (docs/decisions/planner).
+_TIGHT_COST = 4.0
+# Costs in metres: of a turn in place of 1 rad, as both take half a second to a second; of a bend of 1 rad; and of a
+# change between forward and backward.
+_TURN_M, _BEND_M, _SWITCH_M = 0.5, 0.1, 0.5
+# Least radius of curves; tighter ones become turns in place.
+_RADIUS_M = 0.4
+# Headings in the search: 5° each, which move the far end of a chair by 7 cm; the grid of places, half of it in narrow
+# ones; and the distance of obstacles from the robot's inscribed circle below which a place is narrow, metres.
+_HEADINGS, _PLACE_M, _NARROW_M = 72, 0.1, 0.2
+# Length of the search's arcs, metres; at least enough to leave their cell.
+_STRIDE_M = 0.1
+# Factor of the heuristic; 2 is faster and nearer to walls (80 plans in four real buildings: docs/decisions/planner).
+_GREED = 1.6
+# Distance to the goal below which the search tries a direct connection, metres.
+_CONNECT_M = 4.0
 # Largest clearance that is measured.
 MOST_CLEARANCE_M = 0.5
 # Most poses in one part of a path: 400 m at 5 cm each.
@@ -217,9 +236,9 @@ class Drivable:
     costmap: Costmap
     footprint: Footprint
     margins_m: FloatArray
-    cells: Cells
+    cells: PlanCells
     shape: Shape
-    rules: Rules
+    rules: DriveRules
 
     @classmethod
     def of(
@@ -229,18 +248,37 @@ class Drivable:
         sums = np.zeros((costmap.is_lethal.shape[0], costmap.is_lethal.shape[1] + 1), np.int32)
         np.cumsum(costmap.is_lethal, axis=1, out=sums[:, 1:], dtype=np.int32)
         # (H, W) cost of a metre of the centre of rotation, by nearness to obstacles, speed zones and blocked paths.
-        slow = np.float32(settings.usual_m_s) / costmap.speed_m_s
+        slow = np.float32(_USUAL_M_S) / costmap.speed_m_s
         dear = np.float32(1) if costmap.dearness is None else costmap.dearness
         metre = 1 + np.float32(settings.nearness_cost) * costmap.cost
         metre_cost = np.ascontiguousarray(metre * np.maximum(slow, 1) * dear, np.float32)
-        cells = Cells(sums, costmap.distance_m, metre_cost, float(costmap.resolution_m), *map(float, costmap.origin))
+        cells = PlanCells(
+            sums, costmap.distance_m, metre_cost, float(costmap.resolution_m), *map(float, costmap.origin)
+        )
         margins_m = np.linspace(settings.wanted_margin_m, settings.margin_m, _OUTLINES)
         outlines = [footprint.padded(float(margin_m)) for margin_m in margins_m]
         middle = (outlines[0].corners.min(axis=0) + outlines[0].corners.max(axis=0)) / 2
         around_m = float(np.linalg.norm(outlines[0].corners - middle, axis=1).max())
         corners = np.ascontiguousarray([one.corners for one in outlines])
         shape = Shape(corners, outlines[-1].inscribed_m, float(middle[0]), float(middle[1]), around_m)
-        rules = _rules(outlines[-1], settings, limits or RobotLimits())
+        limits = limits or RobotLimits()
+        rules = DriveRules(
+            step_m=2 * settings.margin_m,
+            turn_m=_TURN_M if limits.turn_rad_s > 0 else math.inf,
+            bend_m=_BEND_M if limits.turn_rad_s > 0 else math.inf,
+            forward=1.0 if limits.forward_m_s > 0 else math.inf,
+            backward=settings.backward_cost if limits.backward_m_s > 0 else math.inf,
+            switch_m=_SWITCH_M,
+            tight=_TIGHT_COST,
+            radius_m=_RADIUS_M,
+            reach_m=outlines[-1].circumscribed_m,
+            headings=_HEADINGS,
+            place_m=_PLACE_M,
+            narrow_m=outlines[-1].inscribed_m + _NARROW_M,
+            stride_m=max(_STRIDE_M, 1.5 * _PLACE_M),
+            greed=_GREED,
+            connect_m=_CONNECT_M,
+        )
         return cls(costmap, footprint, margins_m, cells, shape, rules)
 
     def may(self, way_m: float, turn: float) -> bool:
@@ -278,25 +316,3 @@ class Drivable:
         out = np.empty((_ROOM, 4))
         out[0] = pose
         return out[: write_way(out, 1, np.ascontiguousarray(to[:3]), way, self.rules)].copy()
-
-
-def _rules(least: Footprint, settings: PlannerSettings, limits: RobotLimits) -> Rules:
-    """Return the rules of the kernels."""
-    return Rules(
-        step_m=2 * settings.margin_m,
-        turn_m=settings.turn_m if limits.turn_rad_s > 0 else math.inf,
-        bend_m=settings.bend_m if limits.turn_rad_s > 0 else math.inf,
-        forward=1.0 if limits.forward_m_s > 0 else math.inf,
-        backward=settings.backward_cost if limits.backward_m_s > 0 else math.inf,
-        switch_m=settings.switch_m,
-        tight=settings.tight_cost,
-        radius_m=settings.radius_m,
-        reach_m=least.circumscribed_m,
-        headings=settings.headings,
-        place_m=settings.place_m,
-        narrow_m=least.inscribed_m + settings.narrow_m,
-        stride_m=max(settings.stride_m, 1.5 * settings.place_m),
-        greed=settings.greed,
-        connect_m=settings.connect_m,
-        most_states=settings.most_states,
-    )

@@ -18,24 +18,23 @@ from wheelsight.core.geometry.se2 import wrap_angle
 from wheelsight.core.robots import RobotLimits
 from wheelsight.navigation.clearance_kernels import Outline, clearances_at
 from wheelsight.navigation.costmap import CellState, Costmap
-from wheelsight.navigation.footprint import Footprint, outline_of
 from wheelsight.navigation.path_smoothing import Drivable, any_angle, centred, driven, shortened
 from wheelsight.navigation.planner_kernels import (
     NOTHING_LEFT,
     TOO_MANY,
-    Tree,
+    SearchTree,
     cost_to_go_kernel,
     descend,
     search,
     way_to,
 )
-from wheelsight.navigation.settings import PlannerSettings
+from wheelsight.navigation.settings import Footprint, PlannerSettings, outline_of
 
-_DIMENSIONS = (2, 3)
 # Rounds of `centred`, which moves a path away from obstacles.
 _ROUNDS = 4
-# States of the plan that explains a failure: about a second on a small computer.
-_MOST_STATES_TO_EXPLAIN = 50_000
+# Limits of time and memory of a search: 90 MB, ten seconds or more; and of the plan that explains a failure, about a
+# second on a small computer.
+_MOST_STATES, _MOST_STATES_TO_EXPLAIN = 800_000, 50_000
 # Bisections for the narrowest width: 20 m to a millimetre.
 _HALVINGS = 14
 # Random places tried before the robot is said to fit nowhere, and how many of them at once.
@@ -60,7 +59,7 @@ class Planner:
         self, footprint: Footprint, settings: PlannerSettings | None = None, limits: RobotLimits | None = None
     ) -> None:
         self.footprint, self.settings = footprint, settings or PlannerSettings()
-        self.limits = limits or RobotLimits()
+        self.limits, self.most_states = limits or RobotLimits(), _MOST_STATES
         self._outline = outline_of(footprint)
 
     def has_room(self, costmap: Costmap, poses: ArrayLike) -> BoolArray:
@@ -77,7 +76,7 @@ class Planner:
         # As if all cells were connected, since reachability does not matter here.
         anywhere = np.ones(costmap.state.shape, np.int32)
         found = goal_near(drivable, np.asarray(goal, float), anywhere, 1, self.settings)
-        return None if isinstance(found, Goal) else found
+        return None if isinstance(found, PlanGoal) else found
 
     def plan(self, costmap: Costmap, start: ArrayLike, goal: ArrayLike) -> Plan | PlanFailure:
         """Return a path from a start to a goal, or why there is none; it raises nothing for any start and goal.
@@ -88,7 +87,7 @@ class Planner:
             goal: the same, or (2,) for any heading.
         """
         begin, end = np.array(start, float).ravel(), np.array(goal, float).ravel()
-        if len(begin) != 3 or len(end) not in _DIMENSIONS or not np.isfinite([*begin, *end]).all():
+        if len(begin) != 3 or len(end) not in (2, 3) or not np.isfinite([*begin, *end]).all():
             return PlanFailure(PlanReason.INVALID, f"from {begin} to {end}")
         end = np.array([*end, math.nan][:3])
         if self.limits.forward_m_s == 0 and self.limits.backward_m_s == 0:
@@ -100,7 +99,7 @@ class Planner:
         drivable = Drivable.of(stood, self.footprint, self.settings, self.limits)
         out = way_out(drivable, self._outline, begin, self.settings)
         if out is None:
-            nor = f"nor within {self.settings.escape_m:g} m"
+            nor = f"nor within {_ESCAPE_M:g} m"
             known = Drivable.of(stood.with_unknown_free(), self.footprint, self.settings, self.limits)
             if way_out(known, self._outline, begin, self.settings) is None:
                 return PlanFailure(PlanReason.START_OCCUPIED, nor)
@@ -116,8 +115,8 @@ class Planner:
     def why_no_way(self, costmap: Costmap, start: ArrayLike, goal: ArrayLike) -> str:
         """Return what in a costmap keeps the robot from a goal (3,) without a plan, with places and widths."""
         begin, end = np.array(start, float), np.array(goal, float)
-        rules = self.settings.model_copy(update={"most_states": _MOST_STATES_TO_EXPLAIN})
-        quick = Planner(self.footprint, rules, self.limits)
+        quick = Planner(self.footprint, self.settings, self.limits)
+        quick.most_states = _MOST_STATES_TO_EXPLAIN
         if (costmap.is_lethal & (costmap.state == CellState.UNKNOWN)).any():
             found = quick.plan(costmap.with_unknown_free(), begin, end[:2] if np.isnan(end[-1]) else end)
             if isinstance(found, Plan):
@@ -160,7 +159,7 @@ class Planner:
             return aim
         return self._way(drivable, metre_cost, out, aim)
 
-    def _way(self, drivable: Drivable, metre_cost: Float32Array, out: FloatArray, goal: Goal) -> Plan | PlanFailure:
+    def _way(self, drivable: Drivable, metre_cost: Float32Array, out: FloatArray, goal: PlanGoal) -> Plan | PlanFailure:
         """Plan from the end of a way out (N, 4) to a reachable goal."""
         costmap = drivable.costmap
         goal_row, goal_column = costmap.cells_at(goal.pose[:2]).tolist()
@@ -187,20 +186,35 @@ class Planner:
                     poses, goal = searched, end
         poses = centred(shortened(poses, drivable), drivable, _ROUNDS)
         poses = np.concatenate([out[:-1], poses])
-        return _plan(drivable, poses, goal, states)
+        path = poses[:, :3].copy()
+        path[:, 2] = wrap_angle(path[:, 2])
+        steps = np.diff(path[:, :2], axis=0)
+        return Plan(
+            poses=path,
+            directions=poses[:, 3].astype(np.int64),
+            length_m=float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
+            least_clearance_m=drivable.clearance_m(path),
+            goal=path[-1].copy(),
+            goal_change=goal.change,
+            frame=drivable.costmap.frame,
+            cost=drivable.cost(poses),
+            states=states,
+            goal_off_m=goal.off_m,
+            goal_off_rad=goal.off_rad,
+        )
 
     def _searched(
-        self, drivable: Drivable, known: FloatArray, start: FloatArray, goal: Goal
-    ) -> tuple[FloatArray, int, Goal] | PlanFailure:
+        self, drivable: Drivable, known: FloatArray, start: FloatArray, goal: PlanGoal
+    ) -> tuple[FloatArray, int, PlanGoal] | PlanFailure:
         """Search places and headings.
 
         Returns:
             Poses (N, 4), the number of states, and the goal that they lead to: if the search does not reach the goal's
             heading, the state there with the nearest heading.
         """
-        most = self.settings.most_states
+        most = self.most_states
         slots = 1 << math.ceil(math.log2(2 * most))
-        tree = Tree(
+        tree = SearchTree(
             pose=np.empty((most, 4)),
             cost=np.empty(most),
             link=np.empty((most, 2), np.int32),
@@ -266,27 +280,6 @@ def _are_joined(is_open: BoolArray, here: tuple[int, int], there: tuple[int, int
     """Return whether two cells are connected by open cells."""
     _, labels = cv2.connectedComponents(is_open.astype(np.uint8), connectivity=4, ltype=cv2.CV_32S)
     return bool(labels[here] == labels[there] > 0)
-
-
-def _plan(drivable: Drivable, poses: FloatArray, goal: Goal, states: int) -> Plan:
-    """Return the plan of a path (N, 4)."""
-    way = poses[:, :3].copy()
-    way[:, 2] = wrap_angle(way[:, 2])
-    steps = np.diff(way[:, :2], axis=0)
-    end = way[-1].copy()
-    return Plan(
-        poses=way,
-        directions=poses[:, 3].astype(np.int64),
-        length_m=float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
-        least_clearance_m=drivable.clearance_m(way),
-        goal=end,
-        goal_change=goal.change,
-        frame=drivable.costmap.frame,
-        cost=drivable.cost(poses),
-        states=states,
-        goal_off_m=goal.off_m,
-        goal_off_rad=goal.off_rad,
-    )
 
 
 # Longest step between poses of a plan: a cell of a usual map, and a turn by 6°.
@@ -499,6 +492,12 @@ def _dense(poses: FloatArray, directions: IntArray) -> tuple[FloatArray, IntArra
     return np.concatenate(made), np.concatenate(ways)
 
 
+# Longest path away from an obstacle that the robot stands too near to; the largest depth of an obstacle inside its
+# outline that counts as a pose error; and how much nearer such a path may lead than the robot stands. Controllers
+# follow it with twice that.
+_ESCAPE_M, _ESCAPE_DEPTH_M, _NEARER_M = 1.2, 0.15, 0.01
+# Deviation from an occupied goal's heading within which a plan may end.
+_GOAL_TOLERANCE_RAD = 0.35
 # Curvatures of the arcs that leave a tight place, 1/m, in both directions.
 _BENDS = (0.0, 0.1, -0.1, 0.2, -0.2, 0.5, -0.5, 1.5, -1.5)
 # Spacing of poses on these arcs, where no margin covers the space between; and the cost of driving backward.
@@ -512,7 +511,7 @@ _ANY_HEADINGS = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Goal:
+class PlanGoal:
     """Goal of a plan.
 
     Attributes:
@@ -556,7 +555,7 @@ def way_out(
     """Return a short path (N, 4) on which the robot gets clear of obstacles near it; None without any.
 
     It is one arc or turn, else two. Until it is clear, nothing comes nearer than at first by more than
-    `escape_nearer_m`, the limit of the controllers. At a clear start it is that pose alone.
+    `_NEARER_M`. At a clear start it is that pose alone.
 
     Args:
         drivable, outline: costmap and footprint.
@@ -568,9 +567,9 @@ def way_out(
     if drivable.tightness(pose[:, :3])[0] <= most:
         return pose
     here_m = float(_clearances(drivable, outline, pose, settings)[0])
-    if here_m < -settings.escape_depth_m:
+    if here_m < -_ESCAPE_DEPTH_M:
         return None
-    least_m = min(settings.margin_m, here_m - settings.escape_nearer_m)
+    least_m = min(settings.margin_m, here_m - _NEARER_M)
     dense = replace(drivable, rules=drivable.rules._replace(step_m=_ESCAPE_STEP_M))
 
     def passed(begin: FloatArray, arc: tuple[float, float]) -> FloatArray:
@@ -578,13 +577,13 @@ def way_out(
         poses = np.r_[begin, dense.arc(begin[-1], *arc)[1:]]
         is_free = drivable.tightness(poses[:, :3]) <= most
         clear_m = _clearances(drivable, outline, poses, settings)
-        has_come = np.maximum.accumulate(clear_m >= settings.margin_m + settings.escape_nearer_m)
+        has_come = np.maximum.accumulate(clear_m >= settings.margin_m + _NEARER_M)
         is_nearer = clear_m < np.where(has_come, settings.margin_m, least_m)
         is_nearer[0] = False
         ends = [*(np.flatnonzero(is_free)[:1] + 1), *np.flatnonzero(is_nearer)[:1], len(poses)]
         return np.asarray(poses[: int(min(ends))])
 
-    bends = [(sense * settings.escape_m, sense * settings.escape_m * b) for sense in (1, -1) for b in _BENDS]
+    bends = [(sense * _ESCAPE_M, sense * _ESCAPE_M * b) for sense in (1, -1) for b in _BENDS]
     arcs = [arc for arc in [*bends, (0.0, math.pi), (0.0, -math.pi)] if drivable.may(*arc)]
     first = [passed(pose, arc) for arc in arcs]
     begins = [way[: 1 + share * (len(way) - 1) // _SHARES] for way in first for share in range(1, _SHARES + 1)]
@@ -603,14 +602,14 @@ def way_out(
 def _clearances(drivable: Drivable, outline: Outline, poses: FloatArray, settings: PlannerSettings) -> FloatArray:
     """Return (N,) clearances of the footprint at poses (N, 4), as for controllers; negative inside an obstacle."""
     found = np.empty(len(poses))
-    least_m = settings.margin_m + settings.escape_nearer_m
+    least_m = settings.margin_m + _NEARER_M
     clearances_at(drivable.costmap.field, outline, np.ascontiguousarray(poses[:, :3]), least_m, found)
     return found
 
 
 def goal_near(
     drivable: Drivable, goal: FloatArray, labels: Int32Array, label: int, settings: PlannerSettings
-) -> Goal | PlanFailure:
+) -> PlanGoal | PlanFailure:
     """Return a goal (3,), or the best reachable pose near it if the footprint does not fit there.
 
     That is the nearest one, with a cost of low clearance; a radian counts as a metre. Poses are tried on the costmap's
@@ -629,11 +628,20 @@ def goal_near(
         return PlanFailure(PlanReason.GOAL_OUTSIDE, beyond(costmap, goal))
     if np.isfinite(tightness_of(drivable, goal[None])[0]):
         if labels[row, column] == label:
-            return Goal(goal, "")
+            return PlanGoal(goal, "")
         where = f"({goal[0]:.2f}, {goal[1]:.2f}) m"
         return PlanFailure(PlanReason.UNREACHABLE, f"{where} is free, but walls or obstacles enclose it")
     is_unknown = costmap.is_lethal[row, column] and costmap.state[row, column] == CellState.UNKNOWN
-    poses, off = _around(goal, costmap.resolution_m, settings)
+    # Poses within the tolerance, and their offsets.
+    step_m = costmap.resolution_m
+    count = int(settings.goal_tolerance_m / step_m)
+    steps = step_m * np.arange(-count, count + 1)
+    shares = np.arange(-_TURN_STEPS, _TURN_STEPS + 1) / _TURN_STEPS
+    turns = np.zeros(1) if math.isnan(goal[2]) else _GOAL_TOLERANCE_RAD * shares
+    offsets = np.stack(np.meshgrid(steps, steps, turns, indexing="ij"), axis=-1).reshape(-1, 3)
+    away_m = np.hypot(offsets[:, 0], offsets[:, 1])
+    kept = away_m <= settings.goal_tolerance_m
+    poses, off = goal + offsets[kept], (away_m + np.abs(offsets[:, 2]))[kept]
     cells = costmap.cells_at(poses[:, :2])
     inside = ((cells >= 0) & (cells < labels.shape)).all(axis=1)
     near = np.zeros(len(poses), bool)
@@ -655,10 +663,10 @@ def beyond(costmap: Costmap, pose: FloatArray) -> str:
     return f"({pose[0]:.2f}, {pose[1]:.2f}) m is beyond the map's edge, {reaches}"
 
 
-def beside(goal: FloatArray, pose: FloatArray, why: str) -> Goal:
+def beside(goal: FloatArray, pose: FloatArray, why: str) -> PlanGoal:
     """Return a pose (3,) as a replacement of a goal (3,), with its offset."""
     away_m, turned = float(np.hypot(*(pose - goal)[:2])), _turn(goal[2], pose[2])
-    return Goal(pose.copy(), f"{why}: {away_m:.2f} m and {math.degrees(turned):.0f}° beside it", away_m, turned)
+    return PlanGoal(pose.copy(), f"{why}: {away_m:.2f} m and {math.degrees(turned):.0f}° beside it", away_m, turned)
 
 
 def nearest_heading(poses: FloatArray, goal: FloatArray, reach_m: float) -> int:
@@ -680,18 +688,6 @@ def tightness_of(drivable: Drivable, poses: FloatArray) -> FloatArray:
     yaws = np.arange(_ANY_HEADINGS) * 2 * np.pi / _ANY_HEADINGS
     tried = np.stack([np.c_[poses[:, :2], np.full(len(poses), yaw)] for yaw in yaws])
     return np.asarray(drivable.tightness(tried.reshape(-1, 3)).reshape(len(yaws), -1).min(axis=0))
-
-
-def _around(goal: FloatArray, step_m: float, settings: PlannerSettings) -> tuple[FloatArray, FloatArray]:
-    """Return poses (N, 3) within the tolerance of a goal, and their offsets (N,)."""
-    count = int(settings.goal_tolerance_m / step_m)
-    steps = step_m * np.arange(-count, count + 1)
-    shares = np.arange(-_TURN_STEPS, _TURN_STEPS + 1) / _TURN_STEPS
-    turns = np.zeros(1) if math.isnan(goal[2]) else settings.goal_tolerance_rad * shares
-    offsets = np.stack(np.meshgrid(steps, steps, turns, indexing="ij"), axis=-1).reshape(-1, 3)
-    away_m = np.hypot(offsets[:, 0], offsets[:, 1])
-    kept = away_m <= settings.goal_tolerance_m
-    return goal + offsets[kept], (away_m + np.abs(offsets[:, 2]))[kept]
 
 
 def cost_to_go(metre_cost: Float32Array, resolution_m: float, goal: tuple[int, int]) -> FloatArray:

@@ -151,7 +151,7 @@ _ROOM = 512
 FOUND, NOTHING_LEFT, TOO_MANY = 0, 1, 2
 
 
-class Tree(NamedTuple):
+class SearchTree(NamedTuple):
     """States of a search.
 
     Attributes:
@@ -211,7 +211,9 @@ def _pop(heap: Heap) -> Any:
 
 
 @kernel(error_model="numpy")
-def search(cells: Cells, shape: Shape, rules: Rules, known: Any, start: Any, goal: Any, tree: Tree) -> Any:
+def search(
+    cells: PlanCells, shape: Shape, rules: DriveRules, known: Any, start: Any, goal: Any, tree: SearchTree
+) -> Any:
     """Search a path; return how it ended, the last state, and the number of states.
 
     Args:
@@ -251,7 +253,7 @@ def search(cells: Cells, shape: Shape, rules: Rules, known: Any, start: Any, goa
 
 
 @kernel(error_model="numpy")
-def arc_of(rules: Rules, yaw: float, move: int) -> Any:
+def arc_of(rules: DriveRules, yaw: float, move: int) -> Any:
     """Return way and turn of a move from a heading; all but the first end at one of the `headings`."""
     unit = 2 * np.pi / rules.headings
     nearest = np.rint(yaw / unit) * unit
@@ -263,7 +265,7 @@ def arc_of(rules: Rules, yaw: float, move: int) -> Any:
 
 
 @kernel(error_model="numpy")
-def _key(cells: Cells, rules: Rules, x: float, y: float, yaw: float) -> Any:
+def _key(cells: PlanCells, rules: DriveRules, x: float, y: float, yaw: float) -> Any:
     """Return the key of a place and a heading; in narrow places the grid is twice as fine."""
     row, column = cell_of(cells, x, y)
     is_narrow = row >= 0 and cells.distance_m[row, column] < rules.narrow_m
@@ -274,7 +276,7 @@ def _key(cells: Cells, rules: Rules, x: float, y: float, yaw: float) -> Any:
 
 
 @kernel(error_model="numpy")
-def _slot(tree: Tree, key: Any) -> Any:
+def _slot(tree: SearchTree, key: Any) -> Any:
     """Return the slot of a key in the hash table."""
     mask = len(tree.table) - 1
     # The product stays below 2^63.
@@ -285,7 +287,9 @@ def _slot(tree: Tree, key: Any) -> Any:
 
 
 @kernel(error_model="numpy")
-def _expand(cells: Cells, shape: Shape, rules: Rules, known: Any, tree: Tree, at: Any, heap: Heap, out: Any) -> Any:
+def _expand(
+    cells: PlanCells, shape: Shape, rules: DriveRules, known: Any, tree: SearchTree, at: Any, heap: Heap, out: Any
+) -> Any:
     """Add the state after a move if that is free and cheaper than before; return the number of states."""
     state, move, count = at
     for k in range(4):
@@ -318,7 +322,9 @@ def _expand(cells: Cells, shape: Shape, rules: Rules, known: Any, tree: Tree, at
 
 
 @kernel(error_model="numpy")
-def _connect(cells: Cells, shape: Shape, rules: Rules, goal: Any, tree: Tree, at: Any, heap: Heap, out: Any) -> Any:
+def _connect(
+    cells: PlanCells, shape: Shape, rules: DriveRules, goal: Any, tree: SearchTree, at: Any, heap: Heap, out: Any
+) -> Any:
     """Try to connect a state to the goal directly; return the number of states."""
     state, count = at
     best, chosen = np.inf, -1
@@ -340,7 +346,7 @@ def _connect(cells: Cells, shape: Shape, rules: Rules, goal: Any, tree: Tree, at
 
 
 @kernel(error_model="numpy")
-def write_to_goal(out: Any, at: int, goal: Any, way: int, rules: Rules) -> Any:
+def write_to_goal(out: Any, at: int, goal: Any, way: int, rules: DriveRules) -> Any:
     """Write a connection to a goal; for any heading, with the one that needs no turn at the goal."""
     to = goal.copy()
     if np.isnan(to[2]):
@@ -353,7 +359,7 @@ def write_to_goal(out: Any, at: int, goal: Any, way: int, rules: Rules) -> Any:
 
 
 @kernel(error_model="numpy")
-def way_to(rules: Rules, tree: Tree, last: int, goal: Any, out: Any) -> Any:
+def way_to(rules: DriveRules, tree: SearchTree, last: int, goal: Any, out: Any) -> Any:
     """Write all poses from the start to a state into `out` (n, 4); return their number, or 0 without room."""
     length, state = 0, last
     while state >= 0:
@@ -380,7 +386,7 @@ def way_to(rules: Rules, tree: Tree, last: int, goal: Any, out: Any) -> Any:
 # Poses along arcs, turns in place and curves, and the cost to drive along them.
 #
 # Poses (N, 4) are x, y, yaw and direction, 1 forward and -1 backward. Between two of them no point of the robot moves
-# farther than `Rules.step_m`.
+# farther than `DriveRules.step_m`.
 
 
 TURN_AND_DRIVE, BACK_AND_TURN, CURVE, CURVE_BACK = 0, 1, 2, 3
@@ -389,7 +395,7 @@ _EPSILON = 1e-9
 _TWO_PI = 2 * np.pi
 
 
-class Rules(NamedTuple):
+class DriveRules(NamedTuple):
     """Costs of driving and limits of the search; see `PlannerSettings`."""
 
     step_m: float
@@ -407,7 +413,6 @@ class Rules(NamedTuple):
     stride_m: float
     greed: float
     connect_m: float
-    most_states: int
 
 
 @kernel(error_model="numpy")
@@ -417,7 +422,7 @@ def wrapped(angle: float) -> Any:
 
 
 @kernel(error_model="numpy")
-def write_arc(out: Any, at: int, arc: Any, rules: Rules) -> Any:
+def write_arc(out: Any, at: int, arc: Any, rules: DriveRules) -> Any:
     """Write poses after pose `at - 1` along an arc of (way, turn), backward if the way is negative.
 
     A turn in place keeps the direction. Returns the number of poses, 0 without room.
@@ -438,7 +443,7 @@ def write_arc(out: Any, at: int, arc: Any, rules: Rules) -> Any:
 
 
 @kernel(error_model="numpy")
-def write_way(out: Any, at: int, to: Any, way: int, rules: Rules) -> Any:
+def write_way(out: Any, at: int, to: Any, way: int, rules: DriveRules) -> Any:
     """Write poses after pose `at - 1` to another (3,) by one of WAYS; return the number of poses, 0 if impossible."""
     if way >= CURVE:
         return _write_curve(out, at, to, 1.0 if way == CURVE else -1.0, rules)
@@ -454,7 +459,7 @@ def write_way(out: Any, at: int, to: Any, way: int, rules: Rules) -> Any:
 
 
 @kernel(error_model="numpy")
-def _write_curve(out: Any, at: int, to: Any, sense: float, rules: Rules) -> Any:
+def _write_curve(out: Any, at: int, to: Any, sense: float, rules: DriveRules) -> Any:
     """Write a cubic Hermite curve between both headings, with a radius of at least `radius_m` everywhere."""
     x, y, yaw = out[at - 1, 0], out[at - 1, 1], out[at - 1, 2]
     length_m = np.hypot(to[0] - x, to[1] - y)
@@ -484,7 +489,7 @@ def _write_curve(out: Any, at: int, to: Any, sense: float, rules: Rules) -> Any:
 
 
 @kernel(error_model="numpy")
-def cost_of(cells: Cells, shape: Shape, rules: Rules, poses: Any, begin: int, end: int) -> Any:
+def cost_of(cells: PlanCells, shape: Shape, rules: DriveRules, poses: Any, begin: int, end: int) -> Any:
     """Return the cost to drive from pose `begin - 1` over those up to `end`; infinite if one is not free.
 
     `begin` is at least 1.
@@ -513,7 +518,7 @@ def cost_of(cells: Cells, shape: Shape, rules: Rules, poses: Any, begin: int, en
     return total
 
 
-# Cells under a footprint, and its distance to occupied cells.
+# PlanCells under a footprint, and its distance to occupied cells.
 #
 # A cell is a square, and lies under a footprint if they share more than an edge. In each row a convex outline covers
 # one stretch of cells, whose occupied ones are counted by sums along the row.
@@ -525,7 +530,7 @@ OUTSIDE = 1 << 30
 _HALF_DIAGONAL = 0.7071068
 
 
-class Cells(NamedTuple):
+class PlanCells(NamedTuple):
     """Cells of a costmap.
 
     Attributes:
@@ -561,7 +566,7 @@ class Shape(NamedTuple):
 
 
 @kernel(error_model="numpy")
-def count_under(cells: Cells, corners: Any, x: float, y: float, yaw: float) -> Any:
+def count_under(cells: PlanCells, corners: Any, x: float, y: float, yaw: float) -> Any:
     """Return the number of occupied cells under an outline (N, 2) at a pose; OUTSIDE if it leaves the cells."""
     rows, columns = cells.distance_m.shape
     n, c, s = len(corners), np.cos(yaw), np.sin(yaw)
@@ -601,7 +606,7 @@ def _stretch(u: Any, v: Any, low: float, high: float) -> Any:
 
 
 @kernel(error_model="numpy")
-def cell_of(cells: Cells, x: float, y: float) -> Any:
+def cell_of(cells: PlanCells, x: float, y: float) -> Any:
     """Return row and column of a point; -1 and -1 outside."""
     row = int(np.floor((y - cells.y0) / cells.resolution_m))
     column = int(np.floor((x - cells.x0) / cells.resolution_m))
@@ -612,7 +617,7 @@ def cell_of(cells: Cells, x: float, y: float) -> Any:
 
 
 @kernel(error_model="numpy")
-def tightness(cells: Cells, shape: Shape, x: float, y: float, yaw: float) -> Any:
+def tightness(cells: PlanCells, shape: Shape, x: float, y: float, yaw: float) -> Any:
     """Return 0 if the widest outline is free, 1 if only the narrowest is, a value between for others, else infinity."""
     row, column = cell_of(cells, x, y)
     # The distance from a point to the nearest occupied square differs by this from that between centres.
@@ -636,14 +641,14 @@ def tightness(cells: Cells, shape: Shape, x: float, y: float, yaw: float) -> Any
 
 
 @kernel(error_model="numpy")
-def tightnesses(cells: Cells, shape: Shape, poses: Any, found: Any) -> None:
+def tightnesses(cells: PlanCells, shape: Shape, poses: Any, found: Any) -> None:
     """Compute `tightness` for poses (N, 3)."""
     for k in range(len(poses)):
         found[k] = tightness(cells, shape, poses[k, 0], poses[k, 1], poses[k, 2])
 
 
 @kernel(error_model="numpy")
-def least_clearance(cells: Cells, corners: Any, poses: Any, most_m: float) -> Any:
+def least_clearance(cells: PlanCells, corners: Any, poses: Any, most_m: float) -> Any:
     """Return metres from an outline at any of poses (N, 3) to the nearest occupied square, at most `most_m`; or 0."""
     least, size_m = most_m, cells.resolution_m
     rows, columns = cells.distance_m.shape

@@ -1,33 +1,36 @@
-"""Planning: requests plans and decides when to replan.
+"""Planning: requests plans to the goals of a task, and decides when to replan.
 
-Plans lead through several poses, prefer floor that the camera can observe, and avoid paths that were blocked before.
+Plans lead through several poses, prefer floor that the camera can observe (`PlanView`), and avoid paths that were
+blocked before (`BlockedWays`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from wheelsight.core.errors import ArgumentError
 from wheelsight.core.geometry import FloatArray, se2
 from wheelsight.core.geometry.se2 import wrap_angle
-from wheelsight.navigation.costmap import Costmap, FloorNow
-from wheelsight.navigation.footprint import Footprint
-from wheelsight.navigation.goals import Goals
+from wheelsight.core.threads import Worker, WorkerInStep
+from wheelsight.navigation.costmap import CellState, Costmap, FloorNow, StaticLayer
+from wheelsight.navigation.costmap_kernels import Eye, Walls, first_blind, first_over
 from wheelsight.navigation.path_smoothing import Drivable
 from wheelsight.navigation.planner import OwnPlanner, PathPlanner, Plan, PlanFailure, Planner, PlanReason
-from wheelsight.navigation.senses import Senses
-from wheelsight.navigation.settings import BlockedSettings, NavigationSettings
-from wheelsight.navigation.surroundings import PlanView
-from wheelsight.navigation.workers import Worker, WorkerInStep
+from wheelsight.navigation.senses import CHECK_M, HIDDEN_M, LOCAL_M, Senses
+from wheelsight.navigation.settings import FIRST_PLAN_S, SILENT_S, Footprint, NavigationSettings, sides_of
 
-# Longest wait for a new plan while the robot drives an older one; then it stops until the plan arrives. A plan takes
-# 0.1 to 0.25 s in a flat, 0.8 s over 1000 × 1000 cells. A limit by the longest earlier plan let the robot drive for
-# 0.67 s on a busy computer; 0.6 s is the most.
-_SILENT_S = 0.4
-# Limit for the first plan, without an earlier one to compare with. The largest map takes a small computer 4 s.
-_FIRST_S = 30.0
+# Simulated duration of a plan over 1000 × 1000 cells, as simulated time stops meanwhile (issue 32).
+PLANNING_S = 0.15
+# Length of the path ahead that must be free to drive on while a new plan is computed: a stop from 1 m/s, and the way
+# until the plan is ready.
+ONWARD_M = 1.5
+# Motion of the map below the robot that requires a new plan: a margin, and a turn.
+_JUMP_M, _JUMP_RAD = 0.1, 0.06
 # Rounds of planning; each avoids the unseen floor that the plan before would have crossed.
 _ROUNDS = 5
 
@@ -80,17 +83,17 @@ class Planning:
     ) -> None:
         self._senses, self._settings, self._footprint = senses, settings, footprint
         self._planner = CautiousPlanner(footprint, settings, PlanView(footprint, senses.eye), own)
-        self._worker: Worker[Planned] = worker or WorkerInStep(settings.navigator.planning_s)
-        self._blocked = BlockedWays(settings.blocked, free_visits=int(senses.floor.is_fixed))
+        self._worker: Worker[Planned] = worker or WorkerInStep(PLANNING_S)
+        self._blocked = BlockedWays(free_visits=int(senses.floor.is_fixed))
         self._asked_s, self._longest_s = 0.0, 0.0
 
     def is_silent(self, now_s: float) -> bool:
         """Return whether a requested plan takes longer than a robot may drive an older one."""
-        return self.is_asked and now_s - self._asked_s > _SILENT_S
+        return self.is_asked and now_s - self._asked_s > SILENT_S
 
     def is_lost(self, now_s: float, most_s: float) -> bool:
         """Return whether a requested plan takes longer than `most_s` and twice the longest plan so far."""
-        longest_s = max(most_s, 2 * self._longest_s) if self._longest_s else _FIRST_S
+        longest_s = max(most_s, 2 * self._longest_s) if self._longest_s else FIRST_PLAN_S
         return self.is_asked and now_s - self._asked_s > longest_s
 
     @property
@@ -118,9 +121,9 @@ class Planning:
             ahead = goals.upcoming(pose, costmap)
             if not ahead:
                 return Planned(None, floor.T_map_odom)
-            made = self._planner.plan(costmap, avoiding, hidden, pose, ahead)
-            found = self._judged(made.found, costmap, floor, pose, ahead[-1])
-            return Planned(found, floor.T_map_odom, made.is_blind)
+            made, is_blind = self._planner.plan(costmap, avoiding, hidden, pose, ahead)
+            found = self._judged(made, costmap, floor, pose, ahead[-1])
+            return Planned(found, floor.T_map_odom, is_blind)
 
         self._asked_s = now_s
         self._worker.ask(plan, now_s)
@@ -144,18 +147,18 @@ class Planning:
             T_map_odom: (3,) x, y, yaw of `odom` in `map` at its request.
             now_s: time of the check.
         """
-        where, s = self._senses.where, self._settings.navigator
+        where = self._senses.where
         assert where.odom_pose is not None
         now, then = (se2.from_parts(*T) @ se2.from_parts(*where.odom_pose) for T in (where.T_map_odom, T_map_odom))
         x, y, turn = se2.to_parts(se2.invert(then) @ now)
-        if np.hypot(x, y) > s.jump_m or abs(turn) > s.jump_rad:
-            return PlanCheck("the map has moved below it", self.is_free(plan, s.onward_m))
-        blocked = self._blocked_at(plan, s.check_m)
+        if np.hypot(x, y) > _JUMP_M or abs(turn) > _JUMP_RAD:
+            return PlanCheck("the map has moved below it", self.is_free(plan, ONWARD_M))
+        blocked = self._blocked_at(plan, CHECK_M)
         if blocked is not None:
             self._blocked = self._blocked.with_place(blocked[:2], now_s)
-            is_free = self._is_far(plan, blocked) and self._blind_at(plan, s.onward_m) is None
+            is_free = self._is_far(plan, blocked) and self._blind_at(plan, ONWARD_M) is None
             return PlanCheck("something is in the way", is_free)
-        blind = self._blind_at(plan, s.check_m)
+        blind = self._blind_at(plan, CHECK_M)
         if blind is not None:
             return PlanCheck("its camera will not have looked at the floor there", self._is_far(plan, blind))
         return PlanCheck("", is_free=True)
@@ -168,7 +171,7 @@ class Planning:
         """Return whether a pose lies beyond the part of a plan that must be free to drive on."""
         state = self._senses.where.state
         assert state is not None
-        return to_go_m(plan, state.pose) - to_go_m(plan, at) > self._settings.navigator.onward_m
+        return to_go_m(plan, state.pose) - to_go_m(plan, at) > ONWARD_M
 
     def why_no_goal(self, goal: FloatArray) -> str:
         """Return why no plan can end at a goal (3,), by a fixed map alone; empty if one can, or if the map grows."""
@@ -228,20 +231,6 @@ class Planning:
         return local, state.pose
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CautiousPlan:
-    """Result of a cautious planner.
-
-    Attributes:
-        found: a plan, or the failure.
-        is_blind: whether the plan crosses floor near the robot that no camera will have seen by then, as none avoids
-            it.
-    """
-
-    found: Plan | PlanFailure
-    is_blind: bool = False
-
-
 class CautiousPlanner:
     """Plans paths that cross only floor that the robot's camera sees before, if there are any.
 
@@ -264,32 +253,35 @@ class CautiousPlanner:
         hidden: FloatArray,
         pose: FloatArray,
         goals: Sequence[FloatArray],
-    ) -> CautiousPlan:
-        """Return a plan from a pose (3,) through goals.
+    ) -> tuple[Plan | PlanFailure, bool]:
+        """Return a plan from a pose (3,) through goals, or the failure.
 
         Args:
             costmap: of all standing obstacles.
             avoiding: returns the same costmap with more obstacles at (N, 2).
             hidden: (M, 3) unseen floor as in `FloorNow`; empty if it does not matter.
             pose, goals: as `RoutePlanner.plan`.
+
+        Returns:
+            It, and whether it crosses floor near the robot that no camera will have seen by then, as none avoids it.
         """
         found = plain = self.route.plan(costmap, pose, goals)
         if isinstance(plain, PlanFailure):
-            return CautiousPlan(plain)
+            return plain, False
         avoided = hidden[:0, :2]
         for _ in range(_ROUNDS):
             if isinstance(found, PlanFailure) or (found.goal_change and found is not plain):
                 break
-            blind = self.blind_at(costmap, hidden, found, pose, self._settings.navigator.local_m / 2)
+            blind = self.blind_at(costmap, hidden, found, pose, LOCAL_M / 2)
             if blind is None:
-                return CautiousPlan(found)
+                return found, False
             reach_m = self._footprint.circumscribed_m + self._settings.follow.margin_m
             near = np.hypot(*(hidden[:, :2] - blind[:2]).T) < reach_m
             avoided = np.concatenate([avoided, hidden[near, :2]])
             found = self.route.plan(avoiding(avoided), pose, goals)
         # Unseen floor farther away becomes visible on the way.
-        near_m = self._footprint.circumscribed_m + self._settings.navigator.hidden_m
-        return CautiousPlan(plain, self.blind_at(costmap, hidden, plain, pose, near_m) is not None)
+        near_m = self._footprint.circumscribed_m + HIDDEN_M
+        return plain, self.blind_at(costmap, hidden, plain, pose, near_m) is not None
 
     def blind_at(
         self, costmap: Costmap, hidden: FloatArray, plan: Plan, pose: FloatArray, reach_m: float
@@ -388,8 +380,13 @@ def _nearest(plan: Plan, pose: FloatArray) -> int:
     return int(len(score) - 1 - score[::-1].argmin())
 
 
-# Most visits to one place that count: it may be the only path.
-_MOST = 3
+# Radius of a blocked place around the axle: a robot's width.
+_BLOCKED_M = 0.6
+# Extra cost of a metre there per visit that found it blocked, a detour of up to 15 m is cheaper; and the most visits
+# that count, as it may be the only path. In a map of an earlier session the first one does not count.
+_BLOCKED_COST, _MOST = 4.0, 3
+# Time within which it counts as the same visit, and after which a visit expires: a person there may have left.
+_VISIT_S, _BLOCKED_S = 10.0, 180.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -400,32 +397,29 @@ class BlockedWays:
     farther away the path looks free again, and the shortest plan leads back.
 
     Attributes:
-        settings: extra cost of such paths, and for how long.
         free_visits: visits that do not count: in a fixed map a person may have stood there.
         found: (x, y, stamp) in the map, one per visit, at its end.
     """
 
-    settings: BlockedSettings
     free_visits: int = 0
     found: tuple[tuple[float, float, float], ...] = ()
 
     def with_place(self, xy: FloatArray, now_s: float) -> BlockedWays:
         """Return a copy with a blocked path at the base's place (2,); further blockages of one visit replace it."""
-        s = self.settings
         kept: list[tuple[float, float, float]] = []
         for x, y, stamp_s in self.found:
             age_s = now_s - stamp_s
-            is_here = np.hypot(x - xy[0], y - xy[1]) <= s.radius_m
-            if age_s < s.seconds and not (is_here and age_s < s.visit_s):
+            is_here = np.hypot(x - xy[0], y - xy[1]) <= _BLOCKED_M
+            if age_s < _BLOCKED_S and not (is_here and age_s < _VISIT_S):
                 kept.append((x, y, stamp_s))
         return replace(self, found=(*kept, (float(xy[0]), float(xy[1]), now_s)))
 
     def on(self, costmap: Costmap, now_s: float) -> Costmap:
         """Return the costmap with a higher cost of paths there."""
         times = np.zeros(costmap.state.shape, np.float32)
-        reach = int(np.ceil(self.settings.radius_m / costmap.resolution_m))
+        reach = int(np.ceil(_BLOCKED_M / costmap.resolution_m))
         for x, y, stamp_s in self.found:
-            if now_s - stamp_s >= self.settings.seconds:
+            if now_s - stamp_s >= _BLOCKED_S:
                 continue
             row, column = costmap.cells_at((x, y)).tolist()
             low = np.clip([row - reach, column - reach], 0, times.shape)
@@ -435,6 +429,205 @@ class BlockedWays:
             times[low[0] : high[0], low[1] : high[1]] += is_near
         if times.max(initial=0) <= self.free_visits:
             return costmap
-        return replace(
-            costmap, dearness=1 + np.float32(self.settings.cost) * np.clip(times - self.free_visits, 0, _MOST)
-        )
+        return replace(costmap, dearness=1 + np.float32(_BLOCKED_COST) * np.clip(times - self.free_visits, 0, _MOST))
+
+
+# Poses of a plan between a frame and its use, about 0.1 m.
+_LAG = 2
+
+
+class PlanView:
+    """Tests whether the camera sees the floor along a plan before the robot drives over it.
+
+    Unseen floor beside a robot blocks a turn into it, but not a path that comes round and faces it.
+
+    Args:
+        footprint: of the robot.
+        eye: its camera.
+    """
+
+    def __init__(self, footprint: Footprint, eye: Eye) -> None:
+        self._sides, self._eye = sides_of(footprint), eye
+
+    def first_blind(self, poses: FloatArray, hidden: FloatArray, costmap: Costmap) -> int | None:
+        """Return the index of the first pose over hidden floor that no earlier pose observes; None without any.
+
+        Args:
+            poses: (N, 3) x, y, yaw of `base`, dense, in the frame of the costmap; the robot is at the first.
+            hidden: (M, 3) x and y of unseen floor, and how near the camera must look to observe it, metres.
+            costmap: its obstacles hide what is behind them.
+        """
+        points, slack_m = np.ascontiguousarray(hidden[:, :2]), np.ascontiguousarray(hidden[:, 2])
+        ways, over = np.ascontiguousarray(poses, float), np.empty(len(points), np.int64)
+        first_over(ways, points, self._sides, over)
+        is_met = over < len(ways)
+        is_there = np.ascontiguousarray(costmap.state == CellState.OCCUPIED)
+        walls = Walls(is_there, costmap.resolution_m, costmap.origin)
+        found = int(first_blind(ways, points[is_met], slack_m[is_met], over[is_met], self._eye, walls, _LAG))
+        return found if found < len(ways) else None
+
+
+# Distance between the poses of a recorded path that are kept, and at which one counts as passed.
+_THROUGH_M, _PASSED_M = 1.5, 0.7
+
+
+class Goals(Protocol):
+    """Destinations of one task."""
+
+    @property
+    def name(self) -> str:
+        """Name in words."""
+
+    @property
+    def left(self) -> int:
+        """Number of goals left, as far as is known."""
+
+    @property
+    def is_asked_for(self) -> bool:
+        """Whether the user requested these places, so that stopping beside them is not an arrival."""
+
+    def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
+        """Return the poses (3,) of the next plan, with a stop at the last one only; empty if the task is complete.
+
+        The call comes for each plan, even to the same goal, and maybe from another thread. No other method is called
+        until it returns. A yaw of NaN is any heading.
+        """
+
+    def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
+        """Return whether the next goal is complete, wherever the robot is now."""
+
+    def taken(self) -> None:
+        """Record that the robot uses the answer for these goals: a plan, or a failure."""
+
+    def reached(self) -> None:
+        """Record that the last of the used goals is reached."""
+
+    def missed(self) -> bool:
+        """Record that no path leads there; return whether the task continues without it."""
+
+
+class PoseGoals:
+    """Poses one after another, with a stop at each.
+
+    Args:
+        goals: each (3,) x, y, yaw in the map, or (2,) for any heading.
+        name: in words.
+
+    Raises:
+        ArgumentError: there is no goal, or one is not finite.
+    """
+
+    def __init__(self, goals: Sequence[ArrayLike], name: str = "") -> None:
+        self._left = [checked_goal(goal) for goal in goals]
+        if not self._left:
+            raise ArgumentError("no goal", fix="give one pose at least")
+        self.name = name or (words_of(self._left[0]) if len(self._left) == 1 else f"{len(self._left)} goals")
+
+    @property
+    def left(self) -> int:
+        """See `Goals`."""
+        return len(self._left)
+
+    @property
+    def is_asked_for(self) -> bool:
+        """See `Goals`."""
+        return True
+
+    def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
+        """See `Goals`."""
+        return tuple(self._left[:1])
+
+    def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
+        """Return False: the robot must drive to each pose."""
+        return False
+
+    def taken(self) -> None:
+        """Do nothing: the goals are the same for each plan."""
+
+    def reached(self) -> None:
+        """See `Goals`."""
+        self._left.pop(0)
+
+    def missed(self) -> bool:
+        """Return False: all poses are required."""
+        return False
+
+
+class RecordedPath:
+    """A path that was driven before, without a stop but at its end.
+
+    Args:
+        way: (N, 3) x, y, yaw in the map.
+        name: in words.
+
+    Raises:
+        ArgumentError: there are no poses, or one is not finite.
+    """
+
+    def __init__(self, way: ArrayLike, name: str = "a recorded way") -> None:
+        poses = np.asarray(way, float)
+        if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses) or not np.isfinite(poses).all():
+            raise ArgumentError(f"a way of shape {poses.shape}", fix="give (N, 3) of x, y, yaw, finite")
+        self._left = [poses[0]]
+        for pose in poses[1:-1]:
+            if np.hypot(*(pose[:2] - self._left[-1][:2])) >= _THROUGH_M:
+                self._left.append(pose)
+        if len(poses) > 1:
+            self._left.append(poses[-1])
+        self.name = name
+
+    @property
+    def left(self) -> int:
+        """See `Goals`."""
+        return len(self._left)
+
+    @property
+    def is_asked_for(self) -> bool:
+        """See `Goals`."""
+        return True
+
+    def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
+        """Return all poses that are not passed yet; see `Goals`."""
+        self._pass(pose)
+        return tuple(self._left)
+
+    def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
+        """Drop passed poses, and return False: the robot must drive to the end. Later plans do not return to them."""
+        self._pass(pose)
+        return False
+
+    def _pass(self, pose: FloatArray) -> None:
+        """Drop passed poses in order, so that a later pose at a crossing stays."""
+        # One assignment at the end, as another thread may plan.
+        left = self._left
+        while len(left) > 1 and np.hypot(*(left[0][:2] - pose[:2])) < _PASSED_M:
+            left = left[1:]
+        self._left = left
+
+    def taken(self) -> None:
+        """Do nothing: the end is the same for each plan."""
+
+    def reached(self) -> None:
+        """See `Goals`."""
+        self._left.clear()
+
+    def missed(self) -> bool:
+        """Skip a pose that is blocked, but not the end; see `Goals`."""
+        if len(self._left) > 1:
+            self._left.pop(0)
+            return True
+        return False
+
+
+def words_of(pose: FloatArray) -> str:
+    """Return a pose in words."""
+    yaw = "" if np.isnan(pose[2]) else f", {np.degrees(pose[2]):.0f}°"
+    return f"({pose[0]:.2f}, {pose[1]:.2f}) m{yaw}"
+
+
+def checked_goal(goal: ArrayLike) -> FloatArray:
+    """Return (3,) of a pose (3,) or place (2,), with a yaw of NaN. Raises ArgumentError if it is neither."""
+    pose = np.array(goal, float).ravel()
+    if len(pose) not in (2, 3) or not np.isfinite(pose).all():
+        raise ArgumentError(f"a goal of {pose}", fix="give x, y and yaw in the map, metres and radians, or x and y")
+    return np.array([*pose, np.nan][:3])

@@ -1,4 +1,7 @@
-"""Senses: distributes sensor data to all of navigation, and keeps the surroundings derived from it."""
+"""Senses: distributes sensor data to all of navigation, and keeps the surroundings derived from it.
+
+`WhereNow` is the current pose between two estimates; `HeldPlace` holds a more certain one for a moment.
+"""
 
 from __future__ import annotations
 
@@ -12,25 +15,52 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.core.calibration import Calibration
+from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import ArgumentError
-from wheelsight.core.geometry import BoolArray, FloatArray, se2
+from wheelsight.core.estimates import Estimate, FusedEstimate, Status
+from wheelsight.core.geometry import FloatArray, se2, se3
 from wheelsight.core.keyframes import KeyframeStore
 from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand, WheelSpeeds, WheelTicks
+from wheelsight.core.robots import Localization
 from wheelsight.navigation.behaviours import OpenWay, keeps_clear, open_way
-from wheelsight.navigation.collision_monitor import CollisionMonitor
-from wheelsight.navigation.costmap import CellState, Costmap, FloorNow, LiveLayer, LiveObstacles
-from wheelsight.navigation.footprint import Footprint, outline_of
-from wheelsight.navigation.localization import Localization, WhereNow, planar_pose
-from wheelsight.navigation.people import PeopleTracker, Person
-from wheelsight.navigation.settings import NavigationSettings
-from wheelsight.navigation.static_map import Floor
-from wheelsight.navigation.surroundings import DepthView, DepthViewer
-from wheelsight.navigation.view_kernels import Eye
+from wheelsight.navigation.collision_monitor import AIR_M, CollisionMonitor
+from wheelsight.navigation.controllers import MotionState
+from wheelsight.navigation.costmap import CellState, Costmap, Floor, FloorNow, LiveObstacles
+from wheelsight.navigation.costmap_kernels import Eye
+from wheelsight.navigation.perception import (
+    LIVE_SIZE_M,
+    SETTLED_S,
+    DepthView,
+    DepthViewer,
+    LiveLayer,
+    PeopleTracker,
+    Person,
+)
+from wheelsight.navigation.settings import COASTING_S, SILENT_M, SILENT_S, Footprint, NavigationSettings, outline_of
+from wheelsight.wheels import WheelOdometry
 
 # Views that wait for the pose of their frame: two seconds of a Kinect.
 _VIEWS = 60
 # Poses stored while the place in the map is unknown: three minutes of a search.
 _PLACES = 3600
+# Side of the controller's costmap around the robot: twice its lookahead.
+LOCAL_M = 8.0
+# Length of the path ahead that is checked: what the camera sees reliably.
+CHECK_M = 3.0
+# Distance beyond the circle of its corners within which floor unknown to map and camera is an obstacle to controllers,
+# if unknown floor is costly, unless no other path exists: floor farther away becomes visible on the way.
+HIDDEN_M = 0.3
+# Depth in such floor from which it counts: cells and depth err by less. A view of 54°, which a corner of the front
+# precedes by 0.07 m, does not show what that corner sweeps in a tight curve.
+_HIDDEN_DEEP_M = 0.1
+# The same for floor that is free in the map: slightly less than `monitor.blind_m`, as the collision monitor, which
+# knows no map, lets no part of the robot deeper into it.
+_HIDDEN_KNOWN_M = 0.25
+# Distance to an obstacle of the map within which an object is that obstacle, and no person: the error of a pose.
+_BESIDE_M = 0.15
+# Time back along a person's path that is removed from the costmap, as long as the detection takes, since no image from
+# nearby sees through the heights that were seen from afar; and the margin around the circle: cells and errors.
+_TRAIL_S, _TRAIL_M = 1.0, 0.15
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +107,11 @@ class Senses:
             raise ArgumentError(f"the calibration {calibration.lacks_two_wheels}", fix=fix)
         self._localization, self._floor, self._monitor = localization, floor, monitor
         self._footprint, self._settings, self._outline = footprint, settings, outline_of(footprint)
-        self._viewer = DepthViewer(calibration, footprint, settings.view, settings.live)
+        self._viewer = DepthViewer(calibration, footprint, settings.live)
         self._live = LiveLayer(calibration, footprint, settings.live)
-        self.where = WhereNow(calibration.wheels, settings.hold)
+        self.where = WhereNow(calibration.wheels, settings.hold.unproven_m)
         self.avoids_hidden = True
-        self._people = PeopleTracker(settings.people, settings.live.far_m)
+        self._people = PeopleTracker(settings.live.far_m)
         self._views: deque[DepthView] = deque(maxlen=_VIEWS)
         # Poses in `odom` from the start until the place in the map is known; None from then on.
         self._unplaced: deque[FloatArray] | None = deque(maxlen=_PLACES)
@@ -102,7 +132,7 @@ class Senses:
     def eye(self) -> Eye:
         """The camera, as it observes the floor along a path."""
         x, y = self._viewer.camera
-        return Eye(x, y, self.half_view_rad, self._settings.monitor.air_m, self._settings.navigator.check_m)
+        return Eye(x, y, self.half_view_rad, AIR_M, CHECK_M)
 
     @property
     def floor(self) -> Floor:
@@ -172,22 +202,19 @@ class Senses:
             self._people.forget()
             return
         view = self._views[0]
-        self._people.update(view, pose, self._is_on_floor(view, se2.from_parts(*pose)))
-        s = self._settings.people
-        for person in self._people.people(stamp_s):
-            behind = person.position - s.trail_s * person.velocity
-            self._live.wipe([person.position, behind], person.radius_m + s.trail_m)
-
-    def _is_on_floor(self, view: DepthView, T_odom_base: FloatArray) -> BoolArray:
-        """Return (N,) whether a view's points lie on free floor of the map, away from its obstacles."""
-        T = se2.from_parts(*self.where.T_map_odom) @ T_odom_base
-        near = self._floor.layer.window(T[:2, 2], 2 * self._settings.live.size_m)
-        reach = math.ceil(self._settings.people.beside_m / near.resolution_m)
+        # Whether the points lie on free floor of the map, away from its obstacles.
+        T = se2.from_parts(*self.where.T_map_odom) @ se2.from_parts(*pose)
+        near = self._floor.layer.window(T[:2, 2], 2 * LIVE_SIZE_M)
+        reach = math.ceil(_BESIDE_M / near.resolution_m)
         beside = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
         is_thing = cv2.dilate((near.state == CellState.OCCUPIED).astype(np.uint8), beside) > 0
         cells = (se2.apply(T, view.points) - near.origin) / near.resolution_m
         column, row = np.clip(np.floor(cells).astype(int), 0, len(near.state) - 1).T
-        return np.asarray((near.state == CellState.FREE)[row, column] & ~is_thing[row, column])
+        is_on_floor = (near.state == CellState.FREE)[row, column] & ~is_thing[row, column]
+        self._people.update(view, pose, np.asarray(is_on_floor))
+        for person in self._people.people(stamp_s):
+            behind = person.position - _TRAIL_S * person.velocity
+            self._live.wipe([person.position, behind], person.radius_m + _TRAIL_M)
 
     def people(self, now_s: float) -> tuple[Person, ...]:
         """Return the people around the robot, with their places in the map now."""
@@ -203,8 +230,7 @@ class Senses:
         if local is None or state is None:
             return True
         is_blind = self._floor.is_fixed and command.forward_m_s < 0
-        how = self._outline, state.pose, command, self._settings.behaviours
-        return keeps_clear(local, *how, minds_unknown=is_blind)
+        return keeps_clear(local, self._outline, state.pose, command, minds_unknown=is_blind)
 
     def open_way(self) -> OpenWay | None:
         """Return the direction to search for the pose in; None if the robot must stay.
@@ -219,12 +245,12 @@ class Senses:
 
     def clear(self, *, only_ahead: bool = False) -> None:
         """Remove recent obstacles, all of them or those in view only. Real ones return with the next images."""
-        pose, stood_s = self.where.odom_pose, self._settings.live.settled_s
+        pose = self.where.odom_pose
         if not only_ahead:
-            self._live.clear(stood_s)
+            self._live.clear(SETTLED_S)
         elif pose is not None:
             eye = se2.from_parts(*pose) @ se2.from_parts(self.eye.x, self.eye.y, 0.0)
-            self._live.clear_ahead(stood_s, se2.to_parts(eye), self.half_view_rad)
+            self._live.clear_ahead(SETTLED_S, se2.to_parts(eye), self.half_view_rad)
 
     def clear_near(self, xy_map: ArrayLike, radius_m: float) -> None:
         """Remove the obstacles near a place (2,) in the map, because a person sees none there."""
@@ -234,7 +260,7 @@ class Senses:
         at = np.asarray(xy_map, float).reshape(1, 2)
         at_odom = se2.apply(se2.invert(se2.from_parts(*self.where.T_map_odom)), at)
         self._live.wipe(np.repeat(at_odom, 2, axis=0), radius_m)
-        self._monitor.forget_near(se2.apply(se2.invert(se2.from_parts(*pose)), at_odom)[0], radius_m)
+        self._monitor.memory.forget_near(se2.apply(se2.invert(se2.from_parts(*pose)), at_odom)[0], radius_m)
         self._local.clear()
 
     def what_stays(self) -> FloatArray | None:
@@ -270,17 +296,17 @@ class Senses:
             (N, 3) x and y in the map, and how near the camera must look to observe it. For floor that the map knows,
             that is as near as the monitor lets the robot drive.
         """
-        pose, s = self.where.odom_pose, self._settings
+        pose = self.where.odom_pose
         if pose is None:
             return np.empty((0, 3))
         T_map_base = se2.from_parts(*self.where.T_map_odom) @ se2.from_parts(*pose)
-        kinds = [(CellState.FREE, s.navigator.hidden_known_m)]
+        kinds = [(CellState.FREE, _HIDDEN_KNOWN_M)]
         # If unknown floor is forbidden, all of it is an obstacle already.
-        if s.costmap.unknown != "forbidden":
-            kinds.append((CellState.UNKNOWN, s.navigator.hidden_deep_m))
+        if self._settings.costmap.unknown != "forbidden":
+            kinds.append((CellState.UNKNOWN, _HIDDEN_DEEP_M))
         found = []
         for state, deep_m in kinds:
-            points = se2.apply(T_map_base, self._monitor.hidden(reach_m, deep_m))
+            points = se2.apply(T_map_base, self._monitor.memory.hidden(reach_m, deep_m))
             points = points[self._floor.layer.state_at(points) == state]
             found.append(np.column_stack([points, np.full(len(points), deep_m)]))
         return np.concatenate(found)
@@ -290,8 +316,8 @@ class Senses:
         live, pose = self._live.obstacles(), self.where.odom_pose
         if pose is None:
             return live
-        s, T_odom_base = self._settings.navigator, se2.from_parts(*pose)
-        things = self._monitor.remembered(self._footprint.circumscribed_m + s.hidden_m)
+        T_odom_base = se2.from_parts(*pose)
+        things = self._monitor.memory.remembered(self._footprint.circumscribed_m + HIDDEN_M)
         refused = [se2.apply(T_odom_base, things)]
         if hidden is not None:
             T_odom_map = se2.invert(se2.from_parts(*self.where.T_map_odom))
@@ -308,19 +334,293 @@ class Senses:
         state = self.where.state
         if state is None:
             return None
-        layer, side_m = self._floor.layer, self._settings.navigator.local_m
-        T_map_odom = self.where.T_map_odom
+        layer, T_map_odom = self._floor.layer, self.where.T_map_odom
         # The window moves in steps of a quarter: the controller looks ahead by half of it.
-        x, y = (round(float(at) / (side_m / 4)) for at in state.pose[:2])
+        x, y = (round(float(at) / (LOCAL_M / 4)) for at in state.pose[:2])
         stamp_s = self._live.obstacles().stamp_s
         made = _LocalKey(stamp_s, self.avoids_hidden, self._floor.revision, (x, y), tuple(T_map_odom.tolist()))
         known = self._local.get(for_plans)
         if known is None or known[0] != made:
-            window = layer.window((x * side_m / 4, y * side_m / 4), 1.5 * side_m)
-            near_m = self._footprint.circumscribed_m + self._settings.navigator.hidden_m
+            window = layer.window((x * LOCAL_M / 4, y * LOCAL_M / 4), 1.5 * LOCAL_M)
+            near_m = self._footprint.circumscribed_m + HIDDEN_M
             live = self._obstacles(self.hidden(near_m) if self.avoids_hidden and not for_plans else None)
             live = live.standing() if for_plans and self._floor.is_fixed else live
             costmap = Costmap.of(window, self._footprint, self._settings.costmap, live, T_map_odom)
             outline = self._footprint.padded(self._settings.follow.margin_m + 2 * layer.resolution_m)
             known = self._local[for_plans] = (made, costmap.standing_at(outline, state.pose))
         return known[1]
+
+
+# History of wheel odometry. Estimates of frames arrive within it, unless the localization hangs.
+_TRACK_S = 3.0
+# Window of a speed, and the least of it: until the first readings span that, the speed is 0.
+_SPEED_S, _LEAST_S = 0.04, 0.01
+# Growth of a position's standard deviation by wheels alone at which it is unknown: half a robot's width.
+_UNSURE_M = 0.3
+# Hold of a more certain pose: its longest time, as a person who passes fills the view for one or two seconds, and way;
+# the standard deviation of an estimate that is used as it is, a cell; and the error of wheels, as a share of the way.
+_HOLD_S, _HOLD_M, _SURE_M, _WHEELS_SHARE = 3.0, 1.0, 0.05, 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class WheelSpeed:
+    """Velocity of the base by its encoders.
+
+    Attributes:
+        stamp_s: time of the reading.
+        forward_m_s, turn_rad_s: means over a short time until then.
+        rolled: metres along the arc and radians since the reading before. Integrated means of speeds would lag behind
+            by half of their window.
+    """
+
+    stamp_s: float
+    forward_m_s: float
+    turn_rad_s: float
+    rolled: tuple[float, float] = (0.0, 0.0)
+
+
+class WhereNow:
+    """Current pose of the robot: the last estimate, or a slightly earlier one, carried on by wheel odometry.
+
+    Wheels carry it for a limited time and way; `is_silent` becomes true if the localization does not answer by then.
+
+    Args:
+        wheels: wheels of the calibration.
+        unproven_m: way on which a start pose from the user is valid although nothing is recognized.
+    """
+
+    def __init__(self, wheels: Wheels, unproven_m: float = math.inf) -> None:
+        self._wheels, self._most_unproven_m = WheelOdometry(wheels), unproven_m
+        self._held: HeldPlace | None = None
+        self._track: deque[tuple[float, FloatArray]] = deque()
+        self._heard_s = self._answered_s = -math.inf
+        self._unanswered_m = 0.0
+        self._answer: Estimate | None = None
+        self._known_sigma_m = 0.0
+        self._unproven_m: float | None = None
+        self._speed = WheelSpeed(-math.inf, 0.0, 0.0)
+
+    def roll(self, reading: WheelTicks | WheelSpeeds) -> WheelSpeed | None:
+        """Process a wheel reading. Return the speed of the base, or None if the reading gives none."""
+        try:
+            answer = self._wheels.process(reading)
+        except ArgumentError:
+            return None
+        if answer.reason is not None:
+            return None
+        T_now = se2.from_parts(*self._wheels.pose)
+        way = se2.log(se2.invert(self._track[-1][1]) @ T_now) if self._track else np.zeros(3)
+        self._unanswered_m += abs(float(way[0]))
+        if self._unproven_m is not None:
+            self._unproven_m += abs(float(way[0]))
+        self._track.append((answer.stamp_s, T_now))
+        while len(self._track) > 2 and self._track[1][0] < answer.stamp_s - _TRACK_S:
+            self._track.popleft()
+        # A mean over a short time, as stamps jitter, and two may be 0.1 ms apart.
+        before = [(then_s, T) for then_s, T in self._track if then_s <= answer.stamp_s - _SPEED_S]
+        then_s, T_then = before[-1] if before else self._track[0]
+        forward = turn = 0.0
+        if answer.stamp_s - then_s >= _LEAST_S:
+            speeds = se2.log(np.linalg.inv(T_then) @ T_now) / (answer.stamp_s - then_s)
+            forward, turn = float(speeds[0]), float(speeds[2])
+        self._speed = WheelSpeed(answer.stamp_s, forward, turn, rolled=(float(way[0]), float(way[2])))
+        return self._speed
+
+    def ask(self, stamp_s: float) -> None:
+        """Record that the localization got an event with this stamp."""
+        self._heard_s = max(self._heard_s, stamp_s)
+
+    def processed(self, stamp_s: float) -> None:
+        """Record that the localization has processed an event with this stamp, with or without an estimate."""
+        if stamp_s > self._answered_s:
+            self._answered_s = stamp_s
+            self._unanswered_m = float(np.hypot(*self._since(stamp_s)[:2, 2]))
+
+    @property
+    def silent_s(self) -> float:
+        """Seconds of events that the localization has not processed; 0 before its first answer."""
+        return max(self._heard_s - self._answered_s, 0.0) if math.isfinite(self._answered_s) else 0.0
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether the localization is silent for longer, or for more way, than wheels may carry the pose."""
+        return self.silent_s > SILENT_S or (self.silent_s > COASTING_S and self._unanswered_m > SILENT_M)
+
+    def answer(self, estimate: Estimate, recognised: int | None = None) -> None:
+        """Process an estimate.
+
+        Args:
+            estimate: of the localization.
+            recognised: number of recognitions of an earlier map; None if there is no recognition.
+        """
+        self._answer = estimate
+        if recognised != 0:
+            self._unproven_m = None
+        elif self._unproven_m is None:
+            self._unproven_m = 0.0
+        if estimate.status is Status.TRACKING:
+            self._known_sigma_m = _sigma_m(estimate)
+        if estimate.T_map_body is None or estimate.status in (Status.LOST, Status.FAILING):
+            self._held = None
+            return
+        T_wheels, sigma_m = self._rolled_at(estimate.stamp_s), math.inf
+        if estimate.covariance_map is not None:
+            sigma_m = _worse_sigma_m(estimate.T_map_body, estimate.covariance_map)
+        slips = isinstance(estimate, FusedEstimate) and estimate.slip
+        if self._held is None or slips or not self._held.holds(sigma_m, T_wheels, estimate.stamp_s):
+            self._held = HeldPlace(_planar(estimate.T_map_body), T_wheels, sigma_m, estimate.stamp_s)
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """Last estimate."""
+        return self._answer
+
+    @property
+    def speed(self) -> WheelSpeed:
+        """Speed by the last wheel reading."""
+        return self._speed
+
+    @property
+    def status(self) -> Status:
+        """Status of the last estimate, or `INITIALIZING` before it.
+
+        Late estimates limit it to `COASTING`, and silence to `FAILING`.
+        """
+        if self._answer is None:
+            return Status.INITIALIZING
+        if self.is_silent:
+            return Status.FAILING
+        is_late = self.silent_s > COASTING_S and self._answer.status is Status.TRACKING
+        return Status.COASTING if is_late else self._answer.status
+
+    @property
+    def is_rolling(self) -> bool:
+        """Whether the motion in `odom` is known, even without a place in the map."""
+        return self._answer is not None and self._answer.T_odom_body is not None and self.status is not Status.LOST
+
+    @property
+    def grown_sigma_m(self) -> float:
+        """Growth of the position's standard deviation since the last tracked estimate, metres."""
+        known, answer = self._known_sigma_m, self._answer
+        return 0.0 if answer is None else math.sqrt(max(_sigma_m(answer) ** 2 - known**2, 0.0))
+
+    @property
+    def driving_status(self) -> Status:
+        """Status for the collision monitor: a robot without a place in the map, but with a known motion, may search."""
+        is_searching = self.status is Status.INITIALIZING and self.is_rolling
+        return Status.COASTING if is_searching else self.status
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the pose in the map is known, with at most `_UNSURE_M` more deviation than when tracked."""
+        return not self.why_unknown
+
+    @property
+    def why_unknown(self) -> str:
+        """Why the pose in the map is unknown, as of `is_known`; empty if it is known.
+
+        A start pose from the user is valid for a limited way: with a map of another place, nothing is ever recognized.
+        """
+        if self.is_silent:
+            return f"the localization has not answered for {self.silent_s:.1f} s"
+        if self.state is None:
+            return "it is not known where it is"
+        if self.grown_sigma_m > _UNSURE_M:
+            return f"its place is known to {self.grown_sigma_m:.1f} m only"
+        if self._unproven_m is not None and self._unproven_m > self._most_unproven_m:
+            return f"nothing of the map was recognised in {self._unproven_m:.1f} m of way: is its start right?"
+        return ""
+
+    @property
+    def odom_pose(self) -> FloatArray | None:
+        """(3,) x, y, yaw of the base in `odom` now; None while unknown."""
+        answer = self._answer
+        if answer is None or answer.T_odom_body is None:
+            return None
+        return _pose(_planar(answer.T_odom_body) @ self._since(answer.stamp_s))
+
+    @property
+    def T_map_odom(self) -> FloatArray:
+        """(3,) x, y, yaw of `odom` in `map`."""
+        held, odom_pose = self._held, self.odom_pose
+        if held is None or odom_pose is None:
+            return np.zeros(3) if self._answer is None else _pose(_planar(self._answer.T_map_odom))
+        return _pose(held.carried(self._rolled_at(math.inf)) @ se2.invert(se2.from_parts(*odom_pose)))
+
+    @property
+    def state(self) -> MotionState | None:
+        """Pose and speed in the map now; None while the pose in the map is unknown."""
+        if self._held is None:
+            return None
+        pose = _pose(self._held.carried(self._rolled_at(math.inf)))
+        return MotionState(pose, self._speed.forward_m_s, self._speed.turn_rad_s)
+
+    def _since(self, stamp_s: float) -> FloatArray:
+        """Return (3, 3), the motion of the base since a stamp by the wheels; the identity if the stamp is too old."""
+        return np.asarray(se2.invert(self._rolled_at(stamp_s)) @ self._rolled_at(math.inf))
+
+    def _rolled_at(self, stamp_s: float) -> FloatArray:
+        """Return (3, 3), the wheels' own pose at a stamp; the newest one if the stamp is too old."""
+        before = [T for track_s, T in self._track if track_s <= stamp_s]
+        if before:
+            return before[-1]
+        return self._track[-1][1] if self._track else np.eye(3)
+
+
+def planar_pose(T: FloatArray) -> FloatArray:
+    """Return (3,) x, y, yaw of a rigid motion (4, 4)."""
+    return _pose(_planar(T))
+
+
+def _planar(T: FloatArray) -> FloatArray:
+    return se2.from_parts(T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0]))
+
+
+def _pose(T: FloatArray) -> FloatArray:
+    return np.array(se2.to_parts(T), float)
+
+
+def _sigma_m(estimate: Estimate) -> float:
+    """Return the horizontal standard deviation in `odom` along its larger axis; 0 if there is none."""
+    if estimate.covariance is None or estimate.T_odom_body is None:
+        return 0.0
+    return _worse_sigma_m(estimate.T_odom_body, estimate.covariance)
+
+
+def _worse_sigma_m(T: FloatArray, covariance: FloatArray) -> float:
+    """Return the deviation along the larger horizontal axis, of a pose (4, 4) with covariance (6, 6)."""
+    C = se3.position_covariance(T, covariance)
+    # Rounding may make it negative.
+    return float(np.sqrt(max(np.linalg.eigvalsh(C[:2, :2])[-1], 0.0)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldPlace:
+    """A pose in the map that wheels carry on for a moment, while the localization is less certain than it was.
+
+    A person who passes close to the camera contradicts the wheels for a second. During that time the estimate has a
+    deviation of tens of centimetres, and jumps as far. Wheels without slip are off by millimetres in that time.
+
+    Attributes:
+        T_map_base: (3, 3) pose of the base.
+        T_wheels: (3, 3) the wheels' own pose at the same time, in a frame of its own.
+        sigma_m: standard deviation along the larger horizontal axis, by the localization.
+        stamp_s: time of the pose.
+    """
+
+    T_map_base: FloatArray
+    T_wheels: FloatArray
+    sigma_m: float
+    stamp_s: float
+
+    def carried(self, T_wheels: FloatArray) -> FloatArray:
+        """Return (3, 3), the pose of the base when the wheels' own pose is (3, 3)."""
+        return np.asarray(self.T_map_base @ se2.invert(self.T_wheels) @ T_wheels)
+
+    def holds(self, sigma_m: float, T_wheels: FloatArray, stamp_s: float) -> bool:
+        """Return whether it is still better than a new estimate with the deviation `sigma_m`."""
+        x, y, _ = se2.to_parts(se2.invert(self.T_wheels) @ T_wheels)
+        way_m = float(np.hypot(x, y))
+        is_late = stamp_s - self.stamp_s > _HOLD_S or way_m > _HOLD_M
+        is_sure = sigma_m <= max(float(np.hypot(self.sigma_m, _WHEELS_SHARE * way_m)), _SURE_M)
+        return not is_late and not is_sure and np.isfinite(sigma_m)

@@ -5,6 +5,7 @@ the results.
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
@@ -28,8 +29,7 @@ if TYPE_CHECKING:
     from wheelsight.config import Config
     from wheelsight.core.geometry import FloatArray
     from wheelsight.core.robots import Robot
-    from wheelsight.mapping import MapEdit, OccupancyGrid
-    from wheelsight.navigation import Feedback
+    from wheelsight.navigation import Feedback, NavigationResult
     from wheelsight.slam.maps import MapFolder
 
 
@@ -119,7 +119,7 @@ def _driven(
                     raise _StopSignal
 
             try:
-                _do_all(drive, goals, way, options, step)
+                _do_all(drive, goals, way, options, step, partial(_are_wheels_fine, watch))
             except _StopSignal:
                 is_interrupted = True
             except DeviceError:
@@ -165,25 +165,46 @@ def _begun(robot: Robot, config: Config, watch: DriveWatch, options: DriveOption
             yield drive
 
 
+def _are_wheels_fine(watch: DriveWatch) -> bool:
+    """Ask whether the wheels are in order, as they did not follow their commands; False where no person can answer."""
+    if not sys.stdin.isatty():
+        return False
+    with watch.view.paused():
+        return typer.confirm("The wheels did not follow their commands. Are they in order, and may the robot go on?")
+
+
 def _do_all(
-    drive: GoalDrive, goals: Sequence[NamedGoal], way: FloatArray | None, options: DriveOptions, on_step: OnStep
+    drive: GoalDrive,
+    goals: Sequence[NamedGoal],
+    way: FloatArray | None,
+    options: DriveOptions,
+    on_step: OnStep,
+    are_wheels_fine: Callable[[], bool],
 ) -> None:
     """Run all tasks up to the first that fails; then drive back, if requested.
+
+    A task that failed as the wheels did not follow their commands is run again, if `are_wheels_fine`.
 
     Raises errors of `on_step`; and MapError, before anything moves, for a goal without free floor in the map.
     """
     from wheelsight.app.run.drives import NamedGoal
+    from wheelsight.navigation import NavigationReason
 
     drive.refuse(goals)
-    if options.explore and not drive.explore(on_step):
-        return
-    if way is not None and not drive.follow(way, on_step, f"the end of {options.follow}"):
-        return
-    for goal in goals:
-        if not drive.go_to(goal, on_step):
-            return
-    if options.back and drive.start is not None:
-        drive.go_to(NamedGoal(drive.start, "the start"), on_step)
+
+    def run(task: Callable[[], NavigationResult]) -> bool:
+        while not (result := task()):
+            if result.reason is not NavigationReason.DISOBEYS or not are_wheels_fine():
+                return False
+            drive.clear_fault()
+        return True
+
+    tasks: list[Callable[[], NavigationResult]] = [partial(drive.explore, on_step)] if options.explore else []
+    if way is not None:
+        tasks.append(partial(drive.follow, way, on_step, f"the end of {options.follow}"))
+    tasks += [partial(drive.go_to, goal, on_step) for goal in goals]
+    if all(map(run, tasks)) and options.back and drive.start is not None:
+        run(partial(drive.go_to, NamedGoal(drive.start, "the start"), on_step))
 
 
 # Results
@@ -497,7 +518,10 @@ def poses_of(words: Sequence[str], folder: MapFolder) -> list[FloatArray]:
         ConfigError: coordinates that are none.
         MapError: an unknown name (with the nearest name and all names), or an area without free floor.
     """
+    import numpy as np
+
     from wheelsight.app.cli.map_contents import grid_of, names_of, pose_of
+    from wheelsight.mapping import roomiest_place
     from wheelsight.mapping.named_poses import unknown_name
     from wheelsight.slam.maps.contents import current_edits
 
@@ -510,29 +534,17 @@ def poses_of(words: Sequence[str], folder: MapFolder) -> list[FloatArray]:
         if word in names.names:
             poses.append(names.named(word).pose_now(folder.store.T_map_keyframe))
         elif word in areas:
-            poses.append(_goal_in(areas[word], folder, grid))
+            area = areas[word]
+            at = roomiest_place(grid(), area.polygon_now(folder.store.T_map_keyframe))
+            if at is None:
+                fix = (
+                    f"wheelsight map zone MAP --area '{area.name}' X,Y X,Y X,Y redraws it; "
+                    "wheelsight map export MAP --picture plan.png shows where the map has free floor"
+                )
+                raise MapError(f"no free floor of the map lies in the area {area.name!r}", path=folder.path, fix=fix)
+            poses.append(np.array([*at, np.nan]))
         elif "," in word:
             poses.append(pose_of("--to", word))
         else:
             raise unknown_name(word, {*names.names, *edits.area_names})
     return poses
-
-
-def _goal_in(area: MapEdit, folder: MapFolder, grid: Callable[[], OccupancyGrid]) -> FloatArray:
-    """(3,) where in an area of a map there is most room, with any heading.
-
-    Raises:
-        MapError: no free floor of the map lies in it.
-    """
-    import numpy as np
-
-    from wheelsight.mapping import roomiest_place
-
-    at = roomiest_place(grid(), area.polygon_now(folder.store.T_map_keyframe))
-    if at is None:
-        fix = (
-            f"wheelsight map zone MAP --area '{area.name}' X,Y X,Y X,Y redraws it; "
-            "wheelsight map export MAP --picture plan.png shows where the map has free floor"
-        )
-        raise MapError(f"no free floor of the map lies in the area {area.name!r}", path=folder.path, fix=fix)
-    return np.array([*at, np.nan])

@@ -65,6 +65,17 @@ class DriveView:
         if self._live is not None:
             self._live.__exit__(kind, error, trace)
 
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Leave the terminal to a question within the block."""
+        if self._live is not None:
+            self._live.stop()
+        try:
+            yield
+        finally:
+            if self._live is not None:
+                self._live.start()
+
     def note(self, transition: Transition) -> None:
         """A change of state: kept for the terminal, or a line of its own."""
         self._transitions.append(transition)

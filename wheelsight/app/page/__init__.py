@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from wheelsight.app.page.maps import NEW, DriveMaps
     from wheelsight.app.page.session import Session
     from wheelsight.app.page.snapshot import Driven, Maps, NamedPlaces, Snapshot, Watch
-    from wheelsight.app.page.stop_switch import StoppableRobot, StopSwitch
+    from wheelsight.app.page.stop_switch import StopSwitch
 
 __all__ = [
     "NEW",
@@ -25,7 +25,6 @@ __all__ = [
     "Session",
     "Snapshot",
     "StopSwitch",
-    "StoppableRobot",
     "Watch",
     "is_loopback",
 ]
@@ -47,10 +46,7 @@ _NAMES_OF = {
         "Snapshot",
         "Watch",
     ),
-    "wheelsight.app.page.stop_switch": (
-        "StopSwitch",
-        "StoppableRobot",
-    ),
+    "wheelsight.app.page.stop_switch": ("StopSwitch",),
 }
 _MODULE_OF = {name: module for module, names in _NAMES_OF.items() for name in names}
 

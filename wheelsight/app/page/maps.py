@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -45,10 +46,14 @@ class DriveMaps:
     ) -> None:
         if known is None and out is None:
             raise ConfigError("there is no map to drive in", fix="--map DIR; or --out DIR, which a new one goes to")
-        self._config, self._in_step = _by_the_wall(config) if in_step else config, in_step
+        self._config, self._in_step = config, in_step
         self._out = None if out is None else Path(out)
         self._start, self._saved = start, ""
-        self._paths = {} if self._out is None else _maps_in(self._out)
+        self._paths: dict[str, Path] = {}  # by the names of their folders, the newest first
+        folders = () if self._out is None or not self._out.is_dir() else self._out.iterdir()
+        for folder in sorted(folders, reverse=True):
+            with suppress(MapError):
+                self._paths[folder.name] = find_map(folder)
         self.first = NEW
         if known is not None:
             self.first = Path(known).resolve().name or str(known)
@@ -71,14 +76,17 @@ class DriveMaps:
             with self._making(robot, on_transition) as driven:
                 yield driven
             return
-        start = _start_at(pose) if pose is not None else self._start if name == self.first else None
+        start = self._start if name == self.first else None
+        if pose is not None:
+            x_m, y_m, yaw = map(float, pose)
+            start = StartSettings(x_m=x_m, y_m=y_m, yaw_deg=float(np.degrees(yaw)))
         # Where it stood when the program began is no news for another time.
         self._start = None
         path = self._paths[name]
         known = KnownMapSettings(path=str(path), start=start)
         config = self._config.model_copy(update={"known_map": known})
         with drive_in_map(
-            robot, config, in_step=self._in_step, trusts_floor=True, on_transition=on_transition
+            robot, config, in_step=self._in_step, takes_real_time=True, trusts_floor=True, on_transition=on_transition
         ) as drive:
             yield Driven(drive.navigator, KnownPlaces(path, drive.grid), is_new=False)
 
@@ -92,9 +100,8 @@ class DriveMaps:
             number += 1
             name = f"{name.partition(' (')[0]} ({number})"
         path = make_output_folder(self._out / name) / MAP_FOLDER
-        with exploring(
-            robot, self._config, path, in_step=self._in_step, trusts_floor=True, on_transition=on_transition
-        ) as drive:
+        how: dict[str, Any] = {"in_step": self._in_step, "takes_real_time": True, "trusts_floor": True}
+        with exploring(robot, self._config, path, **how, on_transition=on_transition) as drive:
             store = drive.navigator.senses.keyframes
             assert store is not None
             places = NewPlaces(store)
@@ -162,28 +169,5 @@ class NewPlaces:
         self.named = self.named.with_pose(NamedPose(name, pose).attached_to_nearest(table, np.arange(len(table))))
 
 
-def _by_the_wall(config: Config) -> Config:
-    """A robot in real time: it waits for a plan as long as planning takes, without a simulated delay."""
-    navigator = config.navigation.navigator.model_copy(update={"planning_s": 0.0, "mapping_s": 0.0})
-    navigation = config.navigation.model_copy(update={"navigator": navigator})
-    return config.model_copy(update={"navigation": navigation})
-
-
 def _where(named: NamedPoses, T_map_keyframe: FloatArray) -> dict[str, FloatArray]:
     return {one.name: one.pose_now(T_map_keyframe) for one in named}
-
-
-def _start_at(pose: FloatArray) -> StartSettings:
-    x_m, y_m, yaw = map(float, pose)
-    return StartSettings(x_m=x_m, y_m=y_m, yaw_deg=float(np.degrees(yaw)))
-
-
-def _maps_in(out: Path) -> dict[str, Path]:
-    """Maps by the names of their folders, the newest first."""
-    found: dict[str, Path] = {}
-    for folder in sorted(out.iterdir() if out.is_dir() else (), reverse=True):
-        try:
-            found[folder.name] = find_map(folder)
-        except MapError:
-            continue
-    return found

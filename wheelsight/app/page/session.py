@@ -21,13 +21,14 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from wheelsight.app.page.snapshot import Driven, Maps, Snapshot, SnapshotMaker, Watch
-from wheelsight.app.page.stop_switch import StoppableRobot, StopSwitch, Watchdog
+from wheelsight.app.page.stop_switch import StopSwitch, Watchdog
 from wheelsight.core.errors import ArgumentError, ConfigError, WheelsightError
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.messages import Event
-from wheelsight.core.robots import Robot
+from wheelsight.core.robots import CONTROL_PERIOD_S, Robot, WatchedRobot
 from wheelsight.core.settings import LivePageSettings
 from wheelsight.navigation import Feedback, NavigationResult, NavigationState, Transition
+from wheelsight.navigation.settings import SILENT_S
 
 # Messages
 
@@ -89,6 +90,12 @@ class ClearObstacles(_Message):
     y_m: float = Field(ge=-_FARTHEST_M, le=_FARTHEST_M)
 
 
+class ClearFault(_Message):
+    """Permit driving again: the driver has checked wheels that did not follow their commands."""
+
+    type: Literal["wheels"]
+
+
 class Explore(_Message):
     """Drive until all reachable floor is seen."""
 
@@ -115,7 +122,7 @@ class StartMap(_Message):
     map: Annotated[str, Field(min_length=1, max_length=200)]
 
 
-Task = GoToPose | GoToName | ClearObstacles | Explore | NamePlace | SaveMap | StartMap
+Task = GoToPose | GoToName | ClearObstacles | ClearFault | Explore | NamePlace | SaveMap | StartMap
 """What the driver alone may ask."""
 Message = Alive | Take | Leave | ShowCostmap | Task
 _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="type")])
@@ -148,10 +155,9 @@ def parsed(text: str) -> Message:
 
 _WAITING, _SAID = 16, 6
 _WAIT_S = 0.2
-_STANDING_M_S, _STANDING_RAD_S = 0.02, 0.05
 # How long a part may be silent while the robot moves. A robot whose time stands still between steps goes nowhere
 # meanwhile, and its steps, which render and localize, take longer on a slow computer.
-_SILENT_S, _SILENT_IN_STEP_S = 0.4, 2.0
+_SILENT_IN_STEP_S = 2.0
 # While it stands with a task: a task goes on by itself after no longer than this (`navigator.held_s`).
 _HELD_S = 4.0
 # Periods one after another that fail before the map is given up.
@@ -204,7 +210,7 @@ class Session:
         watch: Watch | None = None,
     ) -> None:
         self.switch = StopSwitch(robot)
-        self._robot, self._watch = StoppableRobot(robot, self.switch, self._on_events), watch
+        self._robot, self._watch = WatchedRobot(robot, lambda: self.switch.reason), watch
         self._maps, self._settings, self._paces = maps, settings, paces
         self._asked: queue.Queue[_Asked] = queue.Queue(_WAITING)
         self._over, self._on_problem = threading.Event(), on_problem
@@ -213,7 +219,7 @@ class Session:
         self._cancelled = self.switch.presses
         self._reported: NavigationResult | None = None
         self.wants_costmap = False
-        self.silent_s = _SILENT_IN_STEP_S if paces else _SILENT_S
+        self.silent_s = _SILENT_IN_STEP_S if paces else SILENT_S
         self._is_driving = self._has_task = False
         self._traced = set[str]()
         self._snapshots = SnapshotMaker(self._robot, settings, lambda: self.wants_costmap)
@@ -296,7 +302,7 @@ class Session:
     def _run(self) -> None:
         following: _Next | None = _Next(self._maps.first)
         try:
-            with self.watched(_DRIVING) as beat:
+            with self.watched(_DRIVING) as beat, self._robot.watched_by(self._on_events):
                 while not self._over.is_set():
                     try:
                         following = self._wait_for_choice() if following is None else self._in_map(following, beat)
@@ -353,7 +359,7 @@ class Session:
     def _drive(self, driven: Driven, beat: Callable[[], None]) -> _Next | None:
         """Run period by period. Raises the error of several failed periods in a row."""
         pace = RealTimePace(lambda: self._robot.now_s) if self._paces else None
-        every = max(1, round(1 / (self._settings.updates_hz * driven.navigator.settings.follow.period_s)))
+        every = max(1, round(1 / (self._settings.updates_hz * CONTROL_PERIOD_S)))
         feedback, failures = driven.navigator.feedback, 0
         for period in count():
             if self._over.is_set():
@@ -434,9 +440,17 @@ class Session:
         if isinstance(task, ClearObstacles):
             navigator.clear_obstacles((task.x_m, task.y_m))
             return None
-        speed = abs(feedback.forward_m_s) > _STANDING_M_S or abs(feedback.turn_rad_s) > _STANDING_RAD_S
-        if speed or not navigator.is_task_complete():
+        if not feedback.stands or not navigator.is_task_complete():
             self.say("stop the robot first", is_problem=True)
+            return None
+        return self._do_while_standing(task, driven, feedback)
+
+    def _do_while_standing(
+        self, task: ClearFault | NamePlace | SaveMap | StartMap, driven: Driven, feedback: Feedback
+    ) -> _Next | None:
+        if isinstance(task, ClearFault):
+            driven.navigator.clear_fault()
+            self.say("the wheels are checked; give the robot its task again")
         elif isinstance(task, NamePlace):
             if feedback.pose is None:
                 self.say("it is not known where the robot is", is_problem=True)

@@ -15,11 +15,10 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
-from wheelsight.app.page.stop_switch import StoppableRobot
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import ByteArray, FloatArray, se2, se3
 from wheelsight.core.messages import Event
-from wheelsight.core.robots import Robot
+from wheelsight.core.robots import Robot, WatchedRobot
 from wheelsight.core.settings import LivePageSettings
 from wheelsight.navigation import CellState, Costmap, Feedback, Navigator, StaticLayer, Transition
 from wheelsight.navigation.senses import Senses
@@ -71,7 +70,7 @@ class SnapshotMaker:
         wants_costmap: whether any page shows the costmap.
     """
 
-    def __init__(self, robot: StoppableRobot, settings: LivePageSettings, wants_costmap: Callable[[], bool]) -> None:
+    def __init__(self, robot: WatchedRobot, settings: LivePageSettings, wants_costmap: Callable[[], bool]) -> None:
         self._robot, self._settings, self._wants_costmap = robot, settings, wants_costmap
         self._way: deque[FloatArray] = deque(maxlen=_WAY_POINTS)
         self._pictures: dict[str, Picture] = {}
@@ -116,6 +115,7 @@ class SnapshotMaker:
             "status": STATUS_WORDS[feedback.status],
             "monitor": monitor_words(feedback),
             "held": "" if feedback.monitor is None or feedback.monitor.reason is None else monitor_words(feedback),
+            "wheels_off": feedback.has_wheel_fault,
             "stays": None if feedback.stays_at is None else [round(float(at), 2) for at in feedback.stays_at],
             "speed_m_s": round(feedback.forward_m_s, 2),
             "turn_rad_s": round(feedback.turn_rad_s, 2),

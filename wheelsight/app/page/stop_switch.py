@@ -1,18 +1,12 @@
-"""StopSwitch: stops a robot from its own thread, even if the rest of the program hangs. StoppableRobot obeys it.
-Watchdog finds the part of the program that hangs.
-"""
+"""StopSwitch stops a robot from its own thread, even if the rest of the program hangs; Watchdog finds what hangs."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from types import TracebackType
+from collections.abc import Callable
 
-from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import WheelsightError
-from wheelsight.core.messages import STOP, Event, RgbdFrame, VelocityCommand
 from wheelsight.core.robots import Robot
 
 _ENDS_S = 2.0
@@ -146,66 +140,3 @@ class Watchdog:
                 elif since_s is not None and beat_s > since_s:
                     del self._silent[part]
                     self._on_again(f"{part} answers again after {beat_s - since_s:.1f} s")
-
-
-class StoppableRobot:
-    """A `Robot` that stands while a switch is pressed, whatever the command. It keeps the last frame of the camera.
-
-    Args:
-        robot: the robot.
-        switch: stops it.
-        on_events: called with the sensors' events of each period.
-
-    Attributes:
-        frame: the last one; None before any.
-        is_commanded: whether the last command that the switch passed is a motion.
-    """
-
-    def __init__(
-        self, robot: Robot, switch: StopSwitch, on_events: Callable[[Sequence[Event]], None] = lambda events: None
-    ) -> None:
-        self._robot, self._switch, self._on_events = robot, switch, on_events
-        self.frame: RgbdFrame | None = None
-        self.is_commanded = False
-
-    @property
-    def calibration(self) -> Calibration:
-        """As `Robot` has it."""
-        return self._robot.calibration
-
-    @property
-    def stop_reason(self) -> str:
-        """As `Robot` has it."""
-        return self._switch.reason or self._robot.stop_reason
-
-    @property
-    def now_s(self) -> float:
-        """As `Robot` has it."""
-        return self._robot.now_s
-
-    def step(self, command: VelocityCommand) -> list[Event]:
-        """As `Robot` has it."""
-        obeyed = STOP if self._switch.reason else command
-        self.is_commanded = obeyed != STOP
-        events = self._robot.step(obeyed)
-        frames = [event for event in events if isinstance(event, RgbdFrame)]
-        self.frame = frames[-1] if frames else self.frame
-        self._on_events(events)
-        return events
-
-    def stop(self) -> None:
-        """As `Robot` has it."""
-        self._robot.stop()
-
-    def close(self) -> None:
-        """As `Robot` has it."""
-        self._robot.close()
-
-    def __enter__(self) -> StoppableRobot:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        with suppress(WheelsightError):
-            self.close()

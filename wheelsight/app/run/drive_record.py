@@ -20,6 +20,7 @@ from wheelsight.core.files import StrPath, settings_text, write_text
 from wheelsight.core.geometry import ByteArray, FloatArray
 from wheelsight.core.geometry.se2 import wrap_angle
 from wheelsight.core.messages import Event, RgbdFrame
+from wheelsight.core.robots import CONTROL_PERIOD_S
 from wheelsight.core.trajectory import Trajectory, write_tum
 from wheelsight.mapping import OccupancyGrid
 from wheelsight.navigation import CellState, Costmap, Feedback, Footprint, MonitorState, NavigationResult, Plan
@@ -212,7 +213,7 @@ class DriveRecord:
     @property
     def periods(self) -> PeriodLengths:
         """Statistics of the lengths of the control periods."""
-        return PeriodLengths.of(self.rows.stamps_s, self.config["navigation"]["follow"]["period_s"])
+        return PeriodLengths.of(self.rows.stamps_s, CONTROL_PERIOD_S)
 
     @property
     def way_m(self) -> float:

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -27,20 +26,23 @@ from wheelsight.core.estimates import Estimate
 from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.keyframes import KeyframeStore
-from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand
-from wheelsight.core.robots import Robot
+from wheelsight.core.messages import Event, RgbdFrame
+from wheelsight.core.robots import Localization, Robot, WatchedRobot
 from wheelsight.core.trajectory import read_tum
 from wheelsight.estimation import Localizer, LocalizerApart, LocalizerBeside, LocalizerInStep
 from wheelsight.estimation.localizer_workers import Make
 from wheelsight.io.recordings import express_for
 from wheelsight.mapping import OccupancyGrid
 from wheelsight.navigation import (
+    Controller,
     DepthViewer,
     Feedback,
     GrowingFloor,
     KnownFloor,
+    NavigationReason,
     NavigationResult,
     Navigator,
+    PathPlanner,
     Planned,
     SeenFloor,
     Transition,
@@ -48,14 +50,15 @@ from wheelsight.navigation import (
     WorkerBeside,
     WorkerInStep,
 )
-from wheelsight.navigation.goals import words_of
-from wheelsight.navigation.localization import Localization
+from wheelsight.navigation.planning import PLANNING_S, words_of
 from wheelsight.slam.maps import DRIVE, MAP_FOLDER, MapFolder, MapWriter, driven_way, find_map, occupancy_of
 from wheelsight.slam.maps.contents import current_edits
 from wheelsight.slam.settings import FROM_KEYFRAMES
 
 # How long a robot that was stopped is stepped on, until it stands.
 _STOPPING_S = 5.0
+# Simulated duration of a floor after 300 keyframes moved; 1000 take 1.0 s (docs/occupancy.md).
+_MAPPING_S = 0.3
 # Folders of a run that follows several sensors.
 _TRACKS = ("joined", "dense", "features", "own")
 
@@ -82,6 +85,7 @@ class GoalDrive:
 
     Args:
         robot: to drive.
+        recorder: gets each period.
         navigator: of the robot.
         grid: returns the current occupancy grid of the map.
         map_name: of the map.
@@ -92,13 +96,14 @@ class GoalDrive:
 
     def __init__(
         self,
-        robot: WatchedRobot,
+        robot: Robot,
+        recorder: DriveRecorder,
         navigator: Navigator,
         grid: Callable[[], OccupancyGrid],
         map_name: str,
     ) -> None:
         self.navigator, self._grid, self._map_name = navigator, grid, map_name
-        self._robot, self._recorder = robot, robot.recorder
+        self._robot, self._recorder = robot, recorder
         self._goals: list[GoalRecord] = []
         self._start: FloatArray | None = None
 
@@ -159,6 +164,12 @@ class GoalDrive:
             if result is not None:
                 self._goals.append(GoalRecord(goal.name, goal.pose, result, now.pose, begin_s, now.stamp_s))
 
+    def clear_fault(self) -> None:
+        """Permit driving again, as the user has checked the wheels. The goal that failed by them leaves the record."""
+        self.navigator.clear_fault()
+        if self._goals and self._goals[-1].result.reason is NavigationReason.DISOBEYS:
+            self._goals.pop()
+
     def record(
         self, asked: int, robot: str, config: Config, truth: dict[str, Any], is_interrupted: bool
     ) -> DriveRecord:
@@ -204,11 +215,11 @@ class GoalDrive:
             self._robot.stop()
         finally:
             self.navigator.cancel_task()
-        follow, until_s = self.navigator.settings.follow, self._robot.now_s + _STOPPING_S
+        until_s = self._robot.now_s + _STOPPING_S
         while self._robot.now_s < until_s:
             last = self.navigator.step()
             self._recorder.step(last, self.navigator.senses)
-            if follow.stands(last.forward_m_s, last.turn_rad_s):
+            if last.stands:
                 return
 
 
@@ -218,6 +229,9 @@ def drive_in_map(
     config: Config,
     *,
     in_step: bool,
+    takes_real_time: bool = False,
+    planner: PathPlanner | None = None,
+    controller: Controller | None = None,
     trusts_floor: bool = False,
     on_keyframe: Callable[[int, int], None] = lambda done, total: None,
     on_transition: Callable[[Transition], None] = lambda transition: None,
@@ -230,7 +244,8 @@ def drive_in_map(
         config: with a known map.
         in_step: whether localization and planning finish before the robot goes on, as simulators need; else they run
             beside it.
-        trusts_floor, on_transition: see `Navigator`.
+        takes_real_time: whether a simulated robot is held to real time, so that plans need no simulated duration.
+        planner, controller, trusts_floor, on_transition: see `Navigator`.
         on_keyframe: called with the number of keyframes read and their total.
         on_events: called with the sensors' events of each period.
 
@@ -239,13 +254,15 @@ def drive_in_map(
         MapError, CalibrationError, ArgumentError: as `open_known` and `Navigator`.
     """
     calibration, outline = robot.calibration, config.navigation.footprint.outline
-    watched = WatchedRobot(robot, DriveRecorder(outline), on_events)
-    how: dict[str, Any] = {"trusts_floor": trusts_floor, "on_transition": on_transition}
+    watched, recorder = watched_of(robot), DriveRecorder(outline)
+    how: dict[str, Any] = {"planner": planner, "controller": controller}
+    how |= {"trusts_floor": trusts_floor, "on_transition": on_transition}
     path = known_map_path(config)
     with (
         localization_of(known_localizer, calibration, config, in_step=in_step) as localization,
         closing(MapFolder.open(path, settings=config.sessions)) as folder,
-        closing(planning_worker(config, in_step=in_step)) as planning,
+        closing(planning_worker(in_step=in_step, takes_real_time=takes_real_time)) as planning,
+        watched.watched_by(recorder.add, on_events),
     ):
         grid = occupancy_of(folder, on_keyframe=on_keyframe)
         near_m = near_floor_m(calibration, config) if trusts_floor else 0.0
@@ -258,67 +275,23 @@ def drive_in_map(
             map_path = map_path.parent
             map_path = map_path.parent if map_path.name in _TRACKS else map_path
         name_of = map_path.name or str(map_path)
-        yield GoalDrive(watched, navigator, lambda: grid, name_of)
+        yield GoalDrive(watched, recorder, navigator, lambda: grid, name_of)
 
 
-def planning_worker(config: Config, *, in_step: bool) -> Worker[Planned]:
+def watched_of(robot: Robot) -> WatchedRobot:
+    """The robot itself if it is watched already, so that a command passes one wrapper; else a wrapper of it."""
+    return robot if isinstance(robot, WatchedRobot) else WatchedRobot(robot)
+
+
+def planning_worker(*, in_step: bool, takes_real_time: bool) -> Worker[Planned]:
     """The worker that plans paths. The caller closes it."""
-    return WorkerInStep(config.navigation.navigator.planning_s) if in_step else WorkerBeside("planning")
+    return WorkerInStep(0.0 if takes_real_time else PLANNING_S) if in_step else WorkerBeside("planning")
 
 
 def near_floor_m(calibration: Calibration, config: Config) -> float:
     """Distance from the axle to the nearest floor that the camera sees, metres."""
     s = config.navigation
-    return DepthViewer(calibration, s.footprint.outline, s.view, s.live).near_m
-
-
-class WatchedRobot:
-    """A `Robot` that passes its events to a recorder and to further listeners.
-
-    Attributes:
-        recorder: as it was given.
-    """
-
-    def __init__(self, robot: Robot, recorder: DriveRecorder, on_events: OnEvents = lambda events: None) -> None:
-        self._robot, self.recorder, self._on_events = robot, recorder, on_events
-
-    @property
-    def calibration(self) -> Calibration:
-        """As `Robot` has it."""
-        return self._robot.calibration
-
-    @property
-    def stop_reason(self) -> str:
-        """As `Robot` has it."""
-        return self._robot.stop_reason
-
-    @property
-    def now_s(self) -> float:
-        """As `Robot` has it."""
-        return self._robot.now_s
-
-    def step(self, command: VelocityCommand) -> list[Event]:
-        """As `Robot` has it."""
-        events = self._robot.step(command)
-        self.recorder.add(events)
-        self._on_events(events)
-        return events
-
-    def stop(self) -> None:
-        """As `Robot` has it."""
-        self._robot.stop()
-
-    def close(self) -> None:
-        """As `Robot` has it."""
-        self._robot.close()
-
-    def __enter__(self) -> WatchedRobot:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+    return DepthViewer(calibration, s.footprint.outline, s.live).near_m
 
 
 # Localization
@@ -432,6 +405,9 @@ def exploring(
     path: StrPath,
     *,
     in_step: bool,
+    takes_real_time: bool = False,
+    planner: PathPlanner | None = None,
+    controller: Controller | None = None,
     trusts_floor: bool = False,
     on_transition: Callable[[Transition], None] = lambda transition: None,
     on_events: OnEvents = lambda events: None,
@@ -443,7 +419,7 @@ def exploring(
         config: with loops by keyframes, and no known map.
         path: folder of the map, empty or not there.
         in_step: whether localization, map and plans answer before the robot goes on, as for simulators; else beside it.
-        trusts_floor, on_transition, on_events: see `drive_in_map`.
+        takes_real_time, planner, controller, trusts_floor, on_transition, on_events: see `drive_in_map`.
 
     Raises:
         ConfigError: loops are not closed, or a known map is named.
@@ -455,8 +431,10 @@ def exploring(
         raise ConfigError("an exploration closes loops", fix='load_config(overrides={"loops.source": "keyframes"})')
     footprint, calibration = config.navigation.footprint.outline, robot.calibration
     near_m = near_floor_m(calibration, config) if trusts_floor else 0.0
-    how: dict[str, Any] = {"trusts_floor": trusts_floor, "on_transition": on_transition}
-    mapping_s = config.navigation.navigator.mapping_s
+    watched, recorder = watched_of(robot), DriveRecorder(footprint)
+    how: dict[str, Any] = {"planner": planner, "controller": controller}
+    how |= {"trusts_floor": trusts_floor, "on_transition": on_transition}
+    mapping_s = 0.0 if takes_real_time else _MAPPING_S
     worker: Worker[SeenFloor] = WorkerInStep(mapping_s) if in_step else WorkerBeside("floor")
     # The localization is closed last: others look at its keyframes.
     with (
@@ -464,12 +442,12 @@ def exploring(
             mapping_localizer, calibration, config, Path(path), in_step=in_step, tells_keyframes=True
         ) as localization,
         closing(worker) as growing,
-        closing(planning_worker(config, in_step=in_step)) as planning,
+        closing(planning_worker(in_step=in_step, takes_real_time=takes_real_time)) as planning,
+        watched.watched_by(recorder.add, on_events),
     ):
         floor = GrowingFloor(localization, calibration, footprint, near_m, config.sessions.occupancy, worker=growing)
-        watched = WatchedRobot(robot, DriveRecorder(footprint), on_events)
         navigator = Navigator(watched, localization, floor, config.navigation, planning=planning, **how)
-        yield GoalDrive(watched, navigator, lambda: floor.grid, Path(path).parent.name or Path(path).name)
+        yield GoalDrive(watched, recorder, navigator, lambda: floor.grid, Path(path).parent.name or Path(path).name)
 
 
 def loops_of(path: StrPath) -> int:

@@ -11,12 +11,19 @@ from typing import Protocol
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import ArgumentError, DeviceError
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, VelocityCommand, WheelTicks
-from wheelsight.core.robots import STOPPED, RobotLimits, VelocityControl, WheelControlSettings
+from wheelsight.core.robots import (
+    CONTROL_PERIOD_S,
+    HOLD_S,
+    STOPPED,
+    TICKS_SILENT_S,
+    RobotLimits,
+    VelocityControl,
+    WheelControlSettings,
+)
 from wheelsight.io.devices.live_camera import take_angular_velocities
 from wheelsight.io.devices.wheel_link import WheelLink
 from wheelsight.io.devices.wire_formats import Format
 
-PERIOD_S = 0.05
 # The first firmware that stops the motors 0.25 s after the last command. The one before waits for half a second, in
 # which a robot at 1 m/s moves 0.5 m without control (docs/decisions/monitor-and-safety).
 OLDEST_FIRMWARE = (1, 1)
@@ -37,7 +44,7 @@ class LinkRobot:
 
     It sends nothing before the first command to move. It stops the motors, with the reason in `stop_reason`, where
     ticks are missing or old, a wheel does not follow its command, the port vanishes, or the controller restarts. Where
-    `step` is no longer called, the link stops the motors after `control.hold_s`. Where the program is dead, the
+    `step` is no longer called, the link stops the motors after `HOLD_S` (core.robots). Where the program is dead, the
     firmware stops them after a quarter of a second. Older firmware takes longer and is refused: its version is read
     before the first command to move.
 
@@ -62,7 +69,7 @@ class LinkRobot:
         *,
         frames: Frames | None = None,
         control: WheelControlSettings | None = None,
-        period_s: float = PERIOD_S,
+        period_s: float = CONTROL_PERIOD_S,
     ) -> None:
         if calibration.wheels is None:
             fix = "a robot with two driven wheels, calibrated: docs/wheel-calibration.md"
@@ -179,7 +186,7 @@ class LinkRobot:
         if ticks is not None:
             after_s = now_s - ticks.stamp_s
             self._quickest_s = after_s if self._quickest_s is None else min(self._quickest_s, after_s)
-            if after_s - self._quickest_s > self._control.settings.silence_s:
+            if after_s - self._quickest_s > TICKS_SILENT_S:
                 ticks = None
         duties = self._control.update(now_s, ticks, command)
         if not self._has_driven and duties.left == duties.right == 0:
@@ -192,6 +199,6 @@ class LinkRobot:
             return
         self._has_driven = True
         try:
-            self._link.drive(duties.left, duties.right, self._control.settings.hold_s)
+            self._link.drive(duties.left, duties.right, HOLD_S)
         except DeviceError as error:
             self._control.stop(error.problem)

@@ -127,6 +127,7 @@ function show() {
   showFacts(robot);
   showLists(robot, isFree);
   at("clear").hidden = !robot.stays || !isFree;
+  at("wheels").hidden = !robot.wheels_off || !isFree;
   for (const id of ["explore", "save"]) at(id).disabled = !isFree || !robot.is_new;
   at("name-form").querySelector("button").disabled = !isFree || robot.phase !== "driving";
   draw();
@@ -428,6 +429,7 @@ at("clear").onclick = () => {
   const [x, y] = (last && last.robot.stays) || [];
   if (x !== undefined) ask(`Is nothing at (${x}, ${y}) m? The camera sees no depth behind what stood there.`, { type: "clear", x_m: x, y_m: y });
 };
+at("wheels").onclick = () => ask("Are the wheels in order? They did not follow their commands. The robot drives again once it gets a task.", { type: "wheels" });
 at("save").onclick = () => send({ type: "save" });
 at("ask-no").onclick = () => at("ask").close();
 at("nearer").onclick = () => { zoom = Math.min(8, zoom * 1.6); draw(); };
