@@ -6,7 +6,7 @@ import fcntl
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
@@ -94,7 +94,7 @@ class MapFolder:
             contents.where, contents.T_map_keyframe, settings.memory_keyframes, header.camera.size_px
         )
         self._steps = DepthSteps.of_noise(calibration.depth_noise)
-        self._pieces = _Journals(path)
+        self._journals = _Journals(path)
         self._edge_count = contents.edge_count
         self._where = dict(contents.where)
 
@@ -212,11 +212,11 @@ class MapFolder:
                 raise ArgumentError(f"the pose of keyframe {number} is no rigid motion", fix="give SE(3), (4, 4)")
         self._need_lock()
         content = pack_keyframe(keyframe, self._steps, self.settings.most_kb)
-        journal = self._pieces.of_keyframes()
+        journal = self._journals.of(KEYFRAMES)
         record = journal.append(RecordKind.KEYFRAME, number, content)
         self._where[number] = journal.path, record
         place = pack_place(Place(keyframe.stamp_s, T_map_keyframe, T_odom_keyframe))
-        self._pieces.graph().append(RecordKind.PLACE, number, place)
+        self._journals.of(GRAPH).append(RecordKind.PLACE, number, place)
         return journal.path, record
 
     def append_edges(self, edges: Sequence[RelativePose]) -> tuple[int, ...]:
@@ -224,7 +224,7 @@ class MapFolder:
         self._need_lock()
         first = self._edge_count
         if edges:
-            self._pieces.graph().append(RecordKind.EDGES, first, pack_edges(edges))
+            self._journals.of(GRAPH).append(RecordKind.EDGES, first, pack_edges(edges))
             self._edge_count += len(edges)
         return tuple(range(first, self._edge_count))
 
@@ -232,17 +232,17 @@ class MapFolder:
         """Withdraw edges, such as loops found to be wrong. Raises OutputError."""
         self._need_lock()
         if numbers:
-            self._pieces.graph().append(RecordKind.WITHDRAWN, 0, pack_numbers(numbers))
+            self._journals.of(GRAPH).append(RecordKind.WITHDRAWN, 0, pack_numbers(numbers))
 
     def append_poses(self, numbers: Sequence[int] | IntArray, T_map_keyframe: FloatArray) -> None:
         """Write poses (K, 4, 4) of keyframes (K,); the last pose of each is valid. Raises OutputError."""
         self._need_lock()
         if len(numbers):
-            self._pieces.graph().append(RecordKind.POSES, 0, pack_poses(numbers, T_map_keyframe))
+            self._journals.of(GRAPH).append(RecordKind.POSES, 0, pack_poses(numbers, T_map_keyframe))
 
     def flush(self) -> None:
         """Make appended data survive a loss of power. Raises OutputError."""
-        self._pieces.flush()
+        self._journals.flush()
 
     def save_recognition(self, recognizer: Recognizer) -> None:
         """Write the recognizer of the keyframes, so that the next drive does not rebuild it. Raises OutputError."""
@@ -290,7 +290,7 @@ class MapFolder:
         """Flush, and release the lock. Raises OutputError."""
         lock, self._lock = self._lock, None
         try:
-            self._pieces.close()
+            self._journals.close()
         finally:
             if lock is not None:
                 lock.release()
@@ -349,53 +349,36 @@ class MapFolder:
 
 
 class _Journals:
-    """The journals of one writer, begun on demand, with a limited number of keyframes per journal."""
+    """The journals of one writer, begun on demand, with a limited number of records per journal."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._keyframes: JournalWriter | None = None
-        self._graph: JournalWriter | None = None
-        self._count = self._graph_count = 0
+        self._open: dict[str, tuple[JournalWriter, int]] = {}
 
-    def of_keyframes(self) -> JournalWriter:
-        """Return the journal for the next keyframe."""
-        if self._keyframes is not None and self._count >= _JOURNAL_KEYFRAMES:
-            full, self._keyframes = self._keyframes, None
-            full.close()
-        if self._keyframes is None:
-            self._keyframes, self._count = self._begun(KEYFRAMES), 0
-        self._count += 1
-        return self._keyframes
-
-    def graph(self) -> JournalWriter:
-        """Return the journal for all other records."""
-        if self._graph is not None and self._graph_count >= _GRAPH_RECORDS:
-            full, self._graph = self._graph, None
-            full.close()
-        if self._graph is None:
-            self._graph, self._graph_count = self._begun(GRAPH), 0
-        self._graph_count += 1
-        return self._graph
+    def of(self, kind: str) -> JournalWriter:
+        """Return the journal for the next record, of keyframes or of the graph."""
+        journal, count = self._open.pop(kind, (None, 0))
+        if journal is not None and count >= (_JOURNAL_KEYFRAMES if kind == KEYFRAMES else _GRAPH_RECORDS):
+            journal.close()
+            journal = None
+        if journal is None:
+            journal, count = JournalWriter(self._folder / journal_name(kind, next_number(self._folder, kind))), 0
+        self._open[kind] = journal, count + 1
+        return journal
 
     def flush(self) -> None:
         """Flush the keyframes first: a pose without its keyframe is useless."""
-        for journal in (self._keyframes, self._graph):
-            if journal is not None:
-                journal.flush()
+        for kind in (KEYFRAMES, GRAPH):
+            if kind in self._open:
+                self._open[kind][0].flush()
 
     def close(self) -> None:
-        """Close both journals, even if one fails."""
-        keyframes, self._keyframes = self._keyframes, None
-        graph, self._graph = self._graph, None
-        try:
-            if keyframes is not None:
-                keyframes.close()
-        finally:
-            if graph is not None:
-                graph.close()
-
-    def _begun(self, kind: str) -> JournalWriter:
-        return JournalWriter(self._folder / journal_name(kind, next_number(self._folder, kind)))
+        """Close both journals, the keyframes first, even if one fails."""
+        journals, self._open = self._open, {}
+        with ExitStack() as stack:
+            for kind in (GRAPH, KEYFRAMES):
+                if kind in journals:
+                    stack.callback(journals[kind][0].close)
 
 
 @contextmanager
