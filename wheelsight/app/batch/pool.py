@@ -210,7 +210,12 @@ def run_on_fleet(
         DeviceError: no scheduler answers, or the connection is lost.
     """
     distributed = needed("distributed")
-    with _client(distributed, address, connect_s) as client:
+    try:
+        connected = distributed.Client(address, timeout=connect_s, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        fix = "start one: dask scheduler; it prints its address"
+        raise DeviceError(f"no scheduler answers at {address}", fix=fix) from error
+    with connected as client:
         workers = client.scheduler_info(n_workers=-1)["workers"]
         if not workers:
             on_note("the scheduler has no worker yet; work begins when one comes: dask worker ADDRESS --nthreads 1")
@@ -226,14 +231,6 @@ def run_on_fleet(
         finally:
             if client.status == "running":
                 client.cancel([future for future in futures if not future.done()])
-
-
-def _client(distributed: Any, address: str, connect_s: float) -> Any:
-    try:
-        return distributed.Client(address, timeout=connect_s, set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
-        fix = "start one: dask scheduler; it prints its address"
-        raise DeviceError(f"no scheduler answers at {address}", fix=fix) from error
 
 
 def _outcome(future: Any, job: Job, distributed: Any) -> Outcome:

@@ -129,19 +129,15 @@ def markdown_text(rows: Sequence[BatchRow]) -> str:
     head = ["recording", "config", "odometry", "seeds", *(figure.title for figure in FIGURES), "status"]
     lines = [head, ["---"] * 4 + ["---:"] * len(FIGURES) + ["---"]]
     for row in rows:
-        figures = [_in_brackets(figure, row) for figure in FIGURES]
+        figures = []
+        for figure in FIGURES:
+            spread = row.figures.get(figure.name)
+            worst = f" ({shown(figure, spread.worst)})" if spread is not None and row.seeds > 1 else ""
+            figures.append("–" if spread is None else shown(figure, spread.median) + worst)
         lines.append([row.recording, row.config, row.odometry, str(row.seeds), *figures, row.status])
     text = "".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |\n" for line in lines)
     reasons = [f"- {row.recording}, {row.config}: {row.problem}\n" for row in rows if row.problem]
     return text + ("\n" + "".join(reasons) if reasons else "")
-
-
-def _in_brackets(figure: Figure, row: BatchRow) -> str:
-    spread = row.figures.get(figure.name)
-    if spread is None:
-        return "–"
-    worst = f" ({shown(figure, spread.worst)})" if row.seeds > 1 else ""
-    return f"{shown(figure, spread.median)}{worst}"
 
 
 def read_rows(path: StrPath) -> tuple[BatchRow, ...]:

@@ -267,12 +267,25 @@ def export_surface(asked: Asked, is_mesh: bool) -> None:
     from wheelsight.app.cli.compiling import compile_missing
     from wheelsight.app.cli.options import check_out
     from wheelsight.app.cli.progress import FrameProgress
+    from wheelsight.app.run import MAP_FILE
     from wheelsight.app.run.kernels import usable_parts
-    from wheelsight.core.errors import ConfigError
+    from wheelsight.core.errors import ConfigError, MapError
+    from wheelsight.core.inputs import is_there
     from wheelsight.mapping import load_map, mesh_of, write_mesh_ply, write_ply
-    from wheelsight.slam.maps import MapFolder, is_map
+    from wheelsight.slam.maps import MAP_FOLDER, MapFolder, is_map
 
-    path = _map_in(asked.source)
+    if not is_there(asked.source):
+        raise MapError("there is no such folder or file", path=asked.source, fix="check the path")
+    if not asked.source.is_dir():
+        path = asked.source
+    else:
+        # A run's folder, or that of its joined or dense track
+        folders = [asked.source / place / inner for place in ("", "joined", "dense") for inner in ("", MAP_FOLDER)]
+        files = [folder / MAP_FILE for folder in folders if is_there(folder / MAP_FILE)]
+        if not files:
+            fix = "make one: wheelsight run RECORDING --odometry dense --map surfels --out DIR"
+            raise MapError(f"holds no {MAP_FILE}", path=asked.source, fix=fix)
+        path = files[0]
     folder = path.parent if is_map(path.parent) else None
     to = asked.out or (path if folder is None else folder).parent / ("mesh.ply" if is_mesh else "points.ply")
     if to.suffix.lower() != ".ply":
@@ -289,22 +302,3 @@ def export_surface(asked: Asked, is_mesh: bool) -> None:
         write_mesh_ply(mesh, to)
         what = f"{len(mesh.triangles):,} triangles of {len(mesh.vertices):,} points"
     typer.echo(f"{what}, {to.stat().st_size / 1e6:.1f} MB: {to}")
-
-
-def _map_in(source: Path) -> Path:
-    """The map's file: as given, in a run's folder, or in that of its joined or dense track. Raises MapError."""
-    from wheelsight.app.run import MAP_FILE
-    from wheelsight.core.errors import MapError
-    from wheelsight.core.inputs import is_there
-    from wheelsight.slam.maps import MAP_FOLDER
-
-    if not is_there(source):
-        raise MapError("there is no such folder or file", path=source, fix="check the path")
-    if not source.is_dir():
-        return source
-    folders = [source / place / inner for place in ("", "joined", "dense") for inner in ("", MAP_FOLDER)]
-    found = [path for path in (folder / MAP_FILE for folder in folders) if is_there(path)]
-    if not found:
-        fix = "make one: wheelsight run RECORDING --odometry dense --map surfels --out DIR"
-        raise MapError(f"holds no {MAP_FILE}", path=source, fix=fix)
-    return found[0]

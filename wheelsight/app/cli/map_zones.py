@@ -20,15 +20,28 @@ if TYPE_CHECKING:
 
 def change_zones(source: Path, asked: AskedZone) -> None:
     """Draw what is asked, or forget it. Raises ConfigError, MapError, AreaError, OutputError."""
-    from wheelsight.slam.maps import MapFolder, find_map
+    from wheelsight.app.cli.compiling import compile_missing
+    from wheelsight.app.cli.console import print_warning
+    from wheelsight.app.cli.progress import FrameProgress
+    from wheelsight.mapping import EditKind
+    from wheelsight.slam.maps import MapFolder, find_map, save_occupancy
     from wheelsight.slam.maps.contents import current_edits
+    from wheelsight.slam.maps.folder import OCCUPANCY_FILE
 
     drawn = drawn_by(asked)
     folder = MapFolder.open(find_map(source), read_only=False)
     try:
         known = current_edits(folder)
         changed = _added(folder, known, drawn) if asked.forget is None else [_forgotten(folder, known, asked.forget)]
-        _renew_occupancy(folder, changed)
+        # An exported occupancy map changes with it: other programs must know a new zone, too.
+        path = folder.path / OCCUPANCY_FILE
+        if path.is_file() and {edit.kind for edit in changed} & {EditKind.KEEP_OUT, EditKind.WIPED}:
+            compile_missing(["dense"])
+            try:
+                with FrameProgress("occupancy", None, unit="keyframes") as progress:
+                    save_occupancy(folder, progress.reach)
+            except MapError as error:
+                print_warning(f"{path} is as it was, without this change: {error}")
     finally:
         folder.close()
 
@@ -70,26 +83,6 @@ def _forgotten(folder: MapFolder, known: MapEdits, number: int) -> MapEdit:
     folder.save_edits(MapEdits(tuple(edit for edit in known.edits if edit is not gone)))
     typer.echo(f"forgotten: {_what(gone)}")
     return gone
-
-
-def _renew_occupancy(folder: MapFolder, changed: Sequence[MapEdit]) -> None:
-    """Rewrite the exported occupancy map, if there is one: other programs must know a new zone, too."""
-    from wheelsight.app.cli.compiling import compile_missing
-    from wheelsight.app.cli.console import print_warning
-    from wheelsight.app.cli.progress import FrameProgress
-    from wheelsight.mapping import EditKind
-    from wheelsight.slam.maps import save_occupancy
-    from wheelsight.slam.maps.folder import OCCUPANCY_FILE
-
-    path = folder.path / OCCUPANCY_FILE
-    if not path.is_file() or not {edit.kind for edit in changed} & {EditKind.KEEP_OUT, EditKind.WIPED}:
-        return
-    compile_missing(["dense"])
-    try:
-        with FrameProgress("occupancy", None, unit="keyframes") as progress:
-            save_occupancy(folder, progress.reach)
-    except MapError as error:
-        print_warning(f"{path} is as it was, without this change: {error}")
 
 
 def _warn_where_nobody_saw(what: str, polygon: FloatArray, T_map_keyframe: FloatArray) -> None:

@@ -156,7 +156,9 @@ def opened_recording(
 
     Raises InputError.
     """
+    from wheelsight.app.cli.wheels import note_status
     from wheelsight.core.files import new_output_folder
+    from wheelsight.io.devices import WheelLink, host_clock
     from wheelsight.io.devices.recorder import LiveRecorder, RecordingSession
     from wheelsight.io.recordings import RecordingWriter
     from wheelsight.io.recordings.images import ColorFormat
@@ -182,27 +184,21 @@ def opened_recording(
         # refused before a device is touched
         opened.enter_context(new_output_folder(folder, force or resume or bag is not None))
         camera, calibration = _camera(asked, of_camera, known, opened)
-        from wheelsight.app.cli.wheels import note_status
-        from wheelsight.io.devices import WheelLink
-
-        if asked.wheels is None:
-            link = None
-        else:
+        link = None
+        if asked.wheels is not None:
             link = opened.enter_context(WheelLink(asked.wheels, asked.baud, note_status(asked.wheels)))
         writer: LiveWriter
         if bag is not None:
-            writer = bag.writer(calibration, color, of_recorder)
+            writer = bag.writer(calibration, color)
         else:
             writer = RecordingWriter(folder, calibration, force, color=color, resume=resume)  # type: ignore[arg-type]
         recorder = opened.enter_context(LiveRecorder(writer, of_recorder))
         # Stamps in the future mean that the clock was set back.
-        from wheelsight.io.devices import host_clock
-
         ahead_s = writer.last_stamp_s - host_clock.now_s()
         if ahead_s > 0:
             problem = f"its last stamp lies {ahead_s:.0f} s in the future: the clock was set back"
             raise OutputError(problem, path=folder, fix="set this computer's clock, or record into another --out")
-        opened.callback(tell_end, writer, recorder, folder if bag is None else bag.path, camera is not None)
+        opened.callback(print_end, writer, recorder, folder if bag is None else bag.path, camera is not None)
         yield RecordingSession(recorder, folder, camera, link, note)
 
 
@@ -274,7 +270,7 @@ class BagPlace:
         wait_s = min(of_recorder.longest_wait_s, _BAG_WAIT_S)
         return of_recorder.model_copy(update={"longest_wait_s": wait_s})
 
-    def writer(self, calibration: Calibration | None, color: str, settings: RecorderSettings) -> LiveBag:
+    def writer(self, calibration: Calibration | None, color: str) -> LiveBag:
         """What writes it. Raises CalibrationError, OutputError."""
         from wheelsight.io.recordings.bags.writing import LiveBag
 
@@ -321,8 +317,7 @@ def _words(look: SessionLook, seconds: float | None, are_few: bool) -> Iterator[
     if look.camera is not None:
         named = _short if are_few else str
         causes = ", ".join(f"{named(cause)} {count}" for cause, count in look.drops.items())
-        drops = f"{sum(look.drops.values())} dropped ({causes})" if causes else "0 dropped"
-        yield drops
+        yield f"{sum(look.drops.values())} dropped ({causes})" if causes else "0 dropped"
     if are_few:
         yield f"{look.bytes_per_s / 1e6:.0f} MB/s"
         yield f"{_bytes(look.free_bytes)}{_left(look, ' = ')}"
@@ -394,7 +389,7 @@ def note(text: str) -> None:
     print_note(f"{time.strftime('%H:%M:%S')} {text}")
 
 
-def tell_end(writer: LiveWriter, recorder: LiveRecorder, out: Path, has_camera: bool) -> None:
+def print_end(writer: LiveWriter, recorder: LiveRecorder, out: Path, has_camera: bool) -> None:
     """What is in the folder by now, and what is not."""
     recorder.close()
     report = recorder.report()

@@ -29,14 +29,10 @@ if TYPE_CHECKING:
         LiveSource,
         RealTimeRecording,
         RunRecord,
-        RunVerdict,
     )
-    from wheelsight.app.viewer import RerunLog
     from wheelsight.config import Config
-    from wheelsight.core.calibration import Calibration
     from wheelsight.core.robots import EventSource
     from wheelsight.core.settings import RealTimeSettings
-    from wheelsight.io.devices.recorder import LiveRecorder
     from wheelsight.io.recordings import Recording
 
 
@@ -116,9 +112,10 @@ def track(
     from wheelsight.app import runs
     from wheelsight.app.cli.compiling import compile_missing
     from wheelsight.app.cli.console import print_note
-    from wheelsight.app.cli.options import can_draw
+    from wheelsight.app.cli.options import can_draw, check_rerun
     from wheelsight.app.cli.progress import FrameProgress
     from wheelsight.app.run.kernels import parts_of
+    from wheelsight.app.viewer import open_rerun
 
     count, unit = expected(source, settings)
     status, progress = RunStatus(), FrameProgress("tracking", count, unit=unit)
@@ -128,48 +125,32 @@ def track(
         answered[:] = [True]
         show_progress(progress, source, settings, status.after(answers))
 
-    with _printing_where(out, answered), ExitStack() as shown:
-        watcher = None if rerun is None else shown.enter_context(_watcher(rerun, source, settings, force))
-
-        def begin() -> None:
-            if note:
-                print_note(note)
-            can_draw()
-            compile_missing(parts_of(settings))
-            shown.enter_context(progress)
-
-        return runs.run_each(
-            source, settings, out, force=force, on_ready=begin, on_code=_note_code, on_event=show, watcher=watcher
-        )
-
-
-def _note_code(done: int, total: int) -> None:
-    from wheelsight.app.cli.console import print_note
-
-    if done == 1:
-        print_note(f"making {total:,} keyframes ready to be recognised")
-
-
-@contextmanager
-def _printing_where(out: Path, answered: Sequence[bool]) -> Iterator[None]:
-    """On Ctrl-C, print where the results are, and exit with the code of an interruption."""
-    from wheelsight.app.cli.console import print_note
+    def note_code(done: int, total: int) -> None:
+        if done == 1:
+            print_note(f"making {total:,} keyframes ready to be recognised")
 
     try:
-        yield
+        with ExitStack() as shown:
+            watcher = None
+            if rerun is not None:
+                check_rerun(rerun, force)
+                log = open_rerun(rerun, source.calibration, settings.tracks, settings.viewer)
+                watcher = shown.enter_context(log)
+
+            def begin() -> None:
+                if note:
+                    print_note(note)
+                can_draw()
+                compile_missing(parts_of(settings))
+                shown.enter_context(progress)
+
+            return runs.run_each(
+                source, settings, out, force=force, on_ready=begin, on_code=note_code, on_event=show, watcher=watcher
+            )
     except KeyboardInterrupt as interruption:
         found = f"what was found until then is in {out}" if answered else "nothing was found until then"
         print_note(f"interrupted; {found}")
         raise typer.Exit(exit_code()) from interruption
-
-
-def _watcher(target: str, source: EventSource, settings: Config, force: bool) -> AbstractContextManager[RerunLog]:
-    """Raises ConfigError where Rerun is not installed, OutputError where the file must not be written."""
-    from wheelsight.app.cli.options import check_rerun
-    from wheelsight.app.viewer import open_rerun
-
-    check_rerun(target, force)
-    return open_rerun(target, source.calibration, settings.tracks, settings.viewer)
 
 
 # Sources
@@ -228,21 +209,21 @@ def _opened(asked: LiveRun, settings: Config, out: Path, force: bool) -> Iterato
     """Sensors, kernels and recorder, ready for the first event."""
     from wheelsight.app.cli.compiling import compile_missing
     from wheelsight.app.cli.console import print_note
-    from wheelsight.app.cli.record import note
-    from wheelsight.app.run import LiveSource
+    from wheelsight.app.cli.record import note, print_end
+    from wheelsight.app.cli.wheels import note_status
+    from wheelsight.app.run import LiveSensors, LiveSource
     from wheelsight.app.run.kernels import parts_of
+    from wheelsight.core.calibration import load_calibration
     from wheelsight.core.files import new_output_folder
     from wheelsight.core.runtime import until_stopped
+    from wheelsight.io.devices import BAUDRATE, WheelLink
+    from wheelsight.io.devices.cameras import open_robot_camera
+    from wheelsight.io.devices.recorder import LiveRecorder
+    from wheelsight.io.recordings import RecordingWriter
 
     with ExitStack() as opened:
         opened.enter_context(new_output_folder(out, force))  # refused before a device is touched
         compile_missing(parts_of(settings))  # minutes, in which a camera had better not run
-        from wheelsight.app.cli.wheels import note_status
-        from wheelsight.app.run import LiveSensors
-        from wheelsight.core.calibration import load_calibration
-        from wheelsight.io.devices import BAUDRATE, WheelLink
-        from wheelsight.io.devices.cameras import open_robot_camera
-
         camera = None
         if asked.camera is not None:
             of_camera = settings.camera.model_copy(
@@ -257,7 +238,11 @@ def _opened(asked: LiveRun, settings: Config, out: Path, force: bool) -> Iterato
         link = None
         if asked.wheels is not None:
             link = opened.enter_context(WheelLink(asked.wheels, asked.baud or BAUDRATE, note_status(asked.wheels)))
-        recorder = None if asked.record is None else _recorder(asked.record, calibration, settings, force, opened)
+        recorder = None
+        if asked.record is not None:
+            writer = RecordingWriter(asked.record, calibration, force)
+            recorder = opened.enter_context(LiveRecorder(writer, settings.recorder))
+            opened.callback(print_end, writer, recorder, asked.record, calibration.color is not None)
         sensors = LiveSensors(calibration, camera, link, recorder)
         how_long = f"for {asked.seconds:g} s" if asked.seconds is not None else "until Ctrl-C"
         yield LiveSource(
@@ -266,18 +251,6 @@ def _opened(asked: LiveRun, settings: Config, out: Path, force: bool) -> Iterato
             lambda: print_note(f"ready; following {how_long}"),
             note,
         )
-
-
-def _recorder(folder: Path, calibration: Calibration, settings: Config, force: bool, opened: ExitStack) -> LiveRecorder:
-    """The recorder of all events. Raises OutputError."""
-    from wheelsight.app.cli.record import tell_end
-    from wheelsight.io.devices.recorder import LiveRecorder
-    from wheelsight.io.recordings import RecordingWriter
-
-    writer = RecordingWriter(folder, calibration, force)
-    recorder = opened.enter_context(LiveRecorder(writer, settings.recorder))
-    opened.callback(tell_end, writer, recorder, folder, calibration.color is not None)
-    return recorder
 
 
 # Progress
@@ -367,26 +340,24 @@ _JOINED = "joined"
 
 
 class RunStatus:
-    """Each odometry's status and the size of the map; joined sensors first."""
+    """Each odometry's status and the size of the map, such as "tracking · 412k surfels"; joined sensors first."""
 
     def __init__(self) -> None:
         self._of_each: dict[str, str] = {}
 
     def after(self, answers: Mapping[str, FrameRecord]) -> str:
         """The status text after one more event, by each odometry's answer."""
-        self._of_each.update({odometry: _words(answer) for odometry, answer in answers.items()})
+        for odometry, answer in answers.items():
+            text = str(answer.status)
+            if answer.surfels is not None:
+                text += f" · {count(answer.surfels)} surfels"
+                dropped = count(answer.surfels_dropped)
+                text += f", {dropped} given up for want of room" if answer.surfels_dropped else ""
+            self._of_each[odometry] = text
         if len(self._of_each) == 1:
             return next(iter(self._of_each.values()))
         first = sorted(self._of_each, key=lambda odometry: odometry != _JOINED)
         return ", ".join(f"{odometry} {self._of_each[odometry]}" for odometry in first)
-
-
-def _words(answer: FrameRecord) -> str:
-    """Such as "tracking · 412k surfels"."""
-    if answer.surfels is None:
-        return str(answer.status)
-    text = f"{answer.status} · {count(answer.surfels)} surfels"
-    return f"{text}, {count(answer.surfels_dropped)} given up for want of room" if answer.surfels_dropped else text
 
 
 def count(n: int) -> str:
@@ -404,44 +375,19 @@ _ON_THE_PAGE_ONLY = ("ATE, max", "of the way", "turn a metre", "95 % within", "t
 
 def print_summary(records: Sequence[RunRecord], out: Path) -> None:
     """Print the recognition in a known map; figures, a row for each odometry; warnings, the verdict, and files."""
-    from wheelsight.app.cli.console import console, facts_table, print_warning, rows_table
-    from wheelsight.app.cli.evaluate import evaluation_table
-    from wheelsight.app.report import error_rows, why_no_page
-    from wheelsight.app.run import verdict_of_run
-
-    stdout = console()
-    first = records[0]
-    for known in (record.known_map for record in records if record.known_map is not None):
-        stdout.print(f"{known.sentence}.")
-    if len(records) > 1:
-        stdout.print(_joint_table(records))
-        for areas in (record.rectification for record in records if record.rectification is not None):
-            if areas.errors is not None:
-                stdout.print(rows_table("distance from the truth, nothing aligned", *error_rows(areas), style=None))
-    else:
-        stdout.print(facts_table(f"{first.recording}: T_{first.estimate.frame}_{first.estimate.body}", _facts(first)))
-        if first.evaluation is not None:
-            stdout.print(evaluation_table(first.evaluation))
-    for shown in _corrections(records):
-        stdout.print(shown, markup=False)
-    for warning in dict.fromkeys(w for record in records for w in record.warnings):
-        print_warning(warning)
-    _print_verdict(verdict_of_run(records))
-    for line in _maps(records, out):
-        stdout.print(line)
-    if why_no_page() is None:
-        stdout.print(f"report: {out / 'report.html'}")
-
-
-def _print_verdict(verdict: RunVerdict) -> None:
-    """Print the verdict in a line, and below it the findings, the worst first, with remedies."""
     from rich.text import Text
 
-    from wheelsight.app.cli.console import console
-    from wheelsight.app.run import Tone
+    from wheelsight.app.cli.console import console, print_warning
+    from wheelsight.app.report import why_no_page
+    from wheelsight.app.run import Tone, verdict_of_run
 
+    stdout, verdict = console(), verdict_of_run(records)
+    for result in _results(records):
+        stdout.print(result)
+    for warning in dict.fromkeys(w for record in records for w in record.warnings):
+        print_warning(warning)
+    # The verdict in a line, and below it the findings, the worst first, with remedies
     styles = {Tone.GREEN: "green", Tone.AMBER: "yellow", Tone.RED: "bold red"}
-    stdout = console()
     stdout.print(Text.assemble("verdict: ", (str(verdict.tone), styles[verdict.tone]), f", {verdict.phrase}"))
     for found in verdict.concerns:
         if found.about != "sensors":  # a warning, printed above
@@ -452,12 +398,30 @@ def _print_verdict(verdict: RunVerdict) -> None:
         stdout.print(Text.assemble((f"  {Tone.GREEN:<6}", styles[Tone.GREEN]), f"{shorts}."))
     for fact in verdict.facts:
         stdout.print(Text(f"        {fact}"))
+    for line in _maps(records, out):
+        stdout.print(line)
+    if why_no_page() is None:
+        stdout.print(f"report: {out / 'report.html'}")
 
 
-def _corrections(records: Sequence[RunRecord]) -> Iterator[Group | str]:
-    """Results of loop closing for each trajectory."""
+def _results(records: Sequence[RunRecord]) -> Iterator[Group | Table | str]:
+    """Recognition in a known map, figures, and results of loop closing."""
+    from wheelsight.app.cli.console import facts_table, rows_table
     from wheelsight.app.cli.evaluate import evaluation_table
+    from wheelsight.app.report import error_rows
 
+    for known in (record.known_map for record in records if record.known_map is not None):
+        yield f"{known.sentence}."
+    first = records[0]
+    if len(records) > 1:
+        yield _joint_table(records)
+        for areas in (record.rectification for record in records if record.rectification is not None):
+            if areas.errors is not None:
+                yield rows_table("distance from the truth, nothing aligned", *error_rows(areas), style=None)
+    else:
+        yield facts_table(f"{first.recording}: T_{first.estimate.frame}_{first.estimate.body}", _facts(first))
+        if first.evaluation is not None:
+            yield evaluation_table(first.evaluation)
     for record in records:
         if record.correction is not None:
             yield f"{record.odometry}: {record.correction.sentence}"
@@ -496,6 +460,7 @@ def _joint_table(records: Sequence[RunRecord]) -> Table:
 def _facts(record: RunRecord) -> Iterator[tuple[str, str]]:
     from wheelsight.app.cli.console import percent
     from wheelsight.app.report import summarise
+    from wheelsight.app.run.words import times
 
     summary = summarise(record)
     digits = ".1f" if summary.unit == "frame" else ".4f"
@@ -507,8 +472,7 @@ def _facts(record: RunRecord) -> Iterator[tuple[str, str]]:
     for why, count in summary.failures:
         yield "no pose", f"{count} × {why}"
     if summary.lost_episodes:
-        times = "once" if summary.lost_episodes == 1 else f"{summary.lost_episodes} times"
-        yield "lost", f"{times}, for {summary.lost_s:.2f} s in all"
+        yield "lost", f"{times(summary.lost_episodes)}, for {summary.lost_s:.2f} s in all"
     yield "way", f"{summary.length_m:.2f} m in {summary.duration_s:.2f} s"
     yield (
         f"time a {summary.unit}",

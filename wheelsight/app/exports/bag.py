@@ -155,17 +155,15 @@ class _Writing:
             way = self.source.corrected or (lived if self.fixed == MAP else in_odom(lived, self.source.odom))
             yield WAY_TOPIC, upright(way)
         elif self.source.map is not None:
-            yield WAY_TOPIC, upright(self._keyframes())
+            folder = self.source.need_map()
+            stamped = sorted((folder.contents.places[number].stamp_s, number) for number in folder.store)
+            T_map_camera = folder.store.T_map_keyframe[[number for _, number in stamped]]
+            stamps_s = np.array([stamp_s for stamp_s, _ in stamped])
+            keeps = np.diff(stamps_s, prepend=-np.inf) > 0  # drives of before may have been stamped from 0 too
+            way = Trajectory(stamps_s[keeps], T_map_camera[keeps])
+            yield WAY_TOPIC, upright(express_for(self.body, way, folder.calibration))
         elif self.source.recording is not None and self.source.recording.ground_truth is not None:
             yield TRUTH_TOPIC, upright(self.source.recording.ground_truth)
-
-    def _keyframes(self) -> Trajectory:
-        folder = self.source.need_map()
-        stamped = sorted((folder.contents.places[number].stamp_s, number) for number in folder.store)
-        T_map_camera = folder.store.T_map_keyframe[[number for _, number in stamped]]
-        stamps_s = np.array([stamp_s for stamp_s, _ in stamped])
-        keeps = np.diff(stamps_s, prepend=-np.inf) > 0  # drives of before may have been stamped from 0 too
-        return express_for(self.body, Trajectory(stamps_s[keeps], T_map_camera[keeps]), folder.calibration)
 
     def _first_keyframe_s(self) -> float:
         places = {} if self.source.map is None else self.source.map.contents.places

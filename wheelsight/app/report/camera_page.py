@@ -55,28 +55,6 @@ def write_camera_page(found: CameraCalibration, path: StrPath) -> None:
         "RMS of each view's corners over its distance",
     )
     views = html.section("views", "The views", "", plot, html.table("Each view", _VIEW_HEAD, view_rows(found)))
-    page = html.page(
-        kicker="wheelsight camera calibration",
-        title="Cameras by a board",
-        facts=html.facts_now(f"{len(found.views)} views of {found.board}", found.sensor),
-        tone="green" if rms_px < _GOOD_PX else "amber" if rms_px < _FAIR_PX else "red",
-        phrase=f"Corners are explained to {rms_px:.2f} px",
-        sentences=[text],
-        tiles=_tiles(found),
-        notes=remarks,
-        sections=(lenses, _depth(found), views),
-        footer=_FOOTER,
-    )
-    html.save(page, path)
-
-
-def _share(found: CameraCalibration, name: str) -> str:
-    lens = found.color if name == "color" else found.depth
-    sigma = found.sigmas.get(f"{name}.fx")
-    return "as it was given" if sigma is None or lens is None else f"{100 * sigma / lens.fx:.2g} %"
-
-
-def _tiles(found: CameraCalibration) -> list[tuple[str, str, str]]:
     distances_m = [view.distance_m for view in found.views]
     tiles = [
         ("Views", str(len(found.views)), f"{len(found.left_out)} left out"),
@@ -89,7 +67,25 @@ def _tiles(found: CameraCalibration) -> list[tuple[str, str, str]]:
         tiles.append(("Cameras apart", f"± {words.length(apart_m)}", "1 σ"))
     if len(found.depth_residuals.off_m):
         tiles.append(("Planes, RMS", words.length(found.depth_residuals.rms_m), "of cells, after correction"))
-    return tiles
+    page = html.page(
+        kicker="wheelsight camera calibration",
+        title="Cameras by a board",
+        facts=html.facts_now(f"{len(found.views)} views of {found.board}", found.sensor),
+        tone="green" if rms_px < _GOOD_PX else "amber" if rms_px < _FAIR_PX else "red",
+        phrase=f"Corners are explained to {rms_px:.2f} px",
+        sentences=[text],
+        tiles=tiles,
+        notes=remarks,
+        sections=(lenses, _depth(found), views),
+        footer=_FOOTER,
+    )
+    html.save(page, path)
+
+
+def _share(found: CameraCalibration, name: str) -> str:
+    lens = found.color if name == "color" else found.depth
+    sigma = found.sigmas.get(f"{name}.fx")
+    return "as it was given" if sigma is None or lens is None else f"{100 * sigma / lens.fx:.2g} %"
 
 
 def _depth(found: CameraCalibration) -> str:
@@ -389,6 +385,10 @@ def write_base_page(found: BaseCalibration, path: StrPath) -> None:
         "Residuals of the pieces over time, along, across and in turn",
     )
     residual_section = html.section("pieces", "What stayed unexplained", "", residual_plot)
+    fit, floor, sightings = found.fit, found.floor, found.sightings
+    along, _, turn = fit.spread
+    slips = words.count(int(fit.is_slip.sum()), "of them a slip or jump", "of them slips or jumps")
+    turned = np.degrees(np.abs(fit.segments.motions[:, 2]).sum())
     page = html.page(
         kicker="wheelsight camera mount",
         title=found.recording,
@@ -396,26 +396,22 @@ def write_base_page(found: BaseCalibration, path: StrPath) -> None:
         tone="green",
         phrase=phrase,
         sentences=[sentence],
-        tiles=_mount_tiles(found),
+        tiles=[
+            ("Frames followed", f"{len(sightings.camera):,}", f"of {sightings.frame_count:,}"),
+            ("Pieces fitted", str(len(fit.segments)), slips),
+            ("Turned", f"{turned:.0f}°", f"wheels and camera agree by {words.percent(found.turning.agreement)}"),
+            ("Floor seen in", str(len(floor.tilts)), f"of {floor.view_count} views"),
+            (
+                "Left in a piece",
+                words.length(float(along)),
+                f"and {words.angle(float(np.degrees(turn)))}; median spread",
+            ),
+        ],
         notes=_mount_notes(found),
         sections=(_mount(found), turns, floor_section, residual_section),
         footer=_MOUNT_FOOTER,
     )
     html.save(page, path)
-
-
-def _mount_tiles(found: BaseCalibration) -> list[tuple[str, str, str]]:
-    fit, floor, sightings = found.fit, found.floor, found.sightings
-    along, _, turn = fit.spread
-    slips = words.count(int(fit.is_slip.sum()), "of them a slip or jump", "of them slips or jumps")
-    turned = np.degrees(np.abs(fit.segments.motions[:, 2]).sum())
-    return [
-        ("Frames followed", f"{len(sightings.camera):,}", f"of {sightings.frame_count:,}"),
-        ("Pieces fitted", str(len(fit.segments)), slips),
-        ("Turned", f"{turned:.0f}°", f"wheels and camera agree by {words.percent(found.turning.agreement)}"),
-        ("Floor seen in", str(len(floor.tilts)), f"of {floor.view_count} views"),
-        ("Left in a piece", words.length(float(along)), f"and {words.angle(float(np.degrees(turn)))}; median spread"),
-    ]
 
 
 def _mount_notes(found: BaseCalibration) -> list[str]:

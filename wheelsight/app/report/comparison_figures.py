@@ -19,7 +19,6 @@ from wheelsight.app.report.places_page import area_colour
 from wheelsight.app.report.plotly import make_subplots
 from wheelsight.app.run.run_record import RectificationRecord, RunRecord
 from wheelsight.app.run.verdict import FLAGS, JOINED, joined_of
-from wheelsight.core.areas import AreaMap
 from wheelsight.core.errors import EvaluationError
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import FloatArray, se3
@@ -266,7 +265,11 @@ def trust_figure(record: RunRecord, found: Consistency | None) -> go.Figure:
         row, band_m = axis + 1, 3 * sigmas_m[:, axis]
         how = {"name": "±3σ as stated", "legendgroup": "3σ", "showlegend": axis == 0, "fillcolor": _SIGMA_FILL}
         drawing.add_area(figure, x, -band_m, band_m, hoverinfo="skip", row=row, col=1, **how)
-        _add_errors(figure, x, errors_m[..., axis], row)
+        named = (("error", {"color": INK, "width": 1.5}), ("beyond 3σ", {"color": VERMILLION, "width": 2.5}))
+        for (called, line), errors in zip(named, errors_m[..., axis].T, strict=True):
+            if not np.isnan(errors).all():
+                looks = {"name": called, "line": line, "hover": "%{y:.3f} m"}
+                drawing.add_line(figure, x, errors, **looks, row=row, in_legend=row == 1)
         title = f"{'±3σ' if found is None else 'error'} {name}, m"
         drawing.panel_title(figure, title, row)
     # Statuses as one band, and flags as thin ones beneath, in the lowest panel
@@ -320,14 +323,6 @@ def ellipses_m(trajectory: Trajectory) -> FloatArray:
     return np.concatenate([outlines, np.full((len(chosen), 1, 2), np.nan)], axis=1).reshape(-1, 2)
 
 
-def _add_errors(figure: go.Figure, x: FloatArray, both_m: FloatArray, row: int) -> None:
-    """Errors (M, 2) along one axis: all of them, and over these the ones beyond 3σ."""
-    names = (("error", {"color": INK, "width": 1.5}), ("beyond 3σ", {"color": VERMILLION, "width": 2.5}))
-    for (name, line), errors in zip(names, both_m.T, strict=True):
-        if not np.isnan(errors).all():
-            drawing.add_line(figure, x, errors, name=name, line=line, hover="%{y:.3f} m", row=row, in_legend=row == 1)
-
-
 # Areas
 
 
@@ -344,10 +339,37 @@ def area_map_figure(record: RunRecord) -> go.Figure:
     """
     found = _of(record)
     figure = drawing.map_figure(620)
-    _add_areas(figure, found.areas)
+    for index, area in enumerate(found.areas):
+        corners = np.concatenate([area.polygon, area.polygon[:1]])
+        colour = area_colour(index)
+        figure.add_scatter(
+            x=corners[:, 0],
+            y=corners[:, 1],
+            mode="lines",
+            fill="toself",
+            fillcolor=_faded(colour, 0.16),
+            line={"color": _faded(colour, 0.7), "width": 1},
+            name=f"area {area.name}",
+            showlegend=False,
+            hoverinfo="skip",
+        )
+        # Names stand in a corner, where paths seldom pass.
+        low = area.polygon.min(axis=0)
+        x_m, y_m = area.polygon[int(np.argmin((area.polygon - low).sum(axis=1)))]
+        figure.add_annotation(
+            x=x_m,
+            y=y_m,
+            text=f"<b>{escape(area.name)}</b>",
+            showarrow=False,
+            xanchor="left",
+            yanchor="bottom",
+            font={"size": _NAME_PX + 3, "color": colour},
+        )
+    estimate = record.estimate
+    _, rectified_m = with_gaps(estimate.stamps_s, estimate.positions_m, poseless_stamps_s(record))
     lines = {
         "wheels": (found.wheels.positions_m, drawing.ODOMETRY_COLOURS["wheels"], 2),
-        "rectified": (_with_gaps(record), drawing.ODOMETRY_COLOURS["rectified"], 2),
+        "rectified": (rectified_m, drawing.ODOMETRY_COLOURS["rectified"], 2),
     }
     if record.ground_truth is not None and len(record.ground_truth) and len(found.looks):
         truth = record.ground_truth.between(found.stamps_s[0], found.stamps_s[-1])
@@ -424,40 +446,6 @@ def map_error_figure(record: RunRecord) -> go.Figure:
 def _of(record: RunRecord) -> RectificationRecord:
     assert record.rectification is not None, "the record has no rectification"
     return record.rectification
-
-
-def _with_gaps(record: RunRecord) -> FloatArray:
-    breaks_s = poseless_stamps_s(record)
-    return with_gaps(record.estimate.stamps_s, record.estimate.positions_m, breaks_s)[1]
-
-
-def _add_areas(figure: go.Figure, areas: AreaMap) -> None:
-    for index, area in enumerate(areas):
-        corners = np.concatenate([area.polygon, area.polygon[:1]])
-        colour = area_colour(index)
-        figure.add_scatter(
-            x=corners[:, 0],
-            y=corners[:, 1],
-            mode="lines",
-            fill="toself",
-            fillcolor=_faded(colour, 0.16),
-            line={"color": _faded(colour, 0.7), "width": 1},
-            name=f"area {area.name}",
-            showlegend=False,
-            hoverinfo="skip",
-        )
-        # Names stand in a corner, where paths seldom pass.
-        low = area.polygon.min(axis=0)
-        x_m, y_m = area.polygon[int(np.argmin((area.polygon - low).sum(axis=1)))]
-        figure.add_annotation(
-            x=x_m,
-            y=y_m,
-            text=f"<b>{escape(area.name)}</b>",
-            showarrow=False,
-            xanchor="left",
-            yanchor="bottom",
-            font={"size": _NAME_PX + 3, "color": colour},
-        )
 
 
 def _add_end(figure: go.Figure, name: str, path: FloatArray, colour: str) -> None:

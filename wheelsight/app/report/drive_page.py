@@ -95,6 +95,30 @@ def render_drive(record: DriveRecord) -> str:
     table = html.table("All changes of state.", ("Seconds", "From", "To", "Why"), transition_rows(record))
     settings = html.folded("Settings of navigation", settings_text(record.config["navigation"]))
     log = html.section("log", "The log", "", html.fold("All changes of state", table), settings)
+    held_s = sum(stop.end_s - stop.begin_s for stop in record.stops)
+    near = words.length(record.clearance_m) if math.isfinite(record.clearance_m) else "nothing near"
+    offs = [goal.off_m for goal in record.goals if goal.result.has_arrived and math.isfinite(goal.off_m)]
+    tiles = [
+        ("Way driven", words.length(record.way_m), f"first plans: {words.length(record.planned_m)}"),
+        ("Time", words.duration(record.time_s), f"{words.number(record.way_m / max(record.time_s, 1e-9))} m/s in all"),
+        ("Clearance", near, "least, as map and camera showed"),
+        ("Held", words.count(len(record.stops), "time"), f"{words.duration(held_s)} in all"),
+        ("Plans", str(sum(goal.result.plans for goal in record.goals)), ""),
+    ]
+    if len(record.people):
+        nearest = words.length(float(record.people[:, 3].min()))
+        tiles.insert(3, ("Nearest person", nearest, "who walked, as the camera followed him"))
+    if offs:
+        tiles.append(("Off the goal", words.length(max(offs)), "at most, as the robot believes"))
+    if record.loops is not None:
+        tiles.append(("Loops closed", str(record.loops), "between keyframes of the map that it left"))
+    periods = record.periods
+    if periods.late:
+        late = f"{words.count(periods.late, 'period')} of {periods.count:,} of the control loop took longer"
+        tiles.append(("Longest period", words.duration(periods.longest_s), late))
+    if record.truth:
+        clear = f"true clearance {words.length(record.truth['clearance_m'])}"
+        tiles.append(("Collisions", str(len(record.contacts)), clear))
     return html.page(
         kicker="wheelsight drive",
         title=f"{goal_names} in {record.map_name}",
@@ -102,7 +126,7 @@ def render_drive(record: DriveRecord) -> str:
         tone=tone,
         phrase=phrase,
         sentences=[sentences],
-        tiles=_tiles(record),
+        tiles=tiles,
         sections=(plan, time_section, film, goals, stop_section, log),
         footer=_FOOTER,
     )
@@ -128,34 +152,6 @@ def verdict(record: DriveRecord) -> tuple[str, str, str]:
     if helped:
         remarks.append(f"{words.count(helped, 'time')} it had to recover or to find its pose.")
     return "Arrived", " ".join(remarks) or "At every goal, by its own localization.", "amber" if remarks else "green"
-
-
-def _tiles(record: DriveRecord) -> list[tuple[str, str, str]]:
-    held_s = sum(stop.end_s - stop.begin_s for stop in record.stops)
-    near = words.length(record.clearance_m) if math.isfinite(record.clearance_m) else "nothing near"
-    offs = [goal.off_m for goal in record.goals if goal.result.has_arrived and math.isfinite(goal.off_m)]
-    tiles = [
-        ("Way driven", words.length(record.way_m), f"first plans: {words.length(record.planned_m)}"),
-        ("Time", words.duration(record.time_s), f"{words.number(record.way_m / max(record.time_s, 1e-9))} m/s in all"),
-        ("Clearance", near, "least, as map and camera showed"),
-        ("Held", words.count(len(record.stops), "time"), f"{words.duration(held_s)} in all"),
-        ("Plans", str(sum(goal.result.plans for goal in record.goals)), ""),
-    ]
-    if len(record.people):
-        nearest = words.length(float(record.people[:, 3].min()))
-        tiles.insert(3, ("Nearest person", nearest, "who walked, as the camera followed him"))
-    if offs:
-        tiles.append(("Off the goal", words.length(max(offs)), "at most, as the robot believes"))
-    if record.loops is not None:
-        tiles.append(("Loops closed", str(record.loops), "between keyframes of the map that it left"))
-    periods = record.periods
-    if periods.late:
-        late = f"{words.count(periods.late, 'period')} of {periods.count:,} of the control loop took longer"
-        tiles.append(("Longest period", words.duration(periods.longest_s), late))
-    if record.truth:
-        clear = f"true clearance {words.length(record.truth['clearance_m'])}"
-        tiles.append(("Collisions", str(len(record.contacts)), clear))
-    return tiles
 
 
 # Figures
@@ -222,7 +218,27 @@ def time_line_figure(record: DriveRecord) -> go.Figure:
     seconds = rows.stamps_s - record.begin_s
     for name, labels in zip(_BANDS, (rows.states, rows.status, rows.monitor), strict=True):
         reasons = rows.reasons if name == "monitor" else ("",) * len(labels)
-        _add_band(figure, name, [*zip(labels, reasons, strict=True)], seconds)
+        labelled = [*zip(labels, reasons, strict=True)]
+        texts = [f"{label}: {reason}" if reason else label for label, reason in labelled]
+        stretches = runs(texts)
+        for label in dict.fromkeys(label for label, _ in labelled):
+            own = [(begin, end) for begin, end, _ in stretches if labelled[begin][0] == label]
+            begin_s = np.array([seconds[begin] for begin, _ in own])
+            for_s = np.array([seconds[min(end, len(seconds) - 1)] for _, end in own]) - begin_s
+            figure.add_bar(
+                x=for_s,
+                y=[name] * len(own),
+                base=begin_s,
+                orientation="h",
+                marker={"color": _BAND_COLOURS.get(label, GREY), "line": {"width": 0}},
+                text=[label if length_s > 0.08 * seconds[-1] else "" for length_s in for_s],
+                textposition="inside",
+                insidetextanchor="middle",
+                customdata=[texts[begin] for begin, _ in own],
+                hovertemplate="%{customdata}, from %{base:.1f} s for %{x:.1f} s<extra></extra>",
+                row=1,
+                col=1,
+            )
     for row, name, values, colour in (
         (2, "speed, m/s", rows.forward_m_s, BLUE),
         (3, "turn, °/s", np.degrees(rows.turn_rad_s), PURPLE),
@@ -265,30 +281,6 @@ def apart(poses: FloatArray, apart_m: float) -> FloatArray:
     if len(poses):
         kept.append(poses[-1])
     return np.array(kept).reshape(-1, 3)
-
-
-def _add_band(figure: go.Figure, name: str, labelled: list[tuple[str, str]], seconds: FloatArray) -> None:
-    """A bar for each stretch with one label and reason; a trace for each label."""
-    words = [f"{label}: {reason}" if reason else label for label, reason in labelled]
-    stretches = runs(words)
-    for label in dict.fromkeys(label for label, _ in labelled):
-        own = [(begin, end) for begin, end, _ in stretches if labelled[begin][0] == label]
-        begin_s = np.array([seconds[begin] for begin, _ in own])
-        for_s = np.array([seconds[min(end, len(seconds) - 1)] for _, end in own]) - begin_s
-        figure.add_bar(
-            x=for_s,
-            y=[name] * len(own),
-            base=begin_s,
-            orientation="h",
-            marker={"color": _BAND_COLOURS.get(label, GREY), "line": {"width": 0}},
-            text=[label if length_s > 0.08 * seconds[-1] else "" for length_s in for_s],
-            textposition="inside",
-            insidetextanchor="middle",
-            customdata=[words[begin] for begin, _ in own],
-            hovertemplate="%{customdata}, from %{base:.1f} s for %{x:.1f} s<extra></extra>",
-            row=1,
-            col=1,
-        )
 
 
 def _add_marks(figure: go.Figure, points: FloatArray, texts: list[str], name: str, marker: dict[str, str]) -> None:

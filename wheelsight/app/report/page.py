@@ -10,7 +10,7 @@ from wheelsight.app.report import html, sections
 from wheelsight.app.report.sections import files_section, loop_section, map_section, map_tile
 from wheelsight.app.run import words
 from wheelsight.app.run.run_record import RunRecord
-from wheelsight.app.run.verdict import Finding, RunVerdict, Summary, notes, summarise, verdict_of_run
+from wheelsight.app.run.verdict import Finding, RunVerdict, notes, summarise, verdict_of_run
 from wheelsight.core.files import StrPath, settings_text
 
 _BODIES = {
@@ -26,6 +26,21 @@ def write_report(record: RunRecord, path: StrPath) -> None:
     body = _BODIES.get(record.estimate.body, f"poses of the {record.estimate.body}")
     where = "the map" if record.estimate.frame == "map" else f"{record.estimate.frame}, where it was at first"
     listed = "image" if record.unit == "frame" else "reading"
+    posed = f"{summary.posed:,} of {summary.frames:,}"
+    unit = summary.unit
+    rate = f"{words.number(summary.frames_per_second)} {unit}s/s, 95 % under {words.duration(summary.p95_s)}"
+    lost = f"{words.duration(summary.lost_s)} in all" if summary.lost_episodes else ""
+    evaluation = record.evaluation
+    if evaluation is None:
+        tiles = [("ATE", words.UNKNOWN, "not evaluated")]
+    else:
+        ate = evaluation.ate.translation
+        share = f"{words.percent(ate.rmse / summary.length_m)} of the path" if summary.length_m > 0 else ""
+        tiles = [("ATE, RMSE", words.length(ate.rmse), share)]
+        for name, error in (("second", evaluation.rpe_per_second), ("metre", evaluation.rpe_per_metre)):
+            if error is not None:
+                turn = f"{words.angle(error.rotation.in_degrees().rmse)} of rotation"
+                tiles.append((f"RPE a {name}, RMSE", words.length(error.translation.rmse), turn))
     page = html.page(
         kicker="wheelsight run report",
         title=record.recording,
@@ -34,7 +49,16 @@ def write_report(record: RunRecord, path: StrPath) -> None:
         phrase=verdict.phrase,
         found=shown_findings(verdict),
         sentences=verdict.facts,
-        tiles=_tiles(record, summary),
+        tiles=[
+            *tiles,
+            (f"{unit.capitalize()}s with a pose", words.percent(summary.pose_share), posed),
+            *([("Lost episodes", str(summary.lost_episodes), lost)] if unit == "frame" else []),
+            (f"Median time a {unit}", words.duration(summary.median_s), rate if summary.median_s > 0 else ""),
+            ("Distance travelled", words.length(summary.length_m), "of the estimate"),
+            ("Duration", words.duration(summary.duration_s), words.count(summary.frames, unit)),
+            *([] if record.map is None else [map_tile(record.map)]),
+            *([("Peak memory", f"{record.peak_memory_mb:,.0f} MB", "")] if record.peak_memory_mb is not None else []),
+        ],
         notes=notes(record),
         no_notes=f"Nothing: every listed {listed} was used, and every {record.unit} has a pose.",
         sections=(
@@ -57,34 +81,6 @@ def write_report(record: RunRecord, path: StrPath) -> None:
 def finished(record: RunRecord) -> str:
     """The time at the end of the run."""
     return record.finished_at.strftime("%Y-%m-%d %H:%M %Z").strip()
-
-
-def _tiles(record: RunRecord, summary: Summary) -> list[tuple[str, str, str]]:
-    posed = f"{summary.posed:,} of {summary.frames:,}"
-    unit = summary.unit
-    rate = f"{words.number(summary.frames_per_second)} {unit}s/s, 95 % under {words.duration(summary.p95_s)}"
-    lost = f"{words.duration(summary.lost_s)} in all" if summary.lost_episodes else ""
-    evaluation = record.evaluation
-    if evaluation is None:
-        tiles = [("ATE", words.UNKNOWN, "not evaluated")]
-    else:
-        ate = evaluation.ate.translation
-        share = f"{words.percent(ate.rmse / summary.length_m)} of the path" if summary.length_m > 0 else ""
-        tiles = [("ATE, RMSE", words.length(ate.rmse), share)]
-        for name, error in (("second", evaluation.rpe_per_second), ("metre", evaluation.rpe_per_metre)):
-            if error is not None:
-                turn = f"{words.angle(error.rotation.in_degrees().rmse)} of rotation"
-                tiles.append((f"RPE a {name}, RMSE", words.length(error.translation.rmse), turn))
-    return [
-        *tiles,
-        (f"{unit.capitalize()}s with a pose", words.percent(summary.pose_share), posed),
-        *([("Lost episodes", str(summary.lost_episodes), lost)] if unit == "frame" else []),
-        (f"Median time a {unit}", words.duration(summary.median_s), rate if summary.median_s > 0 else ""),
-        ("Distance travelled", words.length(summary.length_m), "of the estimate"),
-        ("Duration", words.duration(summary.duration_s), words.count(summary.frames, unit)),
-        *([] if record.map is None else [map_tile(record.map)]),
-        *([("Peak memory", f"{record.peak_memory_mb:,.0f} MB", "")] if record.peak_memory_mb is not None else []),
-    ]
 
 
 def shown_findings(verdict: RunVerdict) -> list[Finding]:

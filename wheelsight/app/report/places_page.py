@@ -72,6 +72,9 @@ def write_places_page(trial: PlaceTrial, model: PlaceModel, recording: str, path
         "Mistakes at the border of two areas are mild; those in the middle of one are not.",
         "True and most probable area of each frame over time",
     )
+    shares = [trial.confusion[i, i] / max(int(trial.confusion[i].sum()), 1) for i in range(len(trial.area_names))]
+    seen = [i for i in range(len(shares)) if trial.confusion[i].sum()]
+    least = min(seen, key=lambda i: shares[i])
     page = html.page(
         kicker="wheelsight places test",
         title=recording,
@@ -79,27 +82,23 @@ def write_places_page(trial: PlaceTrial, model: PlaceModel, recording: str, path
         tone=tone,
         phrase=phrase,
         sentences=[text],
-        tiles=_tiles(trial, model),
+        tiles=[
+            (
+                "Accuracy",
+                words.percent(trial.accuracy),
+                f"held out in training {words.percent(model.figures.accuracy)}",
+            ),
+            ("Least of an area", words.percent(float(shares[least])), f"area {trial.area_names[least]}"),
+            ("Named", words.percent(trial.answered), f"from a probability of {model.least_confidence:.2f} on"),
+            ("Right where named", words.percent(trial.answered_accuracy), ""),
+            ("Calibration error", f"{trial.curve.error:.3f}", f"in training {model.figures.calibration_error:.3f}"),
+            ("Frames judged", f"{int(trial.is_judged.sum()):,}", f"of {len(trial.answers):,} in all"),
+        ],
         notes=_notes(trial, model),
         sections=(confusions, html.section("along", "Along the drive", "", plot), curve_section, _mistakes(trial)),
         footer="Frames that have no true area count nowhere. This page needs no network.",
     )
     html.save(page, path)
-
-
-def _tiles(trial: PlaceTrial, model: PlaceModel) -> list[tuple[str, str, str]]:
-    shares = [trial.confusion[i, i] / max(int(trial.confusion[i].sum()), 1) for i in range(len(trial.area_names))]
-    seen = [i for i in range(len(shares)) if trial.confusion[i].sum()]
-    worst = min(seen, key=lambda i: shares[i])
-    kept = f"of {len(trial.answers):,} in all"
-    return [
-        ("Accuracy", words.percent(trial.accuracy), f"held out in training {words.percent(model.figures.accuracy)}"),
-        ("Least of an area", words.percent(float(shares[worst])), f"area {trial.area_names[worst]}"),
-        ("Named", words.percent(trial.answered), f"from a probability of {model.least_confidence:.2f} on"),
-        ("Right where named", words.percent(trial.answered_accuracy), ""),
-        ("Calibration error", f"{trial.curve.error:.3f}", f"in training {model.figures.calibration_error:.3f}"),
-        ("Frames judged", f"{int(trial.is_judged.sum()):,}", kept),
-    ]
 
 
 def _notes(trial: PlaceTrial, model: PlaceModel) -> list[str]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 from urllib.parse import quote
@@ -29,7 +29,7 @@ from wheelsight.app.report.drawing import (
 from wheelsight.app.report.figures import truth_path_m
 from wheelsight.app.report.pictures import OrbitView, data_uri, draw_cloud, packed, webp_uri
 from wheelsight.app.run import words
-from wheelsight.app.run.run_record import MapPicture, MapRecord, MatchPicture, RunRecord
+from wheelsight.app.run.run_record import MapPicture, MapRecord, RunRecord
 from wheelsight.app.run.verdict import Summary, cold_frames
 from wheelsight.core.geometry import ByteArray, FloatArray, se3
 from wheelsight.evaluation import Statistics
@@ -186,9 +186,8 @@ def timing(record: RunRecord, summary: Summary, of: str = "") -> str:
     colour = drawing.ODOMETRY_COLOURS.get(of, drawing.BLUE)
     numbers = f"Median {median}, 95 % under {p95}, longest {longest}"
     cold = cold_frames(record)
-    if not cold:
-        cold_sentence = ""
-    else:
+    cold_sentence = ""
+    if cold:
         which = "The first frame, which took" if len(cold) == 1 else f"The first {len(cold)} frames, which took up to"
         slowest = words.duration(max(frame.seconds for frame in cold))
         cold_sentence = (
@@ -209,9 +208,8 @@ def timing(record: RunRecord, summary: Summary, of: str = "") -> str:
         "How many frames took how long: a narrow hill is a steady pace.",
         f"Histogram of the time a frame. {numbers}.",
     )
-    if not record.stage_seconds:
-        stage_plots = []
-    else:
+    plots = [spread]
+    if record.stage_seconds:
         stages = ", ".join(f"{name} {words.duration(seconds)}" for name, seconds in record.stage_seconds.items())
         plot = html.plot(
             _key("stages", of),
@@ -220,8 +218,8 @@ def timing(record: RunRecord, summary: Summary, of: str = "") -> str:
             "Where the time of a usual frame goes.",
             f"Median time of each stage: {stages}.",
         )
-        stage_plots = [plot]
-    pair = html.group("pair", [spread, *stage_plots])
+        plots.append(plot)
+    pair = html.group("pair", plots)
     return html.section(_key("timing", of), _title("Was it quick enough?", of), "", over, pair)
 
 
@@ -237,19 +235,18 @@ def pictures(record: RunRecord, of: str = "") -> str:
     if len(chosen) < len(record.pictures):
         intro += f" {len(chosen)} of {len(record.pictures)} pictures are shown."
     start_s = record.frames[0].stamp_s if record.frames else record.pictures[0].stamp_s
-    shown = [_picture(record.pictures[i], start_s) for i in chosen]
+    shown = []
+    for picture in (record.pictures[i] for i in chosen):
+        inliers, matches = int(np.count_nonzero(picture.is_inlier)), len(picture.is_inlier)
+        counts = f"{words.count(matches, 'match', 'matches')}, {words.count(inliers, 'inlier')}"
+        caption = (
+            f"{picture.stamp_s - start_s:.2f} s after the start (stamp {picture.stamp_s:.3f}) against stamp "
+            f"{picture.reference_stamp_s:.3f}: {counts}"
+        )
+        caption += f" ({words.percent(inliers / matches)})" if matches else ""
+        alt = f"Two frames side by side with their matches: {caption}."
+        shown.append(html.picture(data_uri(picture), caption + ".", alt))
     return html.section(_key("pictures", of), _title("What it saw", of), intro, html.group("pictures", shown))
-
-
-def _picture(picture: MatchPicture, start_s: float) -> str:
-    inliers, matches = int(np.count_nonzero(picture.is_inlier)), len(picture.is_inlier)
-    caption = (
-        f"{picture.stamp_s - start_s:.2f} s after the start (stamp {picture.stamp_s:.3f}) against stamp "
-        f"{picture.reference_stamp_s:.3f}: {words.count(matches, 'match', 'matches')}, {words.count(inliers, 'inlier')}"
-    )
-    if matches:
-        caption += f" ({words.percent(inliers / matches)})"
-    return html.picture(data_uri(picture), caption + ".", f"Two frames side by side with their matches: {caption}.")
 
 
 def _key(key: str, of: str) -> str:
@@ -286,24 +283,20 @@ def files_section(folder: Path | None, odometries: Sequence[str] = ()) -> str:
     """Links to the files in `folder`, and in folders of its odometries; "" without files."""
     if folder is None:
         return ""
-    rows = [row for place in ("", *odometries) for row in _rows(folder, place)]
+    rows = []
+    for shown in (f"{place}/{name}" if place else name for place in ("", *odometries) for name in _FILES):
+        path = folder / shown
+        if path.exists():
+            slash, parts = ("/", [*path.iterdir()]) if path.is_dir() else ("", [path])
+            link = f'<a href="{quote(shown)}{slash}">{escape(shown)}{slash}</a>'
+            size, about = sum(part.stat().st_size for part in parts), _FILES[path.name]
+            rows.append(f'<tr><th scope="row">{link}</th><td>{size / 1e3:,.2f}</td><td>{escape(about)}</td></tr>')
     if not rows:
         return ""
     intro = "Beside this page, as long as they lie where the run left them."
     head = "<thead><tr>" + "".join(f'<th scope="col">{name}</th>' for name in ("File", "Size [kB]", "What it is"))
     table = f'<div class="scroll"><table class="files">\n{head}</tr></thead>\n<tbody>\n' + "\n".join(rows)
     return html.section("files", "Files", intro, table + "\n</tbody>\n</table></div>")
-
-
-def _rows(folder: Path, place: str) -> Iterator[str]:
-    for name, sentence in _FILES.items():
-        path = folder / place / name
-        if path.exists():
-            shown = f"{place}/{name}" if place else name
-            is_folder = path.is_dir()
-            link = f'<a href="{quote(shown)}{"/" if is_folder else ""}">{escape(shown)}{"/" if is_folder else ""}</a>'
-            size = sum(part.stat().st_size for part in path.iterdir()) if is_folder else path.stat().st_size
-            yield f'<tr><th scope="row">{link}</th><td>{size / 1e3:,.2f}</td><td>{escape(sentence)}</td></tr>'
 
 
 # Loops
@@ -389,8 +382,12 @@ def map_section(record: RunRecord, of: str = "") -> str:
     if record.map.plan is None:
         return html.section(key, title, "", html.paragraph("It is empty: no frame had a pose.", "missing"))
     start_s = record.frames[0].stamp_s if record.frames else 0.0
-    shown = html.group("pictures", [_map_picture(picture, start_s) for picture in record.map.pictures])
-    assert record.map is not None
+    pictures = []
+    for picture in record.map.pictures:
+        when = f"{picture.stamp_s - start_s:.2f} s after the start"
+        caption = f"{when}: left the frame, right the finished map from there"
+        pictures.append(html.picture(view_uri(picture), caption + ".", f"Frame and map side by side: {caption}."))
+    shown = html.group("pictures", pictures)
     sentence = (
         "Stable surfels seen from straight above, what faces down left out, and what stands upright drawn darker; the "
         "line is the path, from the circle to the square. White is not known."
@@ -415,11 +412,6 @@ def map_tile(found: MapRecord) -> tuple[str, str, str]:
     """A tile: name, value, and a relative value."""
     stable = words.percent(found.status.stable / found.status.surfels) if found.status.surfels else "0 %"
     return "Surfels in the map", f"{found.status.surfels:,}", f"{stable} of them stable"
-
-
-def _map_picture(picture: MapPicture, start_s: float) -> str:
-    caption = f"{picture.stamp_s - start_s:.2f} s after the start: left the frame, right the finished map from there"
-    return html.picture(view_uri(picture), caption + ".", f"Frame and map side by side: {caption}.")
 
 
 # Figures of the map

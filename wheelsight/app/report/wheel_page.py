@@ -55,6 +55,12 @@ def write_wheel_page(trial: WheelTrial, path: StrPath) -> None:
         "Residuals of the segments over time, along, across and in turn",
     )
     residuals = html.section("segments", "On the part it was fitted to", "", plot)
+    fit = trial.fit
+    tiles = [_tile("ATE, RMSE", before.ate.translation.rmse, after.ate.translation.rmse)]
+    if old is not None and new is not None:
+        tiles.append(_tile("RPE a metre, RMSE", old.translation.rmse, new.translation.rmse))
+    slips = words.count(int(fit.is_slip.sum()), "of them a slip or jump", "of them slips or jumps")
+    along, turn_text = fit.spread[0], words.angle(float(np.degrees(fit.spread[2])))
     page = html.page(
         kicker="wheelsight wheel calibration",
         title=trial.recording,
@@ -62,7 +68,12 @@ def write_wheel_page(trial: WheelTrial, path: StrPath) -> None:
         tone=tone,
         phrase=phrase,
         sentences=[f"{sentence}."],
-        tiles=_tiles(trial),
+        tiles=[
+            *tiles,
+            _tile("Off at the end", trial.before.end_error_m, trial.after.end_error_m),
+            ("Segments fitted", str(len(fit.segments)), slips),
+            ("Left in a segment", words.length(float(along)), f"and {turn_text}; median spread"),
+        ],
         notes=[*trial.warnings, mount, "All errors hold the reference's own, and those of slips."],
         sections=(_wheels_section(fit_rows(trial.fit)), _proof(trial), residuals),
         footer=_FOOTER,
@@ -99,22 +110,6 @@ def write_squares_page(result: Umbmark, after_m: tuple[FloatArray, FloatArray], 
         footer=_FOOTER,
     )
     html.save(page, path)
-
-
-def _tiles(trial: WheelTrial) -> list[tuple[str, str, str]]:
-    fit, before, after = trial.fit, trial.before, trial.after
-    tiles = [_tile("ATE, RMSE", *(x.evaluation.ate.translation.rmse for x in (before, after)))]
-    old, new = before.evaluation.rpe_per_metre, after.evaluation.rpe_per_metre
-    if old is not None and new is not None:
-        tiles.append(_tile("RPE a metre, RMSE", old.translation.rmse, new.translation.rmse))
-    slips = words.count(int(fit.is_slip.sum()), "of them a slip or jump", "of them slips or jumps")
-    along, _, turn = fit.spread
-    return [
-        *tiles,
-        _tile("Off at the end", before.end_error_m, after.end_error_m),
-        ("Segments fitted", str(len(fit.segments)), slips),
-        ("Left in a segment", words.length(float(along)), f"and {words.angle(float(np.degrees(turn)))}; median spread"),
-    ]
 
 
 def _tile(name: str, before: float, after: float) -> tuple[str, str, str]:

@@ -13,7 +13,7 @@ from wheelsight.app.run.run_record import AreaObservation, MapErrors, Rectificat
 from wheelsight.app.run.run_source import frame_count_of, path_of, where
 from wheelsight.config import Config
 from wheelsight.core.errors import CalibrationError, ConfigError, PlaceError
-from wheelsight.core.geometry import FloatArray, PinholeCamera, se3
+from wheelsight.core.geometry import se3
 from wheelsight.core.messages import WheelReading
 from wheelsight.core.robots import EventSource
 from wheelsight.core.trajectory import Trajectory
@@ -58,7 +58,21 @@ def places_of(source: EventSource, config: Config) -> PlacesOfRun | None:
         places = load_places(settings, areas)
         sentence = "The start is the one that was given"
     else:
-        T_odom_base, begin_s = _true_start(source)
+        # The true planar pose of the base, at the first reading or at the beginning of the truth
+        unknown, fix = f"{where(source)}: where the robot starts is not known", "give --start X,Y,YAW_DEG"
+        if not isinstance(source, Recording) or source.ground_truth is None or not len(source.ground_truth):
+            raise ConfigError(f"{unknown}: no ground truth", fix=fix)
+        try:
+            truth = express_for("base", source.ground_truth, source.calibration)
+        except CalibrationError as error:
+            raise ConfigError(f"{unknown}: {error.problem}", fix=fix) from error
+        delay_s = 0.0 if (wheels := source.calibration.any_wheels) is None else wheels.delay_s
+        stamps_s = (e.stamp_s - delay_s for e in source.events(images=False) if isinstance(e, WheelReading))
+        begin_s = max(next(stamps_s, -np.inf), float(truth.stamps_s[0]))
+        T = truth.at([begin_s], _MAX_GAP_S)[0]
+        if not np.isfinite(T).all():
+            raise ConfigError(f"{unknown}: no ground truth at {begin_s:.3f} s", fix=fix)
+        T_odom_base = se3.from_plane(T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0]))
         places = load_places(settings, areas, T_odom_base, begin_s)
         sentence = "The start was taken from the ground truth, which a robot on its own does not have"
     _check_size(places.model, source)
@@ -130,36 +144,12 @@ def looks_csv(record: RectificationRecord) -> str:
     return text.getvalue()
 
 
-def _true_start(source: EventSource) -> tuple[FloatArray, float]:
-    """The true planar pose of the base and its stamp, at the first reading or at the beginning of the truth."""
-    fix = "give --start X,Y,YAW_DEG"
-    if not isinstance(source, Recording) or source.ground_truth is None or not len(source.ground_truth):
-        raise ConfigError(f"{where(source)}: where the robot starts is not known: no ground truth", fix=fix)
-    try:
-        truth = express_for("base", source.ground_truth, source.calibration)
-    except CalibrationError as error:
-        raise ConfigError(f"{where(source)}: where the robot starts is not known: {error.problem}", fix=fix) from error
-    delay_s = 0.0 if (wheels := source.calibration.any_wheels) is None else wheels.delay_s
-    stamps_s = (e.stamp_s - delay_s for e in source.events(images=False) if isinstance(e, WheelReading))
-    begin_s = max(next(stamps_s, -np.inf), float(truth.stamps_s[0]))
-    T = truth.at([begin_s], _MAX_GAP_S)[0]
-    if not np.isfinite(T).all():
-        problem = f"{where(source)}: where the robot starts is not known: no ground truth at {begin_s:.3f} s"
-        raise ConfigError(problem, fix=fix)
-    return se3.from_plane(T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])), begin_s
-
-
 def _check_size(model: PlaceModel, source: EventSource) -> None:
-    color = source.calibration.color
-    if model.frame_size is None or color is None:
+    color, depth = source.calibration.color, source.calibration.depth or source.calibration.color
+    if model.frame_size is None or color is None or depth is None:
         return
-    depth = source.calibration.depth or color
-
-    def words(first: PinholeCamera | tuple[int, int], second: PinholeCamera | tuple[int, int]) -> str:
-        (h, w), (dh, dw) = (c if isinstance(c, tuple) else (c.height, c.width) for c in (first, second))
-        return f"{w}x{h} with depth {dw}x{dh}"
-
-    wanted = words(model.frame_size[:2], model.frame_size[2:])
-    if words(color, depth) != wanted:
-        problem = f"{where(source)}: images are {words(color, depth)}; the model was trained on {wanted}"
+    given = color.height, color.width, depth.height, depth.width
+    of_images, wanted = ("{1}x{0} with depth {3}x{2}".format(*size) for size in (given, model.frame_size))
+    if of_images != wanted:
+        problem = f"{where(source)}: images are {of_images}; the model was trained on {wanted}"
         raise PlaceError(problem, fix="use one camera at one resolution, or train a model for this one")

@@ -329,7 +329,29 @@ def _findings(e: Evidence) -> Iterator[Finding]:
         remedy = "" if tone is Tone.GREEN else "see the notes: repair the stamps, or record again"
         yield Finding("left out", tone, f"{total:,} readings were left out", f"Left out were {causes}.", remedy)
     if e.is_joined:
-        yield from _of_sensors(e)
+        yield _coasting(e)
+        if e.slip is not None:
+            sentence = "The wheels were held to slip in {} of the time."
+            remedy = f"if that was all along, {_CALIBRATE}; if at one place, drive slowly over it"
+            yield _share_finding("slip", e.slip, _SLIP, sentence if e.slip else "The wheels never slipped.", remedy)
+        if e.doubtful is not None:
+            sentence = (
+                "Wheels and camera contradicted each other in {} of the time, and it was not known which was right."
+            )
+            sentence = sentence if e.doubtful else "Wheels and camera never contradicted each other."
+            yield _share_finding("doubtful", e.doubtful, _DOUBTFUL, sentence, _CORRECT if e.faults else _CALIBRATE)
+        if e.degenerate is not None:
+            sentence = "The images did not show all directions of motion in {} of the time: the wheels filled in."
+            sentence = sentence if e.degenerate else "The images showed all directions of motion."
+            remedy = "turn the camera so that it sees more than one wall or floor"
+            yield _share_finding("degenerate", e.degenerate, _DEGENERATE, sentence, remedy)
+        if e.refused:
+            why = "" if e.refused_why is None else f": {e.refused_why}"
+            remedy = _READINGS if e.refused_why is None else _REMEDIES.get(e.refused_why, _READINGS)
+            found = _share_finding(
+                "wheels", e.refused, _REFUSED, "{} of wheel readings were refused" + why + ".", remedy
+            )
+            yield replace(found, short=f"{words.percent(e.refused)} of wheel readings were refused")
     yield from _accuracy(e)
     if e.loops is not None:
         yield _loops(*e.loops, is_drift_long=e.length_m > _LONG_WAY_M and e.known_map is None)
@@ -372,29 +394,6 @@ def _drops(e: Evidence) -> Iterator[Finding]:
         remedy = "record again, or copy the recording again: the notes say what is wrong with the images"
     short = f"{words.percent(drops.share)} of frames were dropped"
     yield Finding("drops", tone, short, f"{drops.sentence}.", "" if tone is Tone.GREEN else remedy)
-
-
-def _of_sensors(e: Evidence) -> Iterator[Finding]:
-    """Findings on coasting, slip, contradictions, degenerate views and rejected readings."""
-    yield _coasting(e)
-    if e.slip is not None:
-        sentence = "The wheels were held to slip in {} of the time."
-        remedy = f"if that was all along, {_CALIBRATE}; if at one place, drive slowly over it"
-        yield _share_finding("slip", e.slip, _SLIP, sentence if e.slip else "The wheels never slipped.", remedy)
-    if e.doubtful is not None:
-        sentence = "Wheels and camera contradicted each other in {} of the time, and it was not known which was right."
-        sentence = sentence if e.doubtful else "Wheels and camera never contradicted each other."
-        yield _share_finding("doubtful", e.doubtful, _DOUBTFUL, sentence, _CORRECT if e.faults else _CALIBRATE)
-    if e.degenerate is not None:
-        sentence = "The images did not show all directions of motion in {} of the time: the wheels filled in."
-        sentence = sentence if e.degenerate else "The images showed all directions of motion."
-        remedy = "turn the camera so that it sees more than one wall or floor"
-        yield _share_finding("degenerate", e.degenerate, _DEGENERATE, sentence, remedy)
-    if e.refused:
-        why = "" if e.refused_why is None else f": {e.refused_why}"
-        remedy = _READINGS if e.refused_why is None else _REMEDIES.get(e.refused_why, _READINGS)
-        found = _share_finding("wheels", e.refused, _REFUSED, "{} of wheel readings were refused" + why + ".", remedy)
-        yield replace(found, short=f"{words.percent(e.refused)} of wheel readings were refused")
 
 
 def _coasting(e: Evidence) -> Finding:
