@@ -146,7 +146,7 @@ class PlaceSettings(Settings):
             return given
         defaults: dict[str, Any] = {"rectify": "probabilistic"}
         if given.get("rectify") == "paper":
-            usual = (weights.as_array().tolist() for weights in (Weights().told, Weights().untold))
+            usual = (weights.as_array().tolist() for weights in (Weights().with_area, Weights().without_area))
             with_area, without_area = usual
             weights = {"with_area": with_area, "without_area": without_area[:2]}
             defaults = {"odometry_term": "increment", "weights": weights}
@@ -387,6 +387,7 @@ def load_config(
         problem, fix = fault.message(name)
         if option is not None or path is None:
             raise ConfigError(problem, fix=fix) from None
+        fix = None if fix is None else fix.replace("--config FILE", f"--config {path}")
         raise ConfigError(problem, path=path, line=line_of(path, fault.location, ConfigError), fix=fix) from None
 
 

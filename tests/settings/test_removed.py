@@ -69,7 +69,7 @@ def test_a_removed_setting_is_refused_with_the_constant_in_its_place(tmp_path: P
 def test_the_file_of_an_old_run_is_refused_with_the_command_that_keeps_the_rest(old: Path) -> None:
     assert refusal(old) == (
         f"{old}:4: report.title_px is no longer a setting: it is fixed at 12, and 3 more names are gone too "
-        "(remove the line, or keep the rest: wheelsight config --config FILE --drop-removed > NEW.yaml)"
+        f"(remove the line, or keep the rest: wheelsight config --config {old} --drop-removed > NEW.yaml)"
     )
 
 

@@ -4,7 +4,7 @@ Also calibration of the wheels, by squares or against a reference trajectory.
 """
 
 from wheelsight.wheels.calibration import WheelFit, WheelTrial, fit_wheels, try_calibration
-from wheelsight.wheels.drive import Drive, drive_from_ticks, drive_of, drive_path
+from wheelsight.wheels.drive import WheelDrive, drive_from_ticks, drive_of, drive_path
 from wheelsight.wheels.gyroscope import GyroCheck, YawRateMeter, gyro_warnings, mean_yaw_rates
 from wheelsight.wheels.holonomic import AnyWheelOdometry, HolonomicOdometry, odometry_of
 from wheelsight.wheels.loop_check import LoopCause, LoopCheck, check_loop, with_sigmas
@@ -23,7 +23,6 @@ from wheelsight.wheels.umbmark import Umbmark, umbmark
 
 __all__ = [
     "AnyWheelOdometry",
-    "Drive",
     "Encoder",
     "GyroCheck",
     "HolonomicOdometry",
@@ -32,6 +31,7 @@ __all__ = [
     "LoopCheck",
     "ReadingTimes",
     "Umbmark",
+    "WheelDrive",
     "WheelFit",
     "WheelOdometry",
     "WheelSettings",

@@ -32,7 +32,7 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import Evaluation, evaluate
 from wheelsight.io.recordings import Recording
 from wheelsight.io.recordings.recording import express_for
-from wheelsight.wheels.drive import Drive, Segments, cut, drive_of, drive_path
+from wheelsight.wheels.drive import Segments, WheelDrive, cut, drive_of, drive_path
 
 PARAMETERS = ("left_radius_m", "right_radius_m", "track_width_m", "delay_s")
 LARGEST_DELAY_S = 0.5
@@ -75,7 +75,7 @@ class WheelFit:
 
 def fit_wheels(
     wheels: Wheels,
-    drive: Drive,
+    drive: WheelDrive,
     reference: Trajectory,
     *,
     segment_m: float = 1.0,
@@ -131,7 +131,7 @@ def fit_wheels(
 class _WheelProblem:
     """Residuals by the unknowns: logarithms of sizes over nominal ones, mount, change of delay."""
 
-    def __init__(self, drive: Drive, segments: Segments, nominal: Wheels, with_delay: bool) -> None:
+    def __init__(self, drive: WheelDrive, segments: Segments, nominal: Wheels, with_delay: bool) -> None:
         self.drive, self.segments, self.nominal = drive, segments, nominal
         self.nominal_sizes = np.array([nominal.left_radius_m, nominal.right_radius_m, nominal.track_width_m])
         self.bounds = np.array([np.log(8.0)] * 3 + [3.0, 3.0, 1.5] + [2 * LARGEST_DELAY_S] * with_delay)
@@ -206,7 +206,7 @@ class Attempt:
     end_error_m: float
 
     @classmethod
-    def of(cls, drive: Drive, wheels: Wheels, held_out: Trajectory) -> Attempt:
+    def of(cls, drive: WheelDrive, wheels: Wheels, held_out: Trajectory) -> Attempt:
         """Evaluate wheels on a part of the reference. Raises CalibrationError if it is too short."""
         path = drive_path(drive, wheels, held_out.stamps_s)
         if len(path):
@@ -334,7 +334,7 @@ _NAMES = {
 }
 
 
-def refuse_if_unlike(segments: Segments, residuals: FloatArray, drive: Drive, delay_s: float) -> None:
+def refuse_if_unlike(segments: Segments, residuals: FloatArray, drive: WheelDrive, delay_s: float) -> None:
     """Raise CalibrationError if the best wheels leave most of the reference's motion unexplained.
 
     Args:

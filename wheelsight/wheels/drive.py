@@ -1,4 +1,4 @@
-"""`Drive` holds the wheel angles of a recorded drive and integrates them for given wheels.
+"""`WheelDrive` holds the wheel angles of a recorded drive and integrates them for given wheels.
 
 `Segments` cuts a reference trajectory into pieces, whose motions the wheels must explain.
 """
@@ -21,7 +21,7 @@ from wheelsight.io.recordings import Recording
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class WheelDrive:
     """Angles of both wheels over time, independent of radii and track width. Input of a calibration.
 
     Attributes:
@@ -38,13 +38,13 @@ class Drive:
         wanted_s = np.asarray(stamps_s, float)
         return np.interp(wanted_s, self.stamps_s, self.left_rad), np.interp(wanted_s, self.stamps_s, self.right_rad)
 
-    def between(self, start_s: float, end_s: float) -> Drive:
+    def between(self, start_s: float, end_s: float) -> WheelDrive:
         """Return the readings with start ≤ stamp ≤ end."""
         which = (self.stamps_s >= start_s) & (self.stamps_s <= end_s)
-        return Drive(self.stamps_s[which], self.left_rad[which], self.right_rad[which])
+        return WheelDrive(self.stamps_s[which], self.left_rad[which], self.right_rad[which])
 
 
-def drive_of(recording: Recording, wheels: Wheels) -> Drive:
+def drive_of(recording: Recording, wheels: Wheels) -> WheelDrive:
     """Return the drive of a recording's wheel readings.
 
     Raises:
@@ -68,10 +68,10 @@ def drive_of(recording: Recording, wheels: Wheels) -> Drive:
     speeds = [(reading.left_rad_s, reading.right_rad_s) for reading in readings if isinstance(reading, WheelSpeeds)]
     turned = np.array(speeds)[:-1] * np.diff(stamps_s)[:, None]
     left_rad, right_rad = np.concatenate([np.zeros((1, 2)), np.cumsum(turned, axis=0)]).T
-    return Drive(np.array(stamps_s), left_rad, right_rad)
+    return WheelDrive(np.array(stamps_s), left_rad, right_rad)
 
 
-def drive_from_ticks(wheels: Wheels, stamps_s: ArrayLike, left: ArrayLike, right: ArrayLike) -> Drive:
+def drive_from_ticks(wheels: Wheels, stamps_s: ArrayLike, left: ArrayLike, right: ArrayLike) -> WheelDrive:
     """Return the drive of cumulative ticks (N,) of both wheels, whole or not, at stamps (N,).
 
     Raises:
@@ -89,23 +89,23 @@ def drive_from_ticks(wheels: Wheels, stamps_s: ArrayLike, left: ArrayLike, right
         if span:  # remove roll-overs; exact for small steps of wide counters
             steps = steps - span * np.floor(steps / span + 0.5)
         angles.append(2 * np.pi / wheels.ticks_per_turn * np.concatenate([[0.0], np.cumsum(steps)]))
-    return Drive(stamps_s, *angles)
+    return WheelDrive(stamps_s, *angles)
 
 
-def drive_path(drive: Drive, wheels: Wheels, stamps_s: ArrayLike) -> Trajectory:
+def drive_path(drive: WheelDrive, wheels: Wheels, stamps_s: ArrayLike) -> Trajectory:
     """Return T_odom_base at stamps (M,) of the robot's clock (not the readings'), by arcs between readings."""
     sizes = np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
     x, y, yaw_rad = poses_at(drive, sizes, np.asarray(stamps_s, float) + wheels.delay_s).T
     return Trajectory(np.asarray(stamps_s, float), se3.from_plane(x, y, yaw_rad), body="base", frame="odom")
 
 
-def yaw_at_readings(drive: Drive, wheels: Wheels) -> FloatArray:
+def yaw_at_readings(drive: WheelDrive, wheels: Wheels) -> FloatArray:
     """Return the unwrapped yaw (N,), 0 at the first reading; between readings it is linear in time."""
     sizes_m = np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
     return np.concatenate([[0.0], np.cumsum(_arcs(np.diff(drive.left_rad), np.diff(drive.right_rad), sizes_m)[1])])
 
 
-def poses_at(drive: Drive, sizes_m: FloatArray, stamps_s: FloatArray) -> FloatArray:
+def poses_at(drive: WheelDrive, sizes_m: FloatArray, stamps_s: FloatArray) -> FloatArray:
     """Return x, y, yaw (M, 3) at stamps (M,) of the readings' clock.
 
     `sizes_m` is left radius, right radius, track width. Yaw is unwrapped. All start at 0 with the first reading.
@@ -151,7 +151,7 @@ class Segments:
     def __len__(self) -> int:
         return len(self.start_s)
 
-    def predicted(self, drive: Drive, sizes_m: FloatArray, delay_s: float, mount: FloatArray) -> FloatArray:
+    def predicted(self, drive: WheelDrive, sizes_m: FloatArray, delay_s: float, mount: FloatArray) -> FloatArray:
         """Return the same motions (M, 3) by the wheels.
 
         `sizes_m` is left radius, right radius, track width. `mount` (3,) is x, y and yaw of T_axle_body: the pose of
@@ -174,7 +174,7 @@ class Segments:
 
 
 def cut(
-    drive: Drive, reference: Trajectory, wheels: Wheels, length_m: float, margin_s: float, turn_rad: float = 1.0
+    drive: WheelDrive, reference: Trajectory, wheels: Wheels, length_m: float, margin_s: float, turn_rad: float = 1.0
 ) -> Segments:
     """Cut `reference` where the wheels, by nominal size, have moved by `length_m` or `turn_rad` since the last cut.
 

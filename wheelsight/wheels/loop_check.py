@@ -10,7 +10,7 @@ import numpy as np
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import CalibrationError
 from wheelsight.core.geometry import FloatArray, chi_square
-from wheelsight.wheels.drive import Drive, poses_at
+from wheelsight.wheels.drive import WheelDrive, poses_at
 
 _STEP = 1e-5  # of numeric derivatives
 _ROUNDS, _NOTHING = 6, 1e-6  # of Gauss-Newton; information below which a size has no effect
@@ -57,7 +57,7 @@ class LoopCheck:
     causes: tuple[tuple[LoopCause, float], ...]
 
 
-def check_loop(drive: Drive, wheels: Wheels, *, mark_m: float = 0.02, mark_deg: float = 1.0) -> LoopCheck:
+def check_loop(drive: WheelDrive, wheels: Wheels, *, mark_m: float = 0.02, mark_deg: float = 1.0) -> LoopCheck:
     """Check wheels by a drive whose final pose is its initial one, heading included.
 
     Args:
@@ -104,7 +104,7 @@ def _sizes(wheels: Wheels) -> FloatArray:
     return np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
 
 
-def _end(drive: Drive, wheels: Wheels, scale: float = 0.0, drift: float = 0.0, turn: float = 0.0) -> FloatArray:
+def _end(drive: WheelDrive, wheels: Wheels, scale: float = 0.0, drift: float = 0.0, turn: float = 0.0) -> FloatArray:
     """Return x, y, yaw (3,) of the end for wheels with errors of scale, drift per metre and turn."""
     half = drift * wheels.track_width_m / 2
     sizes = _sizes(wheels) * (1 + scale) * np.array([1 - half, 1 + half, 1 / (1 + turn)])
@@ -132,7 +132,7 @@ def _sigmas(covariance: FloatArray) -> tuple[float, float]:
     return float(np.sqrt(covariance[0, 0] + covariance[1, 1])), float(np.sqrt(covariance[2, 2]))
 
 
-def _amount(drive: Drive, wheels: Wheels, unit: FloatArray, closed: FloatArray, of_drive: FloatArray) -> float:
+def _amount(drive: WheelDrive, wheels: Wheels, unit: FloatArray, closed: FloatArray, of_drive: FloatArray) -> float:
     """Return the amount of one error (of `_end`, by its unit) whose removal brings the end nearest to `closed`, in σ.
 
     The first step uses the heading, which is linear in the amount. Then Gauss-Newton.

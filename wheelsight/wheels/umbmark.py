@@ -23,7 +23,7 @@ from wheelsight.core.inputs import Kind, as_number, lines_of, read_text, split_w
 from wheelsight.io.recordings import Recording
 from wheelsight.io.recordings.recording import express_for
 from wheelsight.wheels.calibration import stated
-from wheelsight.wheels.drive import Drive, drive_of, poses_at
+from wheelsight.wheels.drive import WheelDrive, drive_of, poses_at
 
 _LARGEST_FACTOR = 1.5
 _LONGEST_SIDE_M = 1000.0  # a longer side is probably in another unit
@@ -212,7 +212,7 @@ class SquareRun:
     """
 
     name: str
-    drive: Drive
+    drive: WheelDrive
     start_s: float
     end_s: float
     true_end_m: FloatArray

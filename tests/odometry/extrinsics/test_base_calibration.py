@@ -14,7 +14,7 @@ from wheelsight.core.geometry import FloatArray
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.vision.extrinsics import QUANTITIES, Sightings, base_from, mount_values
 from wheelsight.vision.extrinsics.calibration import refuse_if_hardly_moving
-from wheelsight.wheels import Drive
+from wheelsight.wheels import WheelDrive
 from wheelsight_sim import Robot
 
 ON_THE_SPOT = [(4.0, 0.0, 0.8), (1.0, 0.0, 0.0), (4.0, 0.0, -0.8), (1.0, 0.0, 0.0)] * 3
@@ -112,7 +112,7 @@ def lost(seen: Sightings) -> Sightings:
 
 def swapped(seen: Sightings) -> Sightings:
     drive = seen.drive
-    return replace(seen, drive=Drive(drive.stamps_s, drive.right_rad, drive.left_rad))
+    return replace(seen, drive=WheelDrive(drive.stamps_s, drive.right_rad, drive.left_rad))
 
 
 def halved(seen: Sightings) -> Sightings:

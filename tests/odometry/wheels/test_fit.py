@@ -13,14 +13,14 @@ from wheelsight.core.errors import CalibrationError
 from wheelsight.core.geometry import se3
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.wheels.calibration import PARAMETERS, WheelFit, fit_wheels
-from wheelsight.wheels.drive import Drive, drive_from_ticks, drive_path, yaw_at_readings
+from wheelsight.wheels.drive import WheelDrive, drive_from_ticks, drive_path, yaw_at_readings
 
 NOMINAL = Wheels(left_radius_m=0.17, right_radius_m=0.17, track_width_m=0.58, ticks_per_turn=3200)
 TRUE = replace(NOMINAL, left_radius_m=0.171, right_radius_m=0.1695, track_width_m=0.615, delay_s=0.083)
 SIZES = PARAMETERS[:3]
 
 
-def drive_of(simulated: SimulatedDrive) -> Drive:
+def drive_of(simulated: SimulatedDrive) -> WheelDrive:
     return drive_from_ticks(NOMINAL, simulated.stamps_s, simulated.left, simulated.right)
 
 

@@ -10,7 +10,7 @@ from drives import SimulatedDrive, simulate, square_legs
 
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import CalibrationError
-from wheelsight.wheels import Drive, LoopCause, check_loop, drive_from_ticks, with_sigmas
+from wheelsight.wheels import LoopCause, WheelDrive, check_loop, drive_from_ticks, with_sigmas
 
 # A tyre that grips, on wheels that are calibrated as well as `calibrate wheels` has it.
 WHEELS = Wheels(
@@ -25,7 +25,7 @@ def looped(true: Wheels, sense: int = 1, seed: int | None = None) -> SimulatedDr
     return simulate(true, square_legs(true, true, sense), rng=rng)
 
 
-def drive_of(true: Wheels, believed: Wheels = WHEELS, sense: int = 1, seed: int | None = None) -> Drive:
+def drive_of(true: Wheels, believed: Wheels = WHEELS, sense: int = 1, seed: int | None = None) -> WheelDrive:
     found = looped(true, sense, seed)
     return drive_from_ticks(believed, found.stamps_s, found.left, found.right)
 

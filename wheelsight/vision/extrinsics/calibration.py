@@ -37,7 +37,7 @@ from wheelsight.vision.extrinsics.mount import (
     levelled,
     tilt_of,
 )
-from wheelsight.wheels import Drive, drive_of, drive_path
+from wheelsight.wheels import WheelDrive, drive_of, drive_path
 
 WHAT_TO_DRIVE = "drive a minute or two as usual, straight and with turns both ways, some of them on the spot"
 
@@ -70,7 +70,7 @@ class ExtrinsicsSettings(Settings):
     drive: MountSigmaSettings = MountSigmaSettings()
 
 
-def refuse_if_hardly_moving(drive: Drive, wheels: Wheels) -> None:
+def refuse_if_hardly_moving(drive: WheelDrive, wheels: Wheels) -> None:
     """Raise CalibrationError if the wheels alone show that the drive is unsuitable, before any image is read."""
     samples = np.arange(drive.stamps_s[0], drive.stamps_s[-1], _SAMPLE_S)
     if len(samples) < 2:
@@ -186,7 +186,7 @@ class Sightings:
         views: thinned depth images.
     """
 
-    drive: Drive
+    drive: WheelDrive
     camera: Trajectory
     frame_count: int
     span_s: tuple[float, float]

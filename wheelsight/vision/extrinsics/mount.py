@@ -17,7 +17,7 @@ from wheelsight.core.robust_fit import UNKNOWN_SIGMA, robust_fit, spread
 from wheelsight.core.settings import CHOSEN, Settings, setting
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.wheels.calibration import covariance_by
-from wheelsight.wheels.drive import Drive, Segments, cut, yaw_at_readings
+from wheelsight.wheels.drive import Segments, WheelDrive, cut, yaw_at_readings
 
 # Hand-eye calibration in the plane. For each piece of a drive A·X = X·B holds, with A the base's motion by the wheels,
 # B the camera's, and X the mount. On a floor, with a levelled camera, it is (R(θ) - 1) t + p = R(ψ) c: rotations θ
@@ -88,13 +88,13 @@ def levelled(camera: Trajectory, up_camera: FloatArray) -> Trajectory:
     return Trajectory(camera.stamps_s, camera.T_frame_body @ T_camera_level, body="base")
 
 
-def cut_level(drive: Drive, wheels: Wheels, level: Trajectory) -> Segments:
+def cut_level(drive: WheelDrive, wheels: Wheels, level: Trajectory) -> Segments:
     """The pieces of a drive. Raises CalibrationError if readings and frames do not overlap in time."""
     return cut(drive, level, wheels, _SEGMENT_M, LARGEST_DELAY_S + abs(wheels.delay_s), _SEGMENT_RAD)
 
 
 def fit_mount(
-    drive: Drive,
+    drive: WheelDrive,
     wheels: Wheels,
     segments: Segments,
     delay_s: float,
@@ -154,7 +154,7 @@ def _larger(a: FloatArray, b: FloatArray) -> FloatArray:
 class _MountProblem:
     """Residuals by log sizes over nominal, mount and delay relative to the initial values, and slide."""
 
-    def __init__(self, drive: Drive, wheels: Wheels, segments: Segments, delay_s: float) -> None:
+    def __init__(self, drive: WheelDrive, wheels: Wheels, segments: Segments, delay_s: float) -> None:
         self.drive, self.segments, self.start_delay_s = drive, segments, delay_s
         self.nominal_m = np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
         base = segments.predicted(drive, self.nominal_m, delay_s, np.zeros(3))
@@ -208,7 +208,7 @@ class Turning:
     agreement: float
 
 
-def common_turning(drive: Drive, wheels: Wheels, camera: Trajectory) -> Turning:
+def common_turning(drive: WheelDrive, wheels: Wheels, camera: Trajectory) -> Turning:
     """The axis and delay for which the rotations of `camera` (T_map_camera) and of the wheels agree best.
 
     A robot on a floor rotates about the floor's normal only, so all rotations of the camera have one axis, and their
