@@ -28,21 +28,21 @@ def frame(stamp_s: float, T: np.ndarray | None) -> RgbdFrame:
 
 def test_a_view_is_taken_once_it_has_stood_still() -> None:
     taker, T = ViewTaker(BOARD, CAMERA), pose(BOARD, 0.6)
-    assert taker.look(frame(0.0, T)) == "hold still"
-    assert taker.look(frame(0.3, T)) == "hold still"
-    assert taker.look(frame(0.5, T)) == ""
-    assert taker.look(frame(1.5, T)) == "such a view is there already: move the board"
+    assert taker.add(frame(0.0, T)) == "hold still"
+    assert taker.add(frame(0.3, T)) == "hold still"
+    assert taker.add(frame(0.5, T)) == ""
+    assert taker.add(frame(1.5, T)) == "such a view is there already: move the board"
     assert len(taker.seen) == 1
 
 
 def test_a_board_that_creeps_or_goes_away_has_not_stood_still() -> None:
     taker = ViewTaker(BOARD, CAMERA)
     for number in range(6):  # 1.3 px from one frame to the next
-        assert taker.look(frame(0.3 * number, pose(BOARD, 0.6, at_m=(0.003 * number, 0)))) == "hold still"
+        assert taker.add(frame(0.3 * number, pose(BOARD, 0.6, at_m=(0.003 * number, 0)))) == "hold still"
     still = pose(BOARD, 0.6, at_m=(0.015, 0))
-    assert taker.look(frame(1.7, None)) == "no whole board is seen"
-    assert taker.look(frame(2.0, still)) == "hold still"
-    assert taker.look(frame(2.5, still)) == ""
+    assert taker.add(frame(1.7, None)) == "no whole board is seen"
+    assert taker.add(frame(2.0, still)) == "hold still"
+    assert taker.add(frame(2.5, still)) == ""
 
 
 def test_it_ends_when_nothing_is_missing_and_more_are_asked_for_where_that_was_not_enough(
@@ -54,12 +54,12 @@ def test_it_ends_when_nothing_is_missing_and_more_are_asked_for_where_that_was_n
     poses = [pose(BOARD, z, tilt) for z, tilt in ((0.5, (10, 10)), (0.6, (-10, -10)), (0.7, (10, -10)))]
     for number, T in enumerate(poses):
         assert not taker.has_enough()
-        assert [taker.look(frame(number + s, T)) for s in (0.0, 0.5)] == ["hold still", ""]
+        assert [taker.add(frame(number + s, T)) for s in (0.0, 0.5)] == ["hold still", ""]
     assert taker.has_enough()
     taker.ask_more()
     assert not taker.has_enough()
     for number, z in enumerate((0.9, 0.4)):
-        assert [taker.look(frame(9 + number + s, pose(BOARD, z))) for s in (0.0, 0.5)] == ["hold still", ""]
+        assert [taker.add(frame(9 + number + s, pose(BOARD, z))) for s in (0.0, 0.5)] == ["hold still", ""]
     assert taker.has_enough()
 
 

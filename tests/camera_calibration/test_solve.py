@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.board_views import BOARD, RIGS, board_views
 from wheelsight.core.geometry import FloatArray, PinholeCamera, se3
-from wheelsight.vision.camera_calibration.model import CellTable, Model, Points, Sigmas, filled, poses_in
+from wheelsight.vision.camera_calibration.model import BEFORE_KNOTS, CellTable, Model, Points, Sigmas, filled, poses_in
 from wheelsight.vision.camera_calibration.solver import Residuals, solve
 from wheelsight.vision.camera_calibration.views import RAW_DISPARITY
 
@@ -59,13 +59,13 @@ def test_derivatives_by_knots_are_those_of_differences(sensor: str) -> None:
     step = 1e-6
     of_sum = (residuals.depth(x, more=step) - residuals.depth(x, more=-step)) / (2 * step)
     found = residuals.by_knots(x, of_sum, residuals.depth(x))
-    for k in range(error.start + residuals.knots_from, error.stop):
+    for k in range(error.start + BEFORE_KNOTS, error.stop):
         up, down = x.copy(), x.copy()
         up[k] += step
         down[k] -= step
         by_differences = (residuals.depth(up) - residuals.depth(down)) / (2 * step)
         scale = np.abs(found).max()
-        assert found[:, k - error.start - residuals.knots_from] == pytest.approx(by_differences, abs=1e-5 * scale)
+        assert found[:, k - error.start - BEFORE_KNOTS] == pytest.approx(by_differences, abs=1e-5 * scale)
 
 
 def test_the_written_curve_is_the_one_that_is_fitted() -> None:

@@ -279,7 +279,7 @@ def _take_views(
                     return _Why.ENDED
                 show(str(camera.report().status))
                 continue
-            reason = taker.look(live.frame)
+            reason = taker.add(live.frame)
             if reason:
                 show(f"{len(taker.seen)} views · {taker.advice} · {reason}")
                 continue

@@ -13,15 +13,12 @@ import numpy as np
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import FloatArray
 
-# The board that cameras are calibrated by: a checkerboard or a ChArUco board, as a user names it.
-
-
 _FEWEST, _MOST = 3, 60
 _SMALLEST_M, _LARGEST_M = 0.002, 1.0
 _MARKER_SHARE = 0.72  # of a square: OpenCV's own examples have 0.5 to 0.8; its border stays wider than a module
 _UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 _DICTIONARY_SIZES = (50, 100, 250, 1000)
-_SAY = "say --board 9x6:25mm, inner corners and side of a square, or charuco:9x6:30mm, squares and side"
+_SAY = "give --board 9x6:25mm, inner corners and side of a square, or charuco:9x6:30mm, squares and side"
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +26,7 @@ class Board:
     """A flat board of black and white squares.
 
     Attributes:
-        columns, rows: of inner corners, where four squares meet.
+        columns, rows: numbers of inner corners, where four squares meet.
         square_m: side of a square, metres; 1.0 if unknown.
         marker_m: side of the markers in a ChArUco board's white squares; 0 for a checkerboard.
         dictionary: of those markers, OpenCV's name without DICT_, such as 5X5_100.
@@ -50,22 +47,22 @@ class Board:
 
     @property
     def count(self) -> int:
-        """How many inner corners it has."""
+        """Number of inner corners."""
         return self.columns * self.rows
 
     @property
     def points_m(self) -> FloatArray:
-        """Its corners (count, 3), row by row, in its own frame: x along rows, y down, z = 0 away from who looks."""
+        """Its corners (count, 3), row by row, in its own frame: x along rows, y down, z away from the camera."""
         v, u = np.mgrid[0 : self.rows, 0 : self.columns]
         return self.square_m * np.stack([u.ravel(), v.ravel(), np.zeros(self.count)], axis=-1)
 
     @property
     def is_half_turn_seen(self) -> bool:
-        """Whether it looks otherwise upside down: a checkerboard does where one count is even and one is odd."""
+        """Whether it differs upside down, as a checkerboard with one even and one odd count does."""
         return self.is_charuco or (self.columns + self.rows) % 2 == 1
 
     def __str__(self) -> str:
-        """As `--board` takes it."""
+        """The form of `--board`."""
         side = f"{1e3 * self.square_m:g}mm" if self.is_size_known else "?"
         if not self.is_charuco:
             return f"{self.columns}x{self.rows}:{side}"
@@ -73,7 +70,7 @@ class Board:
         return f"charuco:{self.columns + 1}x{self.rows + 1}:{side}:{marker}:{self.dictionary}"
 
     def charuco(self) -> Any:
-        """OpenCV's `CharucoBoard` of it."""
+        """OpenCV's `CharucoBoard`."""
         markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{self.dictionary}"))
         return cv2.aruco.CharucoBoard((self.columns + 1, self.rows + 1), self.square_m, self.marker_m, markers)
 
@@ -82,7 +79,7 @@ def board_from(text: str) -> Board:
     """The board that `--board` names: `9x6:25mm`, `9x6:?` or `charuco:9x6:30mm[:MARKER[:DICTIONARY]]`.
 
     Raises:
-        ConfigError: a text that names none, with what would.
+        ConfigError: the text names no board.
     """
     kind, *parts = [part.strip() for part in text.split(":")]
     is_charuco = kind.lower() == "charuco"
@@ -138,9 +135,6 @@ def _dictionary(squares: int) -> str:
     return f"5X5_{next(size for size in _DICTIONARY_SIZES if 2 * size >= squares or size == _DICTIONARY_SIZES[-1])}"
 
 
-# A board on paper, in true size: drawn as rectangles and words, written as PDF or SVG.
-
-
 PAPERS = {"A4": (297.0, 210.0), "A3": (420.0, 297.0), "A2": (594.0, 420.0), "Letter": (279.4, 215.9)}
 # Printers leave a rim of some millimetres; below the board is a strip for ruler and words.
 _RIM_MM, _STRIP_MM = 8.0, 12.0
@@ -160,10 +154,10 @@ class Drawing:
 
 
 def draw_board(board: Board, paper: str = "A4") -> Drawing:
-    """The board in the middle of a sheet that lies on its long side, a ruler line below it, and what it is.
+    """The board in the middle of a landscape sheet, with a ruler and its name below.
 
     Raises:
-        ConfigError: a paper that is not known, a board of no known size, or one that the paper is too small for.
+        ConfigError: the paper is unknown, the board has no known size, or the paper is too small.
     """
     names = {name.lower(): name for name in PAPERS}
     if paper.lower() not in names:

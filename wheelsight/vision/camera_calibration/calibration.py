@@ -26,7 +26,6 @@ from wheelsight.vision.camera_calibration.model import (
     Counted,
     LensStart,
     Model,
-    Points,
     Sigmas,
     apart_by_planes,
     apart_by_poses,
@@ -360,9 +359,6 @@ class CameraCalibration:
     warnings: tuple[str, ...] = ()
 
 
-# A solution as a result: lenses, standard deviations by name, and residuals in pixels and metres.
-
-
 _STEP = 1e-6
 _BARE = ("fx", "fy", "cx", "cy")
 _BROWN = ("k1", "k2", "p1", "p2", "k3")
@@ -371,13 +367,21 @@ _DISTANCES, _ACROSS, _DOWN = 12, 9, 7
 
 
 def outcome(residuals: Residuals, solution: Solution, board: Board, counted: Counted) -> CameraCalibration:
-    """What a solution of what counts says."""
+    """The result of a solution: lenses, standard deviations by name, and residuals."""
     model, x = residuals.model, solution.x
+    color, infrared = model.color, model.infrared
     R, t = model.poses_of(x)
     T = se3.from_parts(R, t)
     at = model.slices()
     has_depth = model.is_registered or at["apart"].stop > at["apart"].start
-    depth = _depth_residuals(residuals, x)
+    depth, noise = _depth_residuals(residuals, x), None
+    if len(model.cells.px):  # of one pixel: the assumed law, scaled to the scatter of pixels
+        sigma_m = model.cells.scatter * depth.depth_m**2
+        if model.sensor == RAW_DISPARITY:
+            sigma_m = sigma_m * -NOMINAL_STEP
+        constant, quadratic = model.noise
+        factor = float(np.median(sigma_m / (constant + quadratic * depth.depth_m**2)))
+        noise = factor * constant, factor * quadratic
     return CameraCalibration(
         board=replace(board, square_m=model.square_of(x)),
         color=model.color_camera(x),
@@ -389,13 +393,15 @@ def outcome(residuals: Residuals, solution: Solution, board: Board, counted: Cou
         depth_sigma_m=_depth_sigma(residuals, solution, depth),
         point_errors=point_modes(model, solution) if has_depth and len(model.cells.px) else None,
         color_sigma_px=_pixel_sigma(residuals, solution) if has_depth else 0.0,
-        noise=_pixel_noise(residuals, depth) if len(model.cells.px) else None,
+        noise=noise,
         views=tuple(
             UsedView(view.name, seen, pose) for view, seen, pose in zip(counted.views, counted.color, T, strict=True)
         ),
         left_out=counted.left_out,
-        color_residuals=_corner_residuals(model.color, residuals.color(x) * residuals.sigmas.color_px),
-        infrared_residuals=_corner_residuals(model.infrared, residuals.infrared(x) * residuals.sigmas.infrared_px),
+        color_residuals=CornerResiduals(color.view, color.px, residuals.color(x) * residuals.sigmas.color_px),
+        infrared_residuals=CornerResiduals(
+            infrared.view, infrared.px, residuals.infrared(x) * residuals.sigmas.infrared_px
+        ),
         depth_residuals=depth,
         dropped_corners=counted.dropped_corners,
         dropped_cells=counted.dropped_cells,
@@ -403,7 +409,7 @@ def outcome(residuals: Residuals, solution: Solution, board: Board, counted: Cou
 
 
 def sigmas_by_name(residuals: Residuals, solution: Solution) -> dict[str, float]:
-    """Standard deviations of what a user knows by name."""
+    """Standard deviations of the parameters that a user knows, by name."""
     model, x, at = residuals.model, solution.x, residuals.at
     named: dict[str, float] = {}
     for name, camera, start in (
@@ -420,7 +426,7 @@ def sigmas_by_name(residuals: Residuals, solution: Solution) -> dict[str, float]
         sigmas = solution.sigmas_of(J, at[name]).tolist()
         named |= {f"{name}.{k}": s for k, s in zip((*_BARE, *_BROWN), sigmas, strict=False)}
     if at["apart"].stop > at["apart"].start:
-        # A perturbation from the left moves the way by v + ω × t.
+        # A perturbation from the left changes the translation by v + ω × t.
         way = np.hstack([np.eye(3), -so3.hat(model.T_color_depth_of(x)[:3, 3])])
         turn = np.degrees(np.hstack([np.zeros((3, 3)), np.eye(3)]))
         sigmas = solution.sigmas_of(np.vstack([way, turn]), at["apart"]).tolist()
@@ -430,10 +436,6 @@ def sigmas_by_name(residuals: Residuals, solution: Solution) -> dict[str, float]
     if model.square_m is None:
         named["square"] = float(solution.sigmas_of(np.full((1, 1), model.square_of(x)), at["square"])[0])
     return named
-
-
-def _corner_residuals(points: Points, off_px: FloatArray) -> CornerResiduals:
-    return CornerResiduals(points.view, points.px, off_px)
 
 
 def _depth_residuals(residuals: Residuals, x: FloatArray) -> DepthResiduals:
@@ -451,9 +453,9 @@ def _depth_residuals(residuals: Residuals, x: FloatArray) -> DepthResiduals:
 
 
 def _depth_sigma(residuals: Residuals, solution: Solution, depth: DepthResiduals) -> FloatArray:
-    """(K, 2) distances from the nearest cell to the farthest, or on to where σ is stated anyway, and σ there.
+    """Pairs (K, 2) of distance and σ of corrected depth, root mean square over pixels.
 
-    σ is of corrected depth, root mean square over pixels.
+    Distances go from the nearest cell to the farthest, or to the least range for which σ is stated.
     """
     model, x = residuals.model, solution.x
     at = model.slices()["error"]
@@ -480,7 +482,7 @@ def _depth_sigma(residuals: Residuals, solution: Solution, depth: DepthResiduals
 
 
 def _pixel_sigma(residuals: Residuals, solution: Solution) -> float:
-    """Root mean square over the depth image of the σ of where colour shows a depth pixel's point, pixels."""
+    """Standard deviation of the colour pixel of a depth pixel, root mean square over the image."""
     model, x = residuals.model, solution.x
     at = model.slices()
     if model.is_registered:
@@ -506,40 +508,31 @@ def _pixel_sigma(residuals: Residuals, solution: Solution) -> float:
     return float(np.sqrt(2 * (solution.sigmas_of(J, columns) ** 2).mean()))
 
 
-def _pixel_noise(residuals: Residuals, depth: DepthResiduals) -> tuple[float, float]:
-    """Noise of one pixel, (constant_m, quadratic_per_m): the law that was taken, as large as pixels scatter."""
-    model = residuals.model
-    sigma_m = model.cells.scatter * depth.depth_m**2
-    if model.sensor == RAW_DISPARITY:
-        sigma_m = sigma_m * -NOMINAL_STEP
-    constant, quadratic = model.noise
-    factor = float(np.median(sigma_m / (constant + quadratic * depth.depth_m**2)))
-    return factor * constant, factor * quadratic
-
-
-# What a solution leaves open of where points are seen, as modes of one standard deviation each.
-
-
 _POINT_MODES_DISTANCES = 6
 _NEAREST_M = 0.6  # where depth cameras of all kinds see
 _KEPT = 0.999  # of the variance of points, over their distance
-_TINY = 1e-9  # of the variance, so that no direction is without any
+_TINY = 1e-9  # of the variance, so that it is positive in each direction
 
 
 def point_modes(model: Model, solution: Solution) -> PointErrors:
-    """How far off points are in the colour camera's frame, as far as depth is told: of all that is sought but poses.
+    """The uncertainty of points in the colour camera's frame, as modes of one standard deviation each.
 
-    A point is what lens, depth's error and the place of the cameras make of a reading. What the colour lens leaves open
-    is in it: boards are seen by that lens, and what it has wrong, depth that lies on boards has wrong likewise.
+    A point follows from a reading by lens, depth error and pose between the cameras. The uncertainty of the colour lens
+    is included: an error of that lens misplaces boards, and so the depth on them.
     """
     x, at = solution.x, model.slices()
     blocks = ("color", "error") if model.is_registered else ("depth", "apart", "error")
     columns = [k for name in blocks for k in range(at[name].start, at[name].stop)]
     points_of = _points_of(model, x, _STATED_TO_M)
     here = points_of(x)
-    moved = np.stack([(points_of(_moved(x, k)) - here) / _STEP for k in columns])
+    moves = []
+    for k in columns:
+        y = x.copy()
+        y[k] += _STEP
+        moves.append((points_of(y) - here) / _STEP)
+    moved = np.stack(moves)
     modes = mode_of(here, moved)
-    # Points over their distance, by coefficients: an orthogonal basis of them makes variances comparable.
+    # An orthogonal basis of points over their distance makes the variances of coefficients comparable.
     unit = PointErrors(tuple(map(tuple, np.eye(TERMS).tolist()))).moved_m(here)
     _, R = np.linalg.qr((unit / here[None, :, 2:]).reshape(len(unit), -1).T)
     some = [R @ modes.T @ C[np.ix_(columns, columns)] @ modes @ R.T for C in (solution.covariance, solution.by_views)]
@@ -551,14 +544,8 @@ def point_modes(model: Model, solution: Solution) -> PointErrors:
     return PointErrors(tuple(map(tuple, found.tolist())))
 
 
-def _moved(x: FloatArray, k: int) -> FloatArray:
-    y = x.copy()
-    y[k] += _STEP
-    return y
-
-
 def _points_of(model: Model, x: FloatArray, farthest_m: float) -> Callable[[FloatArray], FloatArray]:
-    """What parameters make of the readings that `x` makes points all over image and distances of: (N, 3)."""
+    """A function from parameters to points (N, 3) of readings all over image and distances; `x` gives the readings."""
     camera = model.depth_camera(x)
     distances_m = np.geomspace(_NEAREST_M, farthest_m, _POINT_MODES_DISTANCES)
     px = np.tile(grid_px(camera, _ACROSS, _DOWN), (_POINT_MODES_DISTANCES, 1))

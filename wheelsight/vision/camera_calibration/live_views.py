@@ -18,9 +18,6 @@ from wheelsight.vision.camera_calibration.model import poses_in, usual_lens
 from wheelsight.vision.camera_calibration.settings import CoachSettings
 from wheelsight.vision.camera_calibration.views import Corners, as_grey, find_corners
 
-# Views of a board from a live camera: taken by themselves where the board stands still and shows something new.
-
-
 _NONE = np.iinfo(np.uint16).max
 
 # A live view is still if half of the corners move by less than this share of the image's width, 1 px of 640, for this
@@ -34,13 +31,13 @@ _TILT_DEG, _COLUMNS, _ROWS, _NEAR_FAR = 25.0, 3, 3, 2.0
 
 
 class ViewTaker:
-    """Looks at frames, and says which are views.
+    """Collects frames in which the board is at rest at a new place.
 
     Args:
-        board: that is shown.
-        lens: of colour, as it is known before.
+        board: the board.
+        lens: nominal lens of the colour camera.
         settings: how many views are enough.
-        seen: corners of views that are there already.
+        seen: corners of earlier views.
 
     Attributes:
         seen: corners of all views.
@@ -60,19 +57,19 @@ class ViewTaker:
 
     @property
     def advice(self) -> Advice:
-        """What to show next."""
+        """The views that are missing."""
         size = self._lens.width, self._lens.height
         return advise(self.seen, self._board, size, self._settings, self._lens)
 
     def has_enough(self) -> bool:
-        """Whether nothing is missing, and as many views came since `ask_more` as were asked for."""
+        """Whether nothing is missing, and as many views followed `ask_more` as requested."""
         return len(self.seen) >= self._more and not self.advice.missing
 
     def ask_more(self) -> None:
-        """Ask for more views after a calibration that was undetermined."""
+        """Request more views after a calibration that they did not determine."""
         self._more = len(self.seen) + _MORE_VIEWS
 
-    def look(self, frame: RgbdFrame) -> str:
+    def add(self, frame: RgbdFrame) -> str:
         """The reason why a frame is no new view, or "" after it is added."""
         found = find_corners(as_grey(frame.color[..., ::-1]), self._board)
         if isinstance(found, str):
@@ -98,7 +95,7 @@ def _apart_px(one: Corners, other: Corners) -> FloatArray:
 
 
 def save_view(folder: Path, frame: RgbdFrame, infrared: UInt16Array | None = None, depth_factor: float = 1000.0) -> str:
-    """Write a view into a folder as `read_views` reads it, beside those that are there; its name.
+    """Write a view into a folder in the form of `read_views`, beside earlier ones; returns its name.
 
     Raises OutputError.
     """
@@ -121,14 +118,14 @@ _WHERE_X, _WHERE_Y = ("left", "", "right"), ("upper", "", "lower")
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """What views are there and which to take next.
+    """The present views and the missing ones.
 
     Attributes:
-        missing: in words, what to show next first; empty where nothing is.
+        missing: instructions, the next one first; empty if nothing is missing.
         cover: share of the image's 8 × 6 cells that hold corners.
-        nearest_m, farthest_m: distances of boards, by the lens that is known or a usual one; in squares where their
-            side is not known.
-        tilts_deg: the greatest tilt so far with the board's left side, right side, top and bottom nearer.
+        nearest_m, farthest_m: distances of boards by the given lens or a typical one; in squares if their side is
+            unknown.
+        tilts_deg: largest tilts with the board's left side, right side, top and bottom nearer.
     """
 
     missing: tuple[str, ...]
@@ -138,7 +135,7 @@ class Advice:
     tilts_deg: tuple[float, float, float, float]
 
     def __str__(self) -> str:
-        """In a line."""
+        """The next instruction."""
         return f"next: {self.missing[0]}" if self.missing else "nothing is missing"
 
 
@@ -149,7 +146,7 @@ def advise(
     settings: CoachSettings | None = None,
     lens: PinholeCamera | None = None,
 ) -> Advice:
-    """What to show next, after the corners seen so far in images of `size`; `lens`: known, or a usual one is taken."""
+    """The missing views, by corners seen in images of `size`; without `lens` a typical one is assumed."""
     enough = (settings or CoachSettings()).enough
     if not seen:
         return Advice(("the whole board, in the middle of the image",), 0.0, np.nan, np.nan, (0.0, 0.0, 0.0, 0.0))
@@ -159,7 +156,7 @@ def advise(
     nearest_m, farthest_m = distances(T)
     n = T[:, :3, 2]
     across, down = np.degrees(np.arctan2(n[:, 0], n[:, 2])), np.degrees(np.arctan2(n[:, 1], n[:, 2]))
-    # A normal that points away and to the right is of a board whose right side is nearer.
+    # A board whose right side is nearer has a normal that points away and to the right.
     greatest = ((-across).max(), across.max(), (-down).max(), down.max())
     left, right, top, bottom = (max(float(value), 0.0) for value in greatest)
     tilts = left, right, top, bottom

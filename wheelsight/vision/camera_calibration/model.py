@@ -238,8 +238,8 @@ class Model:
     def seeks_depth_distortion(self) -> bool:
         """Whether the distortion of the depth lens is a parameter; stereo's images are straightened in the camera.
 
-        Tilted planes tell it without infrared images too: a pixel that looks aside of where it is believed to meets a
-        tilted plane nearer or farther. No lens is straight, nor is depth that a driver registers to a colour image.
+        Tilted planes determine it without infrared images too: the ray of a displaced pixel meets a tilted plane nearer
+        or farther. No lens is straight, nor is depth that a driver registers to a colour image.
         """
         return self.sensor != "stereo" or len(self.infrared.px) > 0
 
@@ -250,7 +250,7 @@ class Model:
 
     @property
     def has_pattern(self) -> bool:
-        """Whether depth is off over the image as disparities are."""
+        """Whether the depth error has a pattern over the image, as disparities have."""
         return self.sensor in ("structured-light", RAW_DISPARITY)
 
     def color_camera(self, x: FloatArray) -> PinholeCamera:
@@ -303,12 +303,12 @@ class Model:
 
     @property
     def is_scale_free(self) -> bool:
-        """Whether depth's scale is sought: boards of unknown size take theirs from depth."""
+        """Whether depth's scale is a parameter; for boards of unknown size the square is one instead."""
         return self.square_m is not None
 
 
 def _lens(p: FloatArray, start: PinholeCamera) -> PinholeCamera:
-    """A lens of ln(fx / start's), ln(fy / fx), centre off the image's middle by start's fx, and Brown's numbers."""
+    """A lens by ln(fx / start's), ln(fy / fx), centre relative to the image's middle over fx, and distortion."""
     fx = start.fx * float(np.exp(p[0]))
     cx, cy = (start.width - 1) / 2 + start.fx * p[2], (start.height - 1) / 2 + start.fx * p[3]
     k1, k2, p1, p2, k3 = p[4:] if len(p) > BARE_LENS else start.distortion
@@ -317,13 +317,10 @@ def _lens(p: FloatArray, start: PinholeCamera) -> PinholeCamera:
 
 
 def lens_parameters(camera: PinholeCamera, start: PinholeCamera, is_bare: bool = False) -> FloatArray:
-    """The parameters of a lens, seen from `start`."""
+    """The parameters of a lens relative to `start`."""
     centre = (camera.cx - (start.width - 1) / 2) / start.fx, (camera.cy - (start.height - 1) / 2) / start.fx
     bare = [np.log(camera.fx / start.fx), np.log(camera.fy / camera.fx), *centre]
     return np.array(bare if is_bare else [*bare, *camera.distortion], float)
-
-
-# A model of what counts: corners and cells of all views in arrays, and the parameters to begin with.
 
 
 # Noise of one pixel by how depth is measured: Khoshelham & Elberink 2012, Fankhauser et al. 2015, and of stereo 0.1 px
@@ -342,7 +339,7 @@ _SIGMA_DISPARITY, SIGMA_SHARE = 0.8, 0.5
 def model_of(
     task: CalibrationTask, counted: Counted, lenses: tuple[PinholeCamera, PinholeCamera], T_color_depth: FloatArray
 ) -> Model:
-    """The model of what counts, about lenses of colour and depth and T_color_depth."""
+    """The model of the views in use, with initial lenses of colour and depth and T_color_depth."""
     sensor = RAW_DISPARITY if task.seen.is_disparity else task.setup.sensor
     view = np.concatenate([np.full(len(c.reading), k) for k, c in enumerate(counted.cells)]).astype(np.int64)
     px, reading, scatter = (
@@ -400,7 +397,7 @@ def with_cells(
     square_m: float,
     share: float,
 ) -> Counted:
-    """The same with depth cells of each view, within `share` of the board's outline as it is believed to lie.
+    """The same with depth cells of each view, within `share` of the board's predicted outline.
 
     Args:
         task: how cells are chosen.
@@ -408,7 +405,7 @@ def with_cells(
         T_depth_board: (V, 4, 4), metres.
         depth: the depth lens.
         square_m: side of a square.
-        share: of the outline, about its middle; where the board is on a plate, of what its plane is learned from.
+        share: of the outline, about its middle; for a board on a plate, of the area that gives the plane.
     """
     columns, rows = task.board.columns, task.board.rows
     corners = np.array([[-1, -1, 0], [columns, -1, 0], [columns, rows, 0], [-1, rows, 0]], float)
@@ -434,7 +431,7 @@ def _joined(corners: Sequence[Corners | None], squares: FloatArray) -> Points:
     return Points(view, np.concatenate([squares[c.ids] for _, c in seen]), np.concatenate([c.px for _, c in seen]))
 
 
-# Where the joint least squares begin: lenses from corners alone, poses, and where the cameras are to each other.
+# Initial values of the joint least squares: lenses from corners alone, poses, and the pose between the cameras.
 
 
 _FLAGS = (
@@ -451,17 +448,17 @@ _USUAL_COLOR_FOCAL = 0.85
 
 
 class LensStart(NamedTuple):
-    """A lens, and (V, 4, 4) from boards, in squares, into it."""
+    """A lens, and the poses (V, 4, 4) of boards before it, in squares."""
 
     camera: PinholeCamera
     T_camera_board: FloatArray
 
 
 def lens_from_corners(corners: Sequence[Corners], board: Board, size: tuple[int, int]) -> LensStart:
-    """A lens and poses from corners alone, with one number of distortion: enough to begin with.
+    """A lens with one distortion parameter, and poses, from corners alone, as initial values.
 
     Raises:
-        CalibrationError: OpenCV finds none.
+        CalibrationError: OpenCV finds no lens.
     """
     squares = (board.points_m / board.square_m).astype(np.float32)
     focal = _USUAL_COLOR_FOCAL * size[0]
@@ -487,7 +484,7 @@ def lens_from_corners(corners: Sequence[Corners], board: Board, size: tuple[int,
 
 
 def poses_in(camera: PinholeCamera, corners: Sequence[Corners], board: Board) -> LensStart:
-    """Poses of boards, in squares, before a lens that is known."""
+    """Poses of boards, in squares, before a known lens."""
     squares, poses = board.points_m / board.square_m, []
     for seen in corners:
         xy = camera.normalise(seen.px)
@@ -503,7 +500,7 @@ def usual_lens(size: tuple[int, int]) -> PinholeCamera:
 
 
 def apart_by_poses(T_color_board: FloatArray, T_depth_board: FloatArray) -> FloatArray:
-    """T_color_depth from poses (V, 4, 4) of the same boards in both cameras: the median way, the mean turn."""
+    """T_color_depth from poses (V, 4, 4) of boards in both cameras: median translation, mean rotation."""
     T = T_color_board @ se3.invert(T_depth_board)
     return se3.from_parts(so3.nearest(T[:, :3, :3].mean(axis=0)), np.median(T[:, :3, 3], axis=0))
 
@@ -521,7 +518,7 @@ def apart_by_planes(
     n_color = T_color_board[known, :3, 2]
     h_color = (n_color * T_color_board[known, :3, 3]).sum(axis=1)
     n_depth, h_depth = planes[known, :3], planes[known, 3]
-    # Normals of boards that are all alike say nothing of the turn about them: the known one holds it.
+    # Parallel normals do not constrain the rotation about them; the known rotation does.
     held = 0.3 * T_color_depth[:3, :3]
     R = so3.nearest(n_color.T @ n_depth + held)
     rows = np.concatenate([n_color, np.eye(3) * 0.02 / prior_m])
@@ -530,7 +527,7 @@ def apart_by_planes(
 
 
 def plane_of(cells: DepthCells, depth_m: FloatArray, camera: PinholeCamera) -> FloatArray:
-    """(4,) n · p = h, h positive, of cells at depths (N,); NaN where there are too few."""
+    """The plane (4,) n · p = h, h positive, of cells at depths (N,); NaN if there are too few."""
     kept = np.isfinite(depth_m) & (depth_m > 0)
     if np.count_nonzero(kept) < 3:
         return np.full(4, np.nan)
@@ -538,9 +535,6 @@ def plane_of(cells: DepthCells, depth_m: FloatArray, camera: PinholeCamera) -> F
     m = np.linalg.lstsq(rays, 1 / depth_m[kept], rcond=None)[0]
     h = 1 / float(np.linalg.norm(m))
     return np.append(m * h, h)
-
-
-# Which depth pixels show the board's plane, and their means over small cells.
 
 
 _FIT_ROUNDS, _FEWEST_PX = 4, 50
@@ -565,10 +559,10 @@ def board_cells(
     """CellTable of the plane that a board is on, of one depth image.
 
     Args:
-        reading: (H, W) depths in metres or raw disparities; 0 where there is none.
-        outline_px: (N, 2) of what surely is board, in depth pixels.
+        reading: (H, W) depths in metres or raw disparities; 0 where unknown.
+        outline_px: (N, 2) of an area within the board, in depth pixels.
         is_disparity: whether readings are raw disparities.
-        on_plate: whether the plane goes on around the outline; else cells stay within it.
+        on_plate: whether the plane continues around the outline; else cells stay within it.
     """
     seen = np.isfinite(reading) & (reading > 0)
     within = np.zeros(reading.shape, np.uint8)
@@ -582,7 +576,7 @@ def board_cells(
         _, labels = cv2.connectedComponents(on_plane.astype(np.uint8), connectivity=4)
         kept = np.asarray(labels == np.bincount(labels[kept]).argmax()) if kept.any() else kept
     rim = cv2.getStructuringElement(cv2.MORPH_RECT, (2 * _RIM_PX + 1,) * 2)
-    # Beside a hole as much as at the plate's edge: what shades it is no plane.
+    # The rim is left out beside holes too, because the object that shades them is not on the plane.
     closed = cv2.morphologyEx(kept.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     whole = cv2.erode(closed, rim, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
     cells = _cells(reading, off, whole & on_plane)
@@ -596,14 +590,14 @@ def board_cells(
 def _plane(
     reading: Float32Array, seen: BoolArray, seed: BoolArray, is_disparity: bool
 ) -> tuple[BoolArray, FloatArray] | None:
-    """(H, W) whether a pixel lies on the plane of most of the seed, and how far off; None where there is too little.
+    """Whether a pixel (H, W) lies on the plane of most of the seed, and its distance; None if the seed is too small.
 
-    How far is in inverse depth, or raw disparity.
+    The distance is in inverse depth or raw disparity.
     """
     if np.count_nonzero(seed) < _FEWEST_PX:
         return None
     v, u = np.nonzero(seed)
-    # Of a plane, disparity and inverse depth are linear in the pixel.
+    # Disparity and inverse depth of a plane are linear in the pixel.
     inverse = reading if is_disparity else np.divide(1, reading, out=np.zeros_like(reading), where=seen)
     values, A = inverse[v, u].astype(float), np.stack([u, v, np.ones(len(u))], axis=-1)
     kept = np.abs(values - np.median(values)) <= 3 * max(float(np.subtract(*np.percentile(values, (75, 25)))), 1e-6)
@@ -634,23 +628,23 @@ def _cells(reading: Float32Array, off: FloatArray, kept: BoolArray) -> DepthCell
 
     counts = sums(kept.astype(float))
     full = counts >= _MOST_OF_CELL * side**2
-    # Where pixels are missing, the mean is of another place than the cell's middle.
+    # Where pixels are missing, the mean pixel is not the cell's middle.
     values = (u, v, reading, off, off**2)
     means = [sums(np.where(kept, value, 0.0))[full] / counts[full] for value in values]
     scatter = np.sqrt(np.maximum(means[4] - means[3] ** 2, 0))
     return DepthCells(np.stack(means[:2], axis=-1), means[2], scatter)
 
 
-# Natural cubic splines as weights of their knots' values, and sampled where files hold lines.
+# Natural cubic splines as weights of their knots' values; files hold straight pieces.
 
 
 _PIECES = 3
 
 
 def cubic_weights(at: FloatArray, knots: FloatArray, derivative: int = 0) -> FloatArray:
-    """What the value at each of the knots (K,), two or more, counts at (N,): (N, K); constant beyond the last ones.
+    """The weight (N, K) of the value at each of the knots (K,), two or more, at points (N,); constant beyond the ends.
 
-    Or for the spline's derivative there.
+    `derivative` is its order.
     """
     spline = CubicSpline(knots, np.eye(len(knots)), bc_type="natural")
     inside = (at >= knots[0]) & (at <= knots[-1])
@@ -659,16 +653,16 @@ def cubic_weights(at: FloatArray, knots: FloatArray, derivative: int = 0) -> Flo
 
 
 def cubic_grid_weights(px: FloatArray, camera: PinholeCamera, grid: tuple[int, int]) -> FloatArray:
-    """What each knot (rows · columns) of a grid over the image counts at pixels (N, 2): (N, rows · columns)."""
+    """The weight (N, rows · columns) of each knot of a grid over the image at pixels (N, 2)."""
     down = cubic_weights(px[:, 1] / max(camera.height - 1, 1), np.linspace(0, 1, grid[0]))
     across = cubic_weights(px[:, 0] / max(camera.width - 1, 1), np.linspace(0, 1, grid[1]))
     return (down[:, :, None] * across[:, None, :]).reshape(len(px), -1)
 
 
 def finer(values: FloatArray, most: int, axis: int = 0) -> FloatArray:
-    """Values at evenly spread knots along an axis, and up to two between each: straight pieces in place of the spline.
+    """Values at evenly spread knots along an axis, and up to two between them: straight pieces in place of the spline.
 
-    No more than `most` (at least as many as there are). Three pieces leave a ninth of what one would be off by.
+    At most `most` values, but all knots. Three pieces have a ninth of the error of one.
     """
     count = values.shape[axis]
     pieces = max(min(_PIECES, (most - 1) // (count - 1)), 1)

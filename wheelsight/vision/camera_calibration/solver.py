@@ -23,11 +23,9 @@ from wheelsight.vision.camera_calibration.model import (
 )
 from wheelsight.vision.camera_calibration.views import FEWEST_CORNERS, RAW_DISPARITY, Corners
 
-# Least squares over a model: Levenberg-Marquardt with numeric derivatives, and what its answer is worth.
-#
-# Each residual sees one pose at most. Poses are therefore eliminated view by view (the Schur complement of bundle
-# adjustment), and what is solved is as large as the cameras' parameters alone.
-
+# Least squares by Levenberg-Marquardt with numeric derivatives. Each residual depends on one pose at most, so poses are
+# eliminated view by view (the Schur complement of bundle adjustment), and the solved system has the size of the
+# cameras' parameters.
 
 _STEP = 1e-6  # of parameters that are all about a hundredth to one
 _MOST_STEPS, _SMALL_GAIN = 60, 1e-6
@@ -38,12 +36,12 @@ _TINY = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The best parameters, what is known of those before the poses, and how well they fit.
+    """The best parameters with the covariances of those before the poses.
 
     Attributes:
         x: parameters (n,).
-        covariance: (g, g), as noise has it that is independent of cell to cell and corner to corner.
-        by_views: (g, g), as views disagree.
+        covariance: (g, g) for independent noise of cells and corners.
+        by_views: (g, g) by the disagreement of views.
         cost: half the sum of squares.
     """
 
@@ -53,7 +51,7 @@ class Solution:
     cost: float
 
     def sigmas_of(self, J: FloatArray, columns: slice | list[int]) -> FloatArray:
-        """Standard deviations (m,) of what has these derivatives (m, c) by some parameters: the larger of both."""
+        """Standard deviations (m,) of functions with derivatives J (m, c) by some parameters; the larger of both."""
         at = np.arange(len(self.covariance))[columns]
         some = (C[np.ix_(at, at)] for C in (self.covariance, self.by_views))
         variances = np.array([np.einsum("mi,ij,mj->m", J, C, J) for C in some])
@@ -145,9 +143,9 @@ def _linearised(residuals: Residuals, x: FloatArray) -> _LinearSystem:
 
 
 def _by_error(residuals: Residuals, x: FloatArray, depth: _LinearSystem) -> None:
-    """Fill in the derivatives of depth by its error: knots all move what they are weights of."""
+    """Fill in the derivatives of depth by its error; those by knots follow from their weights."""
     at = residuals.at["error"]
-    knots = at.start + residuals.knots_from
+    knots = at.start + BEFORE_KNOTS
     for k in range(at.start, min(knots, at.stop)):
         moved = x.copy()
         moved[k] += _STEP
@@ -168,7 +166,7 @@ def _normal(residuals: Residuals, linear: _LinearSystem) -> _Normal:
 
 
 def _step(normal: _Normal, damping: float) -> FloatArray:
-    """What to add to all parameters."""
+    """The step of all parameters."""
     A = normal.A + damping * np.diag(np.diag(normal.A) + _TINY)
     diagonal = np.einsum("vii->vi", normal.D)
     D = normal.D + damping * diagonal[:, :, None] * np.eye(_POSE) + _TINY * np.eye(_POSE)
@@ -181,14 +179,13 @@ def _step(normal: _Normal, damping: float) -> FloatArray:
 
 
 def _covariances(residuals: Residuals, linear: _LinearSystem) -> tuple[FloatArray, FloatArray]:
-    """(g, g) twice: the inverse Hessian, and what leaving out one view after the other tells.
+    """Two covariances (g, g): the inverse Hessian, and the jackknife over views.
 
-    Cells of one depth image share errors that their scatter does not show: what the curve or the pattern cannot follow,
-    rounding. So do corners of a bent board. The view is what errs independently. Each view's share of the reduced
-    normal equations gives the answer without it by one Gauss-Newton step, and the sum over views of what it moved
-    by is the jackknife (Efron 1982; MacKinnon & White 1985, HC3, here by cluster: Bell & McCaffrey 2002). It takes in
-    how much a view pulls the answer to itself, which Huber's sandwich does not: that one is too small where few views
-    decide. What is known beforehand adds what it is worth.
+    Cells of one depth image share errors that their scatter does not show, such as rounding and deviations from curve
+    and pattern. So do corners of a bent board. Only views err independently. Each view's part of the reduced normal
+    equations gives the solution without it by one Gauss-Newton step; the sum over views of its squared change is the
+    jackknife (Efron 1982; MacKinnon & White 1985, HC3, here by cluster: Bell & McCaffrey 2002). It accounts for the
+    leverage of a view, which Huber's sandwich does not: with few views that is too small. Priors add their information.
     """
     normal, count = _normal(residuals, linear), residuals.model.count
     D = normal.D + _TINY * np.eye(_POSE)
@@ -206,20 +203,17 @@ def _covariances(residuals: Residuals, linear: _LinearSystem) -> tuple[FloatArra
 
 
 def _information(linear: _LinearSystem, view: int) -> FloatArray:
-    """(g, g) of one view about the cameras, its pose held; of the priors for -1."""
+    """Information (g, g) of one view on the cameras, with its pose fixed; of the priors for -1."""
     J = linear.by_cameras[linear.view == view]
     return np.asarray(J.T @ J)
 
 
-# Residuals of a model: what it predicts less what was measured, by σ.
-
-
-_LEAST_SLOPE = 0.1  # of corrected depth by the reading, of parameters that are no sensor's
+_LEAST_SLOPE = 0.1  # of corrected depth by the reading; no sensor has less
 
 
 @dataclass(eq=False)
 class Residuals:
-    """Residuals of a model, block by block, over given σs."""
+    """Residuals of a model, prediction minus measurement, block by block, in standard deviations."""
 
     model: Model
     sigmas: Sigmas
@@ -230,40 +224,35 @@ class Residuals:
         self.size = self.at["poses"].stop
         self.knot_weights, self.knot_slopes = _weights_of(m)
         constant, quadratic = m.noise
-        # Of raw disparities in nominal inverse depth, 1/m, as a step has it; else in metres.
+        # For raw disparities in nominal inverse depth, 1/m; else in metres.
         is_raw = m.sensor == RAW_DISPARITY
         self._reading_sigma = quadratic if is_raw else constant + quadratic * m.cells.reading**2
         self._rays: tuple[PinholeCamera | None, FloatArray] = (None, np.empty((0, 2)))
         self._priors = prior_rows(m)
 
     def color(self, x: FloatArray) -> FloatArray:
-        """Of colour corners (N, 2), in σ."""
+        """Residuals of colour corners (N, 2), in σ."""
         p = self._points(x, self.model.color)
         px = self.model.color_camera(x).denormalise(p[:, :2] / p[:, 2:])
         return (px - self.model.color.px) / self.sigmas.color_px
 
     def infrared(self, x: FloatArray) -> FloatArray:
-        """Of infrared corners (N, 2), in σ."""
+        """Residuals of infrared corners (N, 2), in σ."""
         if not len(self.model.infrared.px):
             return np.empty((0, 2))
         p = se3.apply(se3.invert(self.model.T_color_depth_of(x)), self._points(x, self.model.infrared))
         px = self.model.depth_camera(x).denormalise(p[:, :2] / p[:, 2:])
         return (px - self.model.infrared.px) / self.sigmas.infrared_px
 
-    @property
-    def knots_from(self) -> int:
-        """How many numbers of the depth error stand before its knots."""
-        return BEFORE_KNOTS
-
     def depth(self, x: FloatArray, more: float = 0.0) -> FloatArray:
-        """Of depth cells (N,), in σ; `more` is added to what the knots make of each."""
+        """Residuals of depth cells (N,), in σ; `more` is added to the sum over knots."""
         if not len(self.model.cells.px):
             return np.empty(0)
         off_m, sigma_m = self.depth_m(x, more)
         return off_m / sigma_m
 
     def depth_m(self, x: FloatArray, more: float = 0.0) -> tuple[FloatArray, FloatArray]:
-        """How far cells are off the boards' planes along the axis, and their σ, metres (N,)."""
+        """Distance of cells from the boards' planes along the axis, and their σ, metres (N,)."""
         m = self.model
         camera = m.depth_camera(x)
         if self._rays[0] != camera:
@@ -281,11 +270,11 @@ class Residuals:
         return true_m - z, self.sigmas.depth * self._reading_sigma * slope
 
     def _true_m(self, x: FloatArray, rays: FloatArray, more: float) -> tuple[FloatArray, FloatArray]:
-        """`DepthError.of_readings` of all cells, with what does not change kept, and its derivative by the reading.
+        """`DepthError.of_readings` of all cells with constant parts cached, and its derivative by the reading.
 
-        Noise is of readings: off over derivative is how far the reading is from what is expected of it. The derivative
-        must be whole. One that leaves the curve's slope out grows as a line is moved from the curve to the scale,
-        which changes no depth: thousands of cells then pull the scale up (by 2 %), and it ends beside the curve's end.
+        Noise is in readings, so a residual over the derivative is that of the reading. The derivative must be complete.
+        Without the curve's slope it grows as a line moves from the curve to the scale, which changes no depth:
+        thousands of cells then raise the scale by 2 %.
         """
         m, p = self.model, x[self.at["error"]]
         reading, knots = m.cells.reading, p[BEFORE_KNOTS:]
@@ -309,7 +298,7 @@ class Residuals:
         return scale / inverse, scale * of_reading * steeper / inverse**2
 
     def _fading(self, p: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What is left (N,) of the fading pattern at inverse depths, and the derivative (N,) of 1/z by q with it."""
+        """The factor (N,) of the fading pattern at inverse depths q, and the derivative (N,) of 1/z by q with it."""
         fade_m = float(np.clip(p[2], 0, 10))
         fade = np.exp(fade_m * (q - 1))
         pattern = self.knot_weights @ p[BEFORE_KNOTS:].reshape(2, -1)[0]
@@ -318,7 +307,7 @@ class Residuals:
     def by_knots(self, x: FloatArray, of_sum: FloatArray, r: FloatArray) -> FloatArray:
         """Derivatives (N, K) of depth's residuals r (N,) by all knots.
 
-        From `of_sum` (N,), the derivatives by what is added to all of them, and from what knots do to σ.
+        They follow from `of_sum` (N,), the derivatives by the sum over knots, and from the knots' effect on σ.
         """
         weights, p = self.knot_weights, x[self.at["error"]]
         if not self.model.has_pattern:
@@ -347,16 +336,16 @@ class Residuals:
         return self._priors[0]
 
     def priors(self, x: FloatArray) -> FloatArray:
-        """Of what is known beforehand, in σ."""
+        """Residuals of the priors (P,), in σ."""
         rows, expected = self._priors
         return np.asarray(rows @ x - expected)
 
 
 def _weights_of(model: Model) -> tuple[FloatArray, FloatArray]:
-    """What each knot of pattern or curve counts at each cell (N, K), and of the curve the same of its slope.
+    """The weight (N, K) of each knot of pattern or curve at each cell, and that of the curve's slope.
 
-    Splines, not lines: between knots 0.25 m apart lines have slopes that are up to 1 % off a swing of 7 mm in 1.9 m,
-    which tilts every board that is seen there, and all of them alike.
+    Splines in place of lines: between knots 0.25 m apart, the slopes of lines deviate by up to 1 % from a swing of 7 mm
+    in 1.9 m, which tilts all boards there alike.
     """
     none = np.zeros((len(model.cells.px), 0))
     if model.has_pattern:
@@ -367,10 +356,10 @@ def _weights_of(model: Model) -> tuple[FloatArray, FloatArray]:
     return cubic_weights(reading, knots_m), cubic_weights(reading, knots_m, derivative=1)
 
 
-# What is known of the parameters beforehand, as rows of a least squares.
+# Priors of the parameters, as rows of a least-squares problem.
 
 
-_HELD = 1e-6  # of what is not sought
+_HELD = 1e-6  # standard deviation of a fixed parameter
 # Fading of the pattern and its standard deviation. Herrera et al. 2012: exp(-0.0018 d), which is exp(0.6 m / z).
 _OF_FADE, _FADE_M = 0.5, 0.5
 # Standard deviations of k1, k2 and k3, three times the values of TUM's three Kinects, and of p1 and p2 (0.006 there).
@@ -388,7 +377,7 @@ _TOF_SCALE, _CURVE_M, _CURVE_BEND_M = 0.002, 0.01, 0.005
 
 
 def prior_rows(model: Model) -> tuple[FloatArray, FloatArray]:
-    """What is known beforehand, as rows (P, n) and values (P,) in σ: rows @ x is about the values."""
+    """The priors as rows (P, n) and values (P,) in σ: rows @ x is about the values."""
     priors = _Priors(model.slices()["poses"].stop)
     at = model.slices()
     if model.keeps_color:
@@ -405,7 +394,7 @@ def prior_rows(model: Model) -> tuple[FloatArray, FloatArray]:
 
 
 class _Priors:
-    """Rows and values, one by one."""
+    """Collects rows and values."""
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -413,7 +402,7 @@ class _Priors:
         self.values: list[float] = []
 
     def add(self, columns: list[int], weights: list[float], value: float, sigma: float) -> None:
-        """A weighted sum of parameters that is about a value, to a σ."""
+        """Add the prior of a weighted sum of parameters."""
         row = np.zeros(self.size)
         row[columns] = np.array(weights) / sigma
         self.rows.append(row)
@@ -421,7 +410,7 @@ class _Priors:
 
 
 def _of_lens(priors: _Priors, model: Model, place: slice, start: PinholeCamera, *, is_nominal: bool = False) -> None:
-    """What is known of a lens: of lenses as such, and of one without corners of its own, `is_nominal`, by `start`."""
+    """The priors of a lens; `is_nominal` for one without corners of its own, whose prior is `start`."""
     first, length = place.start, place.stop - place.start
     if not length:
         return
@@ -459,9 +448,6 @@ def _of_error(priors: _Priors, model: Model, first: int) -> None:
                 priors.add(list(three), [1, -2, 1], 0.0, _PATTERN_BEND_PER_M)
 
 
-# What agrees with a fit: standard deviations as residuals have them, and views, corners and cells left out.
-
-
 _LENS, _OF_DEPTH = 9, 3
 _LEAST_FACTOR = 1e-3
 _LEAST_SIGMA_PX = 0.02  # of a corner in images without noise
@@ -470,11 +456,11 @@ _CORNER_SIGMAS, _CELL_SIGMAS = 4.5, 4.0
 # A view whose residuals exceed the median view's by this factor has a moved or bent board, or depth of another moment.
 _VIEW_FACTOR, _DEPTH_VIEW_FACTOR = 2.5, 4.0
 _AS_BAD = 0.8
-_LEAST_MEDIAN = 0.3  # in σ: of views that all agree better than they should, none is left out
+_LEAST_MEDIAN = 0.3  # in σ; if all views agree better than that, none is an outlier
 
 
 def sigmas_of(residuals: Residuals, x: FloatArray) -> Sigmas:
-    """Standard deviations as residuals have them, each freed of what its own parameters took of it."""
+    """Standard deviations by the residuals, each corrected for its degrees of freedom."""
     model, before = residuals.model, residuals.sigmas
 
     def of(r: FloatArray, taken: int) -> float:
@@ -498,7 +484,7 @@ def agreeing(counted: Counted, residuals: Residuals, x: FloatArray) -> Counted:
         (infrared, model.infrared.view, _VIEW_FACTOR, "corners in infrared"),
         (depth, model.cells.view, _DEPTH_VIEW_FACTOR, "depth"),
     ):
-        # A view that moved pulls the depth of others off; that is judged once corners agree.
+        # A moved view biases the depth of others, so depth is tested once corners agree.
         for k, times in ({} if gone else _unlike(off, view, model.count, factor)).items():
             gone.setdefault(k, f"its {what} disagree with the other views': {times:.1f} times theirs")
     most = _CORNER_SIGMAS * np.sqrt(2)
@@ -524,18 +510,18 @@ def agreeing(counted: Counted, residuals: Residuals, x: FloatArray) -> Counted:
 
 
 def _unlike(off: FloatArray, view: IntArray, count: int, factor: float) -> dict[int, float]:
-    """Views whose median is over `factor` times the usual view's, and how many times; one bad corner is no bad view."""
+    """Views whose median exceeds `factor` times that of the usual view, with the ratio."""
     medians = {k: float(np.median(off[view == k])) for k in range(count) if (view == k).any()}
     if not medians:
         return {}
     usual = max(float(np.median(list(medians.values()))), _LEAST_MEDIAN)
-    # A bad view pulls good ones off with it: these are judged again without it, in the next round.
+    # A bad view biases good ones, which the next round tests again without it.
     least = max(factor * usual, _AS_BAD * max(medians.values()))
     return {k: value / usual for k, value in medians.items() if value > factor * usual and value >= least}
 
 
 def _fewer(corners: Corners, kept: BoolArray) -> Corners:
-    """A view's corners without those that disagree, as long as enough are left."""
+    """A view's corners without outliers, if enough remain."""
     enough = np.count_nonzero(kept) >= min(FEWEST_CORNERS, len(kept))
     return corners.only(kept) if enough else corners
 

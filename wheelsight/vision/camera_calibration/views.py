@@ -22,9 +22,6 @@ from wheelsight.core.geometry import MOST_PIXELS, BoolArray, ByteArray, FloatArr
 from wheelsight.core.inputs import Kind, picture_size, read_bytes, scan_count
 from wheelsight.vision.camera_calibration.board import Board
 
-# What is seen of a board in one view, before anything is calibrated.
-
-
 SENSORS = ("structured-light", "tof", "stereo")
 RAW_DISPARITY = "raw-disparity"
 
@@ -37,7 +34,7 @@ class Corners:
     px: FloatArray
 
     def only(self, kept: BoolArray) -> Corners:
-        """Those of them."""
+        """A subset of them."""
         return Corners(self.ids[kept], self.px[kept])
 
     def turned(self, count: int) -> Corners:
@@ -47,13 +44,13 @@ class Corners:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BoardView:
-    """One board before the cameras, still.
+    """One view of a board at rest.
 
     Attributes:
         name: for messages.
         color: corners in the colour image.
         infrared: corners in the infrared image, where there is one.
-        reading: (H, W) the depth image as it is read, metres along the axis or raw disparities; 0 and NaN: none.
+        reading: (H, W) depth image as read, metres along the axis or raw disparities; 0 and NaN if unknown.
     """
 
     name: str
@@ -67,10 +64,9 @@ class ViewSet:
     """Views of one board by one pair of cameras.
 
     Attributes:
-        views: those in which the board was found.
-        color_size, depth_size: width and height of the images; the latter None where there is neither depth nor
-            infrared.
-        left_out: names of other views, and why.
+        views: views in which the board was found.
+        color_size, depth_size: width and height of the images; the latter is None without depth and infrared.
+        left_out: names of other views, with reasons.
         is_disparity: whether readings are raw disparities of Kinect v1.
     """
 
@@ -103,16 +99,13 @@ class DepthCells:
     scatter: FloatArray
 
     def only(self, kept: BoolArray | IntArray) -> DepthCells:
-        """Those of them."""
+        """A subset of them."""
         return DepthCells(self.px[kept], self.reading[kept], self.scatter[kept])
 
     @staticmethod
     def none() -> DepthCells:
         """No cells, for a view that shows no plane."""
         return DepthCells(np.empty((0, 2)), np.empty(0), np.empty(0))
-
-
-# A board's corners in one image, or why there are none.
 
 
 _FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_EXHAUSTIVE
@@ -129,10 +122,23 @@ _OTHER_SIZES = tuple((columns, rows) for columns in range(4, 13) for rows in ran
 
 
 def find_corners(image: ByteArray, board: Board) -> Corners | str:
-    """The board's corners in a grey image (H, W) uint8, or why it has none."""
-    found = _charuco(image, board) if board.is_charuco else _checkerboard(image, board)
-    if found is None:
-        return "no whole board is seen" if not board.is_charuco else "no board is seen"
+    """The board's corners in a grey image (H, W) uint8, or the reason why it has none."""
+    if board.is_charuco:
+        px, ids, _, _ = cv2.aruco.CharucoDetector(board.charuco()).detectBoard(image)
+        if ids is None or not len(ids):
+            return "no board is seen"
+        ids = np.asarray(ids, np.int64).ravel()
+    else:
+        size, ids = (board.columns, board.rows), np.arange(board.count)
+        is_found, px = cv2.findChessboardCornersSB(image, size, flags=_FLAGS)
+        if not is_found and image.shape[1] < _ENLARGE_BELOW_PX:
+            large = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+            is_found, px = cv2.findChessboardCornersSB(large, size, flags=_FLAGS)
+            if is_found:
+                px = (px + 0.5) / 2 - 0.5
+        if not is_found:
+            return "no whole board is seen"
+    found = Corners(ids, np.asarray(px, float).reshape(-1, 2))
     if len(found.ids) < min(FEWEST_CORNERS, board.count):
         return f"only {len(found.ids)} corners of the board are seen"
     width_px = edge_width_px(image, found, board)
@@ -142,7 +148,7 @@ def find_corners(image: ByteArray, board: Board) -> Corners | str:
 
 
 def as_grey(image: Any) -> ByteArray:
-    """An image of any depth and channels as grey (H, W) uint8, stretched where it has 16 bits."""
+    """An image of any depth and number of channels as grey (H, W) uint8; 16 bits are stretched."""
     if image.ndim == 3:
         image = cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY)
     if image.dtype == np.uint8:
@@ -151,30 +157,10 @@ def as_grey(image: Any) -> ByteArray:
     return np.asarray(np.clip((image.astype(float) - low) / max(high - low, 1) * 255, 0, 255), np.uint8)
 
 
-def _checkerboard(image: ByteArray, board: Board) -> Corners | None:
-    size = (board.columns, board.rows)
-    found, px = cv2.findChessboardCornersSB(image, size, flags=_FLAGS)
-    if not found and image.shape[1] < _ENLARGE_BELOW_PX:
-        large = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-        found, px = cv2.findChessboardCornersSB(large, size, flags=_FLAGS)
-        if found:
-            px = (px + 0.5) / 2 - 0.5
-    if not found:
-        return None
-    return Corners(np.arange(board.count), np.asarray(px, float).reshape(-1, 2))
-
-
-def _charuco(image: ByteArray, board: Board) -> Corners | None:
-    px, ids, _, _ = cv2.aruco.CharucoDetector(board.charuco()).detectBoard(image)
-    if ids is None or not len(ids):
-        return None
-    return Corners(np.asarray(ids, np.int64).ravel(), np.asarray(px, float).reshape(-1, 2))
-
-
 def edge_width_px(image: ByteArray, corners: Corners, board: Board) -> float:
-    """How many pixels an edge between squares takes from 10 to 90 %: the median over pairs of neighbouring corners.
+    """Width in pixels of an edge between squares, from 10 to 90 %: the median over pairs of neighbouring corners.
 
-    0 where no two neighbours are seen.
+    0 without neighbours.
     """
     places = {int(number): px for number, px in zip(corners.ids, corners.px, strict=True)}
     widths = []
@@ -186,7 +172,7 @@ def edge_width_px(image: ByteArray, corners: Corners, board: Board) -> float:
 
 
 def _width_across(image: ByteArray, a: Any, b: Any) -> float:
-    """Of the edge from corner a to corner b, measured across it at its middle: 0.8 of its contrast over its slope."""
+    """Width of the edge between corners a and b at its middle: 0.8 of its contrast over its slope."""
     length = float(np.linalg.norm(b - a))
     across = np.array([a[1] - b[1], b[0] - a[0]]) / max(length, 1e-9)
     reach = 0.45 * length
@@ -200,7 +186,7 @@ def _width_across(image: ByteArray, a: Any, b: Any) -> float:
 
 
 def other_size(image: ByteArray, board: Board) -> tuple[int, int] | None:
-    """Inner corners of a checkerboard that is in the image while `board` is not; None where none is found."""
+    """Inner corners of another checkerboard than `board` in the image; None without one."""
     for columns, rows in _OTHER_SIZES:
         if {columns, rows} == {board.columns, board.rows}:
             continue
@@ -210,9 +196,6 @@ def other_size(image: ByteArray, board: Board) -> tuple[int, int] | None:
         if found and len(px) == columns * rows:
             return columns, rows
     return None
-
-
-# Views of a board from folders of images: colour, infrared and depth of one moment, paired by their names.
 
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".bmp", ".tif", ".tiff"}
@@ -234,10 +217,10 @@ _OTHERS_TRIED = 3
 
 
 def find_view_files(folders: Sequence[StrPath]) -> dict[str, dict[str, Path]]:
-    """The image files of each view, by its name and then by kind: color, infrared, depth.
+    """The image files of each view, by its name and by kind: color, infrared, depth.
 
     Raises:
-        RecordingError: a folder that is none, or holds no colour image by name.
+        RecordingError: a path is no folder, or no file has the name of a colour image.
     """
     views: dict[str, dict[str, Path]] = {}
     for folder in map(Path, folders):
@@ -271,16 +254,16 @@ def read_views(
     depth_factor: float = 1000.0,
     on_view: Callable[[], None] = lambda: None,
 ) -> ViewSet:
-    """Views with the corners found in them; what cannot be used is left out, by name and reason.
+    """Views with their corners; unusable ones are left out with a reason.
 
     Args:
         folders: of images.
-        board: that they show.
-        depth_factor: units of depth images a metre; of raw disparities without meaning.
+        board: the board that they show.
+        depth_factor: units per metre of depth images; not used for raw disparities.
         on_view: called after each view.
 
     Raises:
-        RecordingError: no view shows the board; says which board the first ones show, where they show another.
+        RecordingError: no view shows the board; the fix names another board that the first ones show.
     """
     left_out, seen = [], []
     for name, files in find_view_files(folders).items():
@@ -310,7 +293,7 @@ _Seen = tuple[BoardView, tuple[int, int], tuple[int, int] | None]
 def _of_one_size(
     seen: list[_Seen], left_out: list[tuple[str, str]]
 ) -> tuple[list[BoardView], tuple[int, int], tuple[int, int] | None]:
-    """The views whose images have the size of most, and those sizes; the others are added to those left out."""
+    """The views whose images have the most common size, and that size; others are added to `left_out`."""
     size = Counter(size for _, size, _ in seen).most_common(1)[0][0]
     depth_sizes = Counter(depth for _, _, depth in seen if depth is not None).most_common(1)
     depth_size = depth_sizes[0][0] if depth_sizes else None

@@ -477,7 +477,7 @@ class SurfaceWeight:
         off = directions.T @ root.T @ se3.log(keypoints.T_reference_frame @ se3.invert(T_reference_frame))
         apart = off * (1 + self.factor / claimed)
         seen, shown = self.factor, claimed > _LEAST_CLAIM
-        if shown.any():  # the factor by which differences exceed what surfaces claim, along constrained directions
+        if shown.any():  # differences relative to those that surfaces claim, along constrained directions
             excess = float((apart[shown] ** 2 - 1).sum() / (1 / claimed[shown]).sum())
             seen = float(np.clip(excess, 1.0, _MOST_FACTOR))
         is_odd = (apart**2 / (1 + self.factor / claimed)).sum() > _ODD_CHI2

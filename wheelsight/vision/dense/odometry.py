@@ -443,7 +443,7 @@ def _right_covariance(motion: MotionEstimate) -> FloatArray:
 # Standard deviations of the delay before the first frame (a Kinect's), of its change per frame, and of the difference
 # between both rotations of a frame for other reasons; chosen.
 _DELAY_SIGMA_S, _DELAY_WALK_S, _ROTATION_SIGMA_RAD = 0.015, 0.0002, 0.02
-# The estimate replaces the calibration's delay if it differs by so many standard deviations; chosen.
+# The estimate replaces the calibration's delay if it differs by this number of standard deviations; chosen.
 _CLEAR_SIGMAS = 1.0
 # A slower rotation gives no measurement, a larger difference is no delay, and none is longer than 1.5 frames; chosen.
 _LEAST_TURN_RAD_S, _MOST_DIFFERENCE_RAD, _MOST_DELAY_S = 0.2, 0.15, 0.05

@@ -152,7 +152,7 @@ class Gridder:
             self._rows.share(self.shape[0], lambda begin, end: straighten(*given, (begin, end), out))
             depth_m, grey = out[0], out[1] if self._is_registered else grey
         if not self._is_registered:
-            grey = self._looked_up(grey, depth_m, twist)
+            grey = self._sampled(grey, depth_m, twist)
         return GridFrame(frame.stamp_s, self.pyramid(depth_m, grey), twist, self._vignetting)
 
     def pyramid(self, depth_m: Float32Array, grey: Float32Array) -> tuple[Level, ...]:
@@ -168,7 +168,7 @@ class Gridder:
             return np.full((*self.shape, 3), -1, np.float32)
         image = self._small(frame.color)
         if not self._is_registered:
-            return self._looked_up(image, grid.levels[0].depth_m, grid.twist)
+            return self._sampled(image, grid.levels[0].depth_m, grid.twist)
         if self._is_straight:
             return image.astype(np.float32)
         has_moved = self._calibration.rolling_shutter_s and grid.twist.any()
@@ -193,7 +193,7 @@ class Gridder:
         size = (image.shape[1] >> self.halvings, image.shape[0] >> self.halvings)
         return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8) if self.halvings else image
 
-    def _looked_up(self, image: Float32Array | ByteArray, depth_m: Float32Array, twist: FloatArray) -> Float32Array:
+    def _sampled(self, image: Float32Array | ByteArray, depth_m: Float32Array, twist: FloatArray) -> Float32Array:
         """The image of a separate colour camera, grey (H, W) or colour (H, W, 3), at the 3D point of each pixel."""
         color = self._color
         lens = (*self._halved(color), *color.distortion)

@@ -41,8 +41,8 @@ from wheelsight.vision.dense.views import (
 from wheelsight.vision.features.tracking import Features
 from wheelsight.vision.tracking_state import LONGEST_STEP_S, Stopwatch, TrackingState
 
-# Uncertainty of the predicted speed, m/s, which unseen directions get; the share of it by which a base on wheels may
-# move sideways, rise or tilt instead (simulator: docs/decisions/dense-alignment.md).
+# Uncertainty of the predicted speed, m/s, which unseen directions get; its share for a base on wheels to move sideways,
+# rise or tilt (simulator: docs/decisions/dense-alignment.md).
 PRIOR_SIGMA_M_S, _NONHOLONOMIC_SHARE = 0.5, 0.15
 # Share of a frame's resolution that a keyframe must have to show it. Along a corridor a frame errs by 3 mm with half of
 # it, and by 1 mm with this share, where keypoints are recognised (simulator: docs/decisions/dense-alignment.md).
@@ -290,7 +290,7 @@ def misfits(frame: GridFrame, reference: Reference, T_reference_frame: FloatArra
     is_inside = is_ahead & (u >= 0) & (u < width) & (v >= 0) & (v < height)
     at = np.where(is_inside, v * width + u, 0).astype(np.int64)
     planes = seen.pixels.reshape(-1, kernels.CHANNELS)[at]
-    sigmas = np.hypot(noise.sigma_m(points[:, 2]), noise.sigma_m(depth))
+    sigmas = np.hypot(*noise.sigma_m(np.stack([points[:, 2], depth])))
     along = (planes[:, kernels.NX : kernels.NZ + 1] * there).sum(axis=1)
     off = np.abs(along - planes[:, kernels.OFFSET]) / sigmas
     elsewhere = np.abs(planes[:, kernels.DEPTH] - depth) > _MOST_SIGMAS * sigmas + _OTHER_SURFACE * depth

@@ -40,8 +40,8 @@ from wheelsight.vision.tracking_state import LONGEST_STEP_S, Stopwatch, Tracking
 
 # Number of keyframes, the most recently used, with pyramids in memory. A pyramid is recomputed in 5 ms.
 _IN_MEMORY = 6
-# A map's prediction serves for so many frames while the camera stays within this distance in metres; a rotation by a
-# radian counts as 1.5 m (docs/decisions/dense-alignment.md).
+# A map's prediction serves for this number of frames while the camera stays within this distance, metres; a rotation by
+# a radian counts as 1.5 m (docs/decisions/dense-alignment.md).
 _PREDICTED_FRAMES, _PREDICTED_WAY_M = 3, 0.04
 
 

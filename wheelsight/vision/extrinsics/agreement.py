@@ -30,7 +30,7 @@ _LARGEST_FACTOR = 100.0  # of sizes: a missing gear; beyond, only one sensor rep
 # Share of the squared motion beyond which both disagree, a scale of 20 % or a direction of 10°, and that a good
 # explanation leaves; chosen.
 _DISAGREES, _EXPLAINED = 0.03, 0.015
-_SAME_SCALE = 0.15  # logarithm by which the height over a floor may differ; chosen
+_SAME_SCALE = 0.15  # largest difference of the logarithm of the height over a floor; chosen
 # Least rotation of a mount that differs, and least tilt of its vertical axis that moves the floor; chosen.
 _LEAST_TURN_DEG, _LARGEST_TILT_DEG = 8.0, 10.0
 

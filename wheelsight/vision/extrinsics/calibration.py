@@ -148,7 +148,8 @@ def refuse_if_unobservable(sigmas: Mapping[str, float], fit: MountFit, settings:
     vague = [name for name, sigma in sigmas.items() if not sigma <= most[name]]
     if not vague:
         return
-    names = ", ".join(f"{name} (σ {_text(name, sigmas[name])})" for name in vague)
+    units = dict.fromkeys(_TILT, (180 / math.pi, "°")) | dict.fromkeys(_PLACE, (100.0, " cm")) | {"delay": (1e3, " ms")}
+    names = ", ".join(f"{name} (σ {units[name][0] * sigmas[name]:.2g}{units[name][1]})" for name in vague)
     fix, turn_rad = WHAT_TO_DRIVE.replace("a minute or two", "longer"), fit.segments.motions[:, 2]
     left_rad, right_rad = turn_rad[turn_rad > 0].sum(), -turn_rad[turn_rad < 0].sum()
     if vague == ["delay"]:
@@ -166,12 +167,6 @@ def refuse_if_out_of_scale(nominal: Wheels, fitted: Wheels) -> None:
             f"distances by the camera are {factor:.2f} times those by the wheels",
             fix="check the depth factor, the wheels' radii and ticks_per_turn",
         )
-
-
-def _text(name: str, sigma: float) -> str:
-    if name in _TILT:
-        return f"{np.degrees(sigma):.2g}°"
-    return f"{100 * sigma:.2g} cm" if name in _PLACE else f"{1e3 * sigma:.2g} ms"
 
 
 @dataclass(frozen=True, eq=False)

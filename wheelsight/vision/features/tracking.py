@@ -62,15 +62,15 @@ class FeatureSettings(Settings):
     )
 
 
-# ORB: grey levels by which a corner's ring must differ, and the same for an image with too few clear corners (Rublee et
+# ORB: least grey difference of a corner's ring, and the same for an image with too few clear corners (Rublee et
 # al. 2011; docs/decisions/features.md), and levels and scale factor of the image pyramid, as in OpenCV.
 _FAST_THRESHOLD, _FAINT_THRESHOLD, PYRAMID_LEVELS, PYRAMID_SCALE = 20, 7, 8, 1.2
 # Standard deviation of a keypoint's pixel on the full image, and its growth per level, less than that of the level's
 # pixels (benchmarks.sensor on two Kinect recordings).
 _SIGMA_PX, _SIGMA_GROWTH = 0.65, 1.12
 _SPREAD_CELL_PX = 64  # cells in which keypoints compete when they are spread (docs/decisions/features.md)
-# Share of the depth by which readings around a keypoint may differ at a Kinect's focal length in pixels or more, and in
-# proportion more at less, because a slanted surface differs from pixel to pixel by its slope times the pixel's angle.
+# Largest difference of readings around a keypoint, as a share of the depth, at a Kinect's focal length in pixels or
+# more. At less it grows in proportion: a slanted surface differs between pixels by its slope times the pixel's angle.
 # Beyond is an edge. Chosen.
 _DEPTH_JUMP, _DEPTH_JUMP_FOCAL_PX = 0.03, 525.0
 # Assumed depth of keypoints without depth in the rolling-shutter correction; it only scales a small parallax.
