@@ -186,7 +186,8 @@ class SurfelMap:
                 last one, or the keyframe is unknown.
         """
         noise = noise or DepthNoise()
-        frame, pose = checked_frame(surface, noise.far_m), checked_pose(T_map_camera, intrinsics)
+        depth_m, normal, grey, color = checked_frame(surface, noise.far_m)
+        pose = checked_pose(T_map_camera, intrinsics)
         if not np.isfinite(stamp_s) or stamp_s < self.stamp_s:
             raise MapError(f"stamp_s is {stamp_s}, after {self.stamp_s}", fix="fuse frames in order of time")
         if keyframe is not None and not 0 <= keyframe < len(self.T_map_keyframe):
@@ -194,14 +195,14 @@ class SurfelMap:
         self.stamp_s, dropped = float(stamp_s), self.blocks.dropped
         self._load_near(pose)
         sensor = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
-        shape, size = frame.depth_m.shape, frame.depth_m.size
+        shape, size = depth_m.shape, depth_m.size
         camera = Camera(pose.T32, pose.grid32, *rays_of(pose.grid, shape), pose.pitch, sensor)
         reading = self._room("reading", (size, READING), np.float32)
         radius = self._room("radius", (size,), np.float32)
-        looks = (frame.color.reshape(-1, 3), frame.grey.reshape(-1))
+        looks = (color.reshape(-1, 3), grey.reshape(-1))
         since_s = self.stamp_s - np.array([*self._lifetime_s, self.settings.active_s])
-        seen = FrameReadings(frame.depth_m, reading, radius, *looks, self.stamp_s, np.float32(frames), since_s)
-        given = (seen, frame.normal, self._weight(pose.grid, shape), camera, self._rules_for(camera.noise))
+        seen = FrameReadings(depth_m, reading, radius, *looks, self.stamp_s, np.float32(frames), since_s)
+        given = (seen, normal, self._weight(pose.grid, shape), camera, self._rules_for(camera.noise))
         self._rows.share(shape[0], lambda a, b: fusion.read(a, b, *given))
         matched, removed, merged, is_new = self._average(seen, camera, pose)
         n = int(np.count_nonzero(is_new))
@@ -352,10 +353,17 @@ class SurfelMap:
     def surfels(self, which: Literal["all", "stable"] = "all") -> Surfels:
         """Return copies of all surfels, or of the stable ones, block by block."""
         self._follow()
-        copies = SurfelCopies(len(self))
+        # Filled part by part, without a temporary second copy; unused room is never touched and takes no memory.
+        copies: dict[str, np.ndarray] = {
+            name: np.empty((len(self), *shape), dtype) for name, (dtype, shape) in _ARRAYS.items()
+        }
+        end = 0
         for part in self._parts():
-            copies.add(part if which == "all" else _chosen(part, self._are_stable(part)))
-        return copies.all()
+            views = views_of(part if which == "all" else _chosen(part, self._are_stable(part)))
+            begin, end = end, end + len(views.grey)
+            for name, array in copies.items():
+                array[begin:end] = getattr(views, name)
+        return Surfels(*(copies[name][:end] for name in Surfels.__slots__))
 
     def parts(
         self, which: Literal["all", "stable"] = "all", keyframes: tuple[int, int] | None = None
@@ -545,6 +553,11 @@ class Surfels:
     keyframe: Int32Array
 
 
+# Type and further dimensions of each array of `Surfels`.
+_ARRAYS: dict[str, tuple[type, tuple[int, ...]]] = dict.fromkeys(Surfels.__slots__, (np.float32, ()))
+_ARRAYS |= dict.fromkeys(("position", "normal", "color"), (np.float32, (3,)))
+_ARRAYS |= dict.fromkeys(("first_s", "last_s"), (np.float64, ())) | {"keyframe": (np.int32, ())}
+
 Parts = Callable[[], Iterable[Surfels]]
 """Returns the surfels of a map in parts, at each call. All at once, they would take as much memory as the map."""
 
@@ -564,19 +577,6 @@ _UNITS = {
     "grey": "0 to 255, -1 where unknown",
     "color": "0 to 255, -1 where unknown",
 }
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Frame:
-    """Depth (h, w), normals (h, w, 3), colour (h, w, 3) and grey (h, w) of a valid frame.
-
-    Without colour, `color` is (0, 0, 3).
-    """
-
-    depth_m: Float32Array
-    normal: Float32Array
-    color: Float32Array
-    grey: Float32Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -609,10 +609,10 @@ def rays_of(grid: FloatArray, shape: tuple[int, ...]) -> tuple[Float32Array, Flo
     return x.astype(np.float32), y.astype(np.float32)
 
 
-def checked_frame(surface: FrameSurface, far_m: float) -> Frame:
-    """Return the frame; raise MapError if its shapes differ or its depth is not in metres.
+def checked_frame(surface: FrameSurface, far_m: float) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array]:
+    """Return depth (h, w), normals (h, w, 3), grey (h, w), and colour (h, w, 3), which is (0, 0, 3) without any.
 
-    Pixels with NaN depth add nothing.
+    Raises MapError if the shapes differ or the depth is not in metres. Pixels with NaN depth add nothing.
 
     Args:
         surface: the frame.
@@ -629,7 +629,7 @@ def checked_frame(surface: FrameSurface, far_m: float) -> Frame:
             raise MapError(f"{name} is of shape {image.shape}, not {expected} as depth_m asks")
     if wrong := why_not_metres(depth_m, far_m):
         raise MapError(f"depth_m {wrong[0]}", fix=wrong[1])
-    return Frame(depth_m, given["normal"], color, given["grey"])
+    return depth_m, given["normal"], given["grey"], color
 
 
 def _array(name: str, image: Any) -> Float32Array:
@@ -670,32 +670,3 @@ def views_of(part: SurfelArrays) -> Surfels:
     color, grey, first_s, last_s = part.look[:, :3], part.look[:, 3], part.seen_s[:, 0], part.seen_s[:, 1]
     others = radius_m[:, 0], color, grey, confidence[:, 0], part.variance, first_s, last_s, part.keyframe
     return Surfels(position, normal, *others)
-
-
-class SurfelCopies:
-    """Collects copies of surfels from parts of a map, without a temporary second copy.
-
-    Args:
-        most: largest number of surfels; unused room is never touched, so that it takes no memory.
-    """
-
-    def __init__(self, most: int) -> None:
-        threes = [np.empty((most, 3), np.float32) for _ in range(3)]
-        ones = [np.empty(most, np.float32) for _ in range(4)]
-        position, normal, color = threes
-        radius, grey, confidence, variance = ones
-        seen = np.empty(most), np.empty(most)
-        keyframe = np.empty(most, np.int32)
-        self._all = Surfels(position, normal, radius, color, grey, confidence, variance, *seen, keyframe)
-        self._filled = 0
-
-    def add(self, part: SurfelArrays) -> None:
-        """Append copies."""
-        begin, self._filled = self._filled, self._filled + len(part.geometry)
-        views = views_of(part)
-        for name in Surfels.__slots__:
-            getattr(self._all, name)[begin : self._filled] = getattr(views, name)
-
-    def all(self) -> Surfels:
-        """Return all copies in order."""
-        return Surfels(*(getattr(self._all, name)[: self._filled] for name in Surfels.__slots__))

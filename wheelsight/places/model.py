@@ -10,11 +10,11 @@ import io
 import math
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -445,7 +445,7 @@ class PlaceModel:
             "figures": asdict(self.figures) | {"area_accuracy": list(self.figures.area_accuracy)},
             "forest": {name: getattr(self.forest, name) for name in _ARRAYS} | {"size": self.forest.size},
         }
-        save_document(document, path)
+        write_bytes(path, needed("skops.io").dumps(document, compression=zipfile.ZIP_DEFLATED))
 
     @classmethod
     def load(cls, path: StrPath, areas: AreaMap | Sequence[str] | None = None) -> PlaceModel:
@@ -454,8 +454,17 @@ class PlaceModel:
         Raises:
             PlaceError: the file is missing, not a model, has other contents than plain values and arrays (rejected
                 before they are created), is of another version, or has other areas.
+            ConfigError: skops is not installed.
         """
-        model = load_document(path, _from_document)
+        path, skops_io = Path(path), needed("skops.io")
+        data = read_bytes(path, _FILE, PlaceError)
+        try:
+            _refuse_all_but_plain(data)
+            model = _from_document(skops_io.loads(data, trusted=[]))
+        except PlaceError as error:
+            raise PlaceError(error.problem, path=path, fix=error.fix) from error
+        except Exception as error:  # a damaged file causes various errors of zip, json, numpy and skops
+            raise PlaceError(f"is damaged: {type(error).__name__}", path=path, fix=RETRAIN) from error
         if areas is not None:
             try:
                 model.check_areas(areas)
@@ -496,7 +505,6 @@ def _from_document(document: Any) -> PlaceModel:
     return model
 
 
-Made = TypeVar("Made")
 # A forest of 64 trees takes some megabytes, 20 unpacked. One of 1000 trees on ten times as many frames takes 400.
 _MOST_BYTES = 1 << 28
 _MOST_SCHEMA_BYTES = 1 << 20
@@ -515,30 +523,6 @@ _PLAIN = {
     ("TypeNode", "builtins.str"),
     ("NdArrayNode", "numpy.ndarray"),
 }
-
-
-def save_document(document: dict[str, Any], path: StrPath) -> None:
-    """Write plain values and arrays, atomically. Raises OutputError."""
-    write_bytes(path, needed("skops.io").dumps(document, compression=zipfile.ZIP_DEFLATED))
-
-
-def load_document(path: StrPath, made_into: Callable[[Any], Made]) -> Made:
-    """Read plain values and arrays, and return `made_into` of them. Its errors become errors of this file.
-
-    Raises:
-        PlaceError: the file cannot be read, is not a model, has other contents than plain values and arrays (none are
-            then created), is of another version, or is inconsistent.
-        ConfigError: skops is not installed.
-    """
-    path, skops_io = Path(path), needed("skops.io")
-    data = read_bytes(path, _FILE, PlaceError)
-    try:
-        _refuse_all_but_plain(data)
-        return made_into(skops_io.loads(data, trusted=[]))
-    except PlaceError as error:
-        raise PlaceError(error.problem, path=path, fix=error.fix) from error
-    except Exception as error:  # a damaged file causes various errors of zip, json, numpy and skops
-        raise PlaceError(f"is damaged: {type(error).__name__}", path=path, fix=RETRAIN) from error
 
 
 def _refuse_all_but_plain(data: bytes) -> None:
