@@ -52,11 +52,6 @@ def test_it_is_se3_in_the_plane(xi: np.ndarray) -> None:
     np.testing.assert_allclose(se2.exp(xi), in_space[np.ix_([0, 1, 3], [0, 1, 3])], atol=1e-12)
 
 
-@given(motions, tangents)
-def test_adjoint_carries_a_tangent_to_the_other_side(T: np.ndarray, xi: np.ndarray) -> None:
-    np.testing.assert_allclose(T @ se2.exp(xi) @ se2.invert(T), se2.exp(se2.adjoint(T) @ xi), atol=1e-10)
-
-
 @given(motions, motions)
 def test_invert_and_compose_are_matrix_algebra(T_a_b: np.ndarray, T_b_c: np.ndarray) -> None:
     np.testing.assert_allclose(se2.invert(T_a_b), np.linalg.inv(T_a_b), atol=1e-11)
@@ -73,14 +68,6 @@ def test_apply_is_the_homogeneous_product(T: np.ndarray, points: list[tuple[floa
     p = np.array(points).reshape(-1, 2)
     homogeneous = np.column_stack([p, np.ones(len(p))])
     np.testing.assert_allclose(se2.apply(T, p), (homogeneous @ T.T)[:, :2], atol=1e-11)
-
-
-@given(motions, tangents, st.floats(0, 1))
-def test_interpolation_follows_the_arc(T_start: np.ndarray, xi: np.ndarray, share: float) -> None:
-    T_end = se2.exp(xi) @ T_start
-    np.testing.assert_allclose(se2.interpolate(T_start, T_end, 0.0), T_start, atol=1e-10)
-    np.testing.assert_allclose(se2.interpolate(T_start, T_end, 1.0), T_end, atol=1e-10)
-    np.testing.assert_allclose(se2.interpolate(T_start, T_end, share), expm(share * hat(xi)) @ T_start, atol=1e-10)
 
 
 @given(st.floats(-100, 100))
@@ -100,7 +87,6 @@ def test_batches_are_loops(rng: np.random.Generator, shape: tuple[int, ...]) -> 
     for index in np.ndindex(*shape):
         np.testing.assert_allclose(T[index], se2.exp(xi[index]), atol=1e-15)
         np.testing.assert_allclose(se2.log(T)[index], se2.log(T[index]), atol=1e-15)
-        np.testing.assert_allclose(se2.adjoint(T)[index], se2.adjoint(T[index]), atol=0)
         np.testing.assert_allclose(se2.invert(T)[index], se2.invert(T[index]), atol=1e-15)
 
 

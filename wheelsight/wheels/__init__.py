@@ -9,7 +9,6 @@ from wheelsight.wheels.gyroscope import GyroCheck, YawRateMeter, gyro_warnings, 
 from wheelsight.wheels.holonomic import AnyWheelOdometry, HolonomicOdometry, odometry_of
 from wheelsight.wheels.loop_check import LoopCause, LoopCheck, check_loop, with_sigmas
 from wheelsight.wheels.odometry import (
-    Encoder,
     Integration,
     ReadingTimes,
     WheelOdometry,
@@ -23,7 +22,6 @@ from wheelsight.wheels.umbmark import Umbmark, umbmark
 
 __all__ = [
     "AnyWheelOdometry",
-    "Encoder",
     "GyroCheck",
     "HolonomicOdometry",
     "Integration",

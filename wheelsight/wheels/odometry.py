@@ -6,7 +6,7 @@ eq. 1); "arc", along the arc, exact for constant wheel speeds. The variance of a
 independently of the other wheel. The yaw rate of a gyroscope, if there is one, is fused with the turn of the wheels
 five times a second. It is used as given; `GyroCheck` decides whether it contradicts the wheels.
 
-The module also has the settings, the correction of reading times (`ReadingTimes`), and the model of an `Encoder`.
+`ReadingTimes` corrects the stamps of readings that are stamped when they arrive.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from wheelsight.core.calibration_parts import Gyro, HolonomicWheels, Wheels, least_step
 from wheelsight.core.checks import check_event, need_kind, need_number
-from wheelsight.core.errors import ArgumentError, CalibrationError
+from wheelsight.core.errors import ArgumentError
 from wheelsight.core.estimates import Reason, Status, WheelEstimate
 from wheelsight.core.geometry import BoolArray, ByteArray, FloatArray, se3
 from wheelsight.core.messages import OdometryReading, WheelCounts, WheelReading, WheelSpeeds, WheelTicks
@@ -497,52 +497,3 @@ class ReadingTimes:
         span = 1 << of.counter_bits if of.counter_bits else 0
         counts = [abs(least_step(a - b, span)) for a, b in zip(now.counts, before.counts, strict=False)]
         return of.m_per_tick * sum(counts) / max(len(counts), 1)
-
-
-_SECONDS_A_MINUTE = 60
-
-
-@dataclass(frozen=True, slots=True)
-class Encoder:
-    """An incremental encoder on a motor's shaft, with counted pulses of channel A (Trinh et al., eq. 4).
-
-    Attributes:
-        counts_per_turn: pulses of one channel per turn of the shaft (CPR).
-        gear_ratio: turns of the shaft per turn of the wheel.
-        wheel_radius_m: of the driven wheel.
-
-    Raises:
-        CalibrationError: a number that is not positive.
-    """
-
-    counts_per_turn: float
-    gear_ratio: float
-    wheel_radius_m: float
-
-    def __post_init__(self) -> None:
-        for name in ("counts_per_turn", "gear_ratio", "wheel_radius_m"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise CalibrationError(f"{name} is {value}, not a positive number")
-
-    @property
-    def ticks_per_turn(self) -> float:
-        """Pulses per turn of the wheel, as in `Wheels.ticks_per_turn`."""
-        return self.counts_per_turn * self.gear_ratio
-
-    @property
-    def m_per_pulse(self) -> float:
-        """Distance of the wheel between two pulses (DistanceResolution)."""
-        return 2 * math.pi * self.wheel_radius_m / self.ticks_per_turn
-
-    def pulses_per_s(self, motor_rpm: float) -> float:
-        """Return pulses per second at a speed of the motor (MaxGeneratedPulse at the highest)."""
-        return motor_rpm / _SECONDS_A_MINUTE * self.counts_per_turn
-
-    def interrupts_per_s(self, motor_rpm: float) -> float:
-        """Return two per pulse (MaxExternalInterrupts): both edges of this encoder, or one edge of two encoders."""
-        return 2 * self.pulses_per_s(motor_rpm)
-
-    def wheel_speed_m_s(self, motor_rpm: float) -> float:
-        """Return the speed of the wheel at a speed of the motor."""
-        return self.pulses_per_s(motor_rpm) * self.m_per_pulse

@@ -47,14 +47,6 @@ def log(T: ArrayLike) -> FloatArray:
     return np.stack([(sine * x + cosine * y) / norm, (sine * y - cosine * x) / norm, omega], axis=-1)
 
 
-def adjoint(T: ArrayLike) -> FloatArray:
-    """Ad (..., 3, 3) with `T @ exp(ξ) @ invert(T) == exp(Ad @ ξ)`, of motions (..., 3, 3)."""
-    Ad = np.array(T, float)
-    x, y, _ = to_parts(T)
-    Ad[..., 0, 2], Ad[..., 1, 2] = y, -x
-    return Ad
-
-
 def compose(*motions: ArrayLike) -> FloatArray:
     """The product (..., 3, 3) of motions, left to right: `compose(T_a_b, T_b_c)` is `T_a_c`."""
     return np.asarray(reduce(np.matmul, (np.asarray(T, float) for T in motions)))
@@ -71,13 +63,6 @@ def apply(T: ArrayLike, p: ArrayLike) -> FloatArray:
     """Points (..., N, 2) moved by motions (..., 3, 3): `p_a = apply(T_a_b, p_b)`."""
     T, p = np.asarray(T, float), np.asarray(p, float)
     return np.asarray(p @ np.swapaxes(T[..., :2, :2], -1, -2) + T[..., None, :2, 2])
-
-
-def interpolate(T_start: ArrayLike, T_end: ArrayLike, share: ArrayLike) -> FloatArray:
-    """Motions (..., 3, 3) a share (...) of the way along the arc from start to end."""
-    T_start = np.asarray(T_start, float)
-    xi = log(np.asarray(T_end, float) @ invert(T_start))
-    return np.asarray(exp(np.asarray(share, float)[..., None] * xi) @ T_start)
 
 
 def _arc_factors(omega: FloatArray) -> tuple[FloatArray, FloatArray]:
