@@ -280,8 +280,3 @@ class FrameUpdate:
     answer: FusedEstimate
     T_odom_base: FloatArray | None
     is_reference: bool
-
-    @property
-    def is_believed(self) -> bool:
-        """Whether wheels and camera agree on the estimate."""
-        return self.answer.reason is None and not self.answer.doubtful

@@ -219,7 +219,7 @@ class AreaFilter:
     Three variables are hidden. The level is the current accuracy of the forest. The place is the area of the robot, or
     the floor outside all areas. The appearance is the area that frames look like. Frames from nearby poses look alike
     and are wrong together. So the appearance stays while the robot hardly moves, and is drawn again, from the
-    confusions of a forest of that level, about once every `appearance_m`. A run of wrong results thereby counts once.
+    confusions of a forest of that level, about once every `appearance_m`. A run of wrong results counts once.
     On the last levels, appearances do not depend on the area and stay for shorter or longer distances: a forest that
     fails for a while.
 

@@ -540,7 +540,8 @@ def after(
         detection = _update_turn_until(detection, detection.gyro_s, event.stamp_s, settings)
     if detection.fault in (Fault.UNDECIDED, Fault.WHEEL_SLIP):
         detection = faults.end_undecided(detection, event.stamp_s, settings)
-    now = changed(now, detection=detection if detection.nis is None else changed(detection, nis=None), reason=None)
+    detection = detection if detection.nis is None else changed(detection, nis=None)
+    now = changed(now, detection=detection, reason=None)
     if event.measurement is not None:
         now = _update_relative(now, event.measurement, event.stamp_s, settings)
     if event.failure is not None:

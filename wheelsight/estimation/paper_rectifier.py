@@ -49,7 +49,7 @@ class PaperRectifier:
         if odometry_term not in ("absolute", "increment"):
             raise ConfigError(f"odometry_term is {odometry_term!r}", fix="absolute or increment")
         self._coordinates = coordinates_of(areas)
-        self._weights = (weights.untold.as_array(), weights.told.as_array())
+        self._weights = (weights.without_area.as_array(), weights.with_area.as_array())
         self._is_increment = odometry_term == "increment"
         self._T_map_wheels = need_motion("T_odom_base", T_odom_base).copy()
         self._odometry_at_frame = self._T_map_wheels[:2, 3].copy()
@@ -123,11 +123,12 @@ def coordinates_of(areas: AreaMap) -> FloatArray:
 
 
 def rectify_drive(
-    odometry: FloatArray, told: FloatArray, weights: Weights, odometry_term: OdometryTerm = "increment"
+    odometry: FloatArray, of_areas: FloatArray, weights: Weights, odometry_term: OdometryTerm = "increment"
 ) -> FloatArray:
     """Return x, y (N, 2) by eq. 5 along a drive, from the wheels (N, 2) and the areas (N, 2), NaN for none."""
-    both = (weights.told.as_array(), weights.untold.as_array(), odometry_term == "increment")
-    axes = [kernels.rectify(np.ascontiguousarray(odometry[:, k], float), told[:, k].copy(), *both) for k in range(2)]
+    both = (weights.with_area.as_array(), weights.without_area.as_array(), odometry_term == "increment")
+    along = [(np.ascontiguousarray(odometry[:, k], float), of_areas[:, k].copy()) for k in range(2)]
+    axes = [kernels.rectify(*axis, *both) for axis in along]
     return np.stack(axes, axis=1)
 
 

@@ -135,7 +135,7 @@ def test_no_single_weight_changed_is_better_than_the_weights_found(rng):
     best = fit_weights(loop(), [drive])
     least = error_m(rectify_drive(drive.odometry, told, best), drive.truth)
     for beta in np.linspace(0.05, 0.95, 7):
-        other = Weights(best.told, AxisWeights(1 - beta, beta))
+        other = Weights(best.with_area, AxisWeights(1 - beta, beta))
         assert error_m(rectify_drive(drive.odometry, told, other), drive.truth) > 0.98 * least
 
 
@@ -143,8 +143,8 @@ def test_perfect_wheels_are_left_alone(rng):
     drive = training_drive(rng)
     perfect = TrainingDrive(drive.truth, drive.area_indices, drive.truth)
     weights = fit_weights(loop(), [perfect])
-    assert weights.told.gamma == 0
-    assert weights.untold.beta == 1
+    assert weights.with_area.gamma == 0
+    assert weights.without_area.beta == 1
 
 
 def test_weights_need_a_drive_and_areas_that_are():

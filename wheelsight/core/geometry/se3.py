@@ -52,7 +52,10 @@ def from_plane(x: ArrayLike, y: ArrayLike, yaw_rad: ArrayLike) -> FloatArray:
 def exp(xi: ArrayLike) -> FloatArray:
     """Motions (..., 4, 4) of tangents (..., 6), (v, ω) in metres and radians."""
     v, omega = np.split(np.asarray(xi, float), 2, axis=-1)
-    return from_parts(so3.exp(omega), (so3.left_jacobian(omega) @ v[..., None])[..., 0])
+    T = np.zeros((*omega.shape[:-1], 4, 4))
+    T[..., :3, :3], T[..., :3, 3] = so3.exp(omega), (so3.left_jacobian(omega) @ v[..., None])[..., 0]
+    T[..., 3, 3] = 1.0
+    return T
 
 
 def log(T: ArrayLike) -> FloatArray:
@@ -123,7 +126,9 @@ def view_shift_m(T: ArrayLike) -> FloatArray:
 def nearest(T: ArrayLike) -> FloatArray:
     """The rigid motions (..., 4, 4) nearest to matrices (..., 4, 4) with rounding errors."""
     T = np.asarray(T, float)
-    return from_parts(so3.nearest(T[..., :3, :3]), T[..., :3, 3])
+    rigid = np.zeros(T.shape)
+    rigid[..., :3, :3], rigid[..., :3, 3], rigid[..., 3, 3] = so3.nearest(T[..., :3, :3]), T[..., :3, 3], 1.0
+    return rigid
 
 
 def is_valid(T: ArrayLike, tolerance: float = 1e-6) -> bool:

@@ -120,19 +120,19 @@ class Weights:
     """Eq. 5's weights in both cases, the same for x and y.
 
     Attributes:
-        told: where the area determines the axis' coordinate.
-        untold: where it does not, or no area is named; gamma is 0.
+        with_area: where the area determines the axis' coordinate.
+        without_area: where it does not, or no area is recognized; gamma is 0.
 
     Raises:
         ConfigError: a gamma where there is no coordinate.
     """
 
-    told: AxisWeights = field(default_factory=lambda: AxisWeights(0.0, 0.9, 0.1))
-    untold: AxisWeights = field(default_factory=lambda: AxisWeights(0.0, 1.0))
+    with_area: AxisWeights = field(default_factory=lambda: AxisWeights(0.0, 0.9, 0.1))
+    without_area: AxisWeights = field(default_factory=lambda: AxisWeights(0.0, 1.0))
 
     def __post_init__(self) -> None:
-        if self.untold.gamma != 0:
-            raise ConfigError(f"weight gamma is {self.untold.gamma} where areas tell nothing", fix="give 0 there")
+        if self.without_area.gamma != 0:
+            raise ConfigError(f"weight gamma is {self.without_area.gamma} without an area", fix="give 0 there")
 
 
 class LigockiSettings(Settings):
