@@ -61,7 +61,7 @@ from wheelsight.io.devices.wire_formats import Ack, Counts, LineDecoder, Version
 from wheelsight.io.recordings import (
     OpenOptions,
     RecordingWriter,
-    camera_turns,
+    camera_angular_velocities,
     find_recordings,
     matches_of,
     open_recording,
@@ -453,7 +453,7 @@ def _play(folder: Path) -> None:
 
 def _play_native(folder: Path) -> None:
     _play(folder)
-    camera_turns(folder)
+    camera_angular_velocities(folder)
 
 
 def _play_only_file(folder: Path) -> None:

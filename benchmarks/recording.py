@@ -126,7 +126,7 @@ def recorded(calibration: Calibration, frames: Sequence[RgbdFrame], color: Color
             session = RecordingSession(recorder, out, camera, None)
             begin_s, cpu_s = time.perf_counter(), time.process_time()
             session.run(lambda: False, seconds=seconds)
-            look = session.look()
+            look = session.status()
             camera.close()
         took_s, cpu_s = time.perf_counter() - begin_s, time.process_time() - cpu_s
         report = recorder.report()

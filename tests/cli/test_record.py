@@ -90,7 +90,7 @@ def test_a_port_that_vanishes_keeps_what_was_recorded_and_is_waited_for(
 ) -> None:
     out = tmp_path / "out"
     process = recording(controller, out)
-    controller.vanish()
+    controller.unplug()
     time.sleep(0.3)
     kept = rows(out)
     assert process.poll() is None

@@ -28,7 +28,7 @@ from wheelsight.core.messages import AngularVelocity, RgbdFrame
 from wheelsight.io.devices import LineStatistics, LinkReport, LinkStatus, host_clock
 from wheelsight.io.devices.cameras import LIVE_CAMERAS
 from wheelsight.io.devices.live_camera import CameraReport, CameraStatus
-from wheelsight.io.devices.recorder import RecorderReport, SessionLook
+from wheelsight.io.devices.recorder import RecorderReport, SessionStatus
 from wheelsight.io.devices.simulated_controller import SimulatedController
 from wheelsight.io.recordings import RecordingWriter, open_recording
 from wheelsight.io.recordings.native import read_frame_clocks
@@ -230,7 +230,7 @@ def test_resuming_goes_by_what_is_there(refusal: Refusal, film: Path, tmp_path: 
 
 
 LINK = LinkReport(LinkStatus.CONNECTED, None, LineStatistics(), 0, 0, 0, 0, 0.0, None, None)
-LOOK = SessionLook(
+LOOK = SessionStatus(
     seconds=725,
     recorder=RecorderReport(frames=21000, readings=36000, dropped=12, refused=1),
     camera=replace(CameraReport(CameraStatus.STREAMING, 0.0), device_drops=3),

@@ -167,7 +167,7 @@ def test_stderr_may_go_before_the_program_does(controller: SimulatedController, 
         until(lambda: rows(out) > 5, process)
         assert process.stderr is not None
         process.stderr.close()
-        controller.vanish()  # which is said
+        controller.unplug()  # which is said
         time.sleep(0.3)
         process.send_signal(signal.SIGTERM)
         assert process.wait(60) == 0

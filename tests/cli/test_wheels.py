@@ -114,7 +114,7 @@ def test_readers_of_serve_come_and_go(controller: SimulatedController, served: S
 @pytest.mark.slow
 def test_serve_waits_for_a_port_that_vanished(controller: SimulatedController, served: Served) -> None:
     read_lines(served.pipe, 3)
-    controller.vanish()
+    controller.unplug()
     time.sleep(0.5)
     controller.left += 100  # pushed by hand
     controller.plug()

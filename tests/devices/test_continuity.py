@@ -43,7 +43,7 @@ class Controller:
 
     def send(self, left: int, right: int, clock_us: int) -> None:
         counts = Counts(0, clock_us % WORD, signed(left), signed(right))
-        self.ticks += self.tracker.follow(counts, self.now_s)
+        self.ticks += self.tracker.add_counts(counts, self.now_s)
 
     def boot(self) -> None:
         self.clock_us = self.left = self.right = 0
@@ -185,7 +185,7 @@ def test_a_change_to_the_papers_format_and_back_loses_no_pulse() -> None:
     controller.run(100)
     for _ in range(100):
         controller.run(1, heard=False)
-        controller.ticks.append(controller.tracker.add(Pulses(controller.now_s, 100, -50, True)))
+        controller.ticks.append(controller.tracker.add_pulses(Pulses(controller.now_s, 100, -50, True)))
     controller.run(3, heard=False)  # of which the paper's frames did not tell
     controller.run(100)
     assert controller.way == (100 * 302, -50 * 302)
@@ -198,7 +198,7 @@ def test_pairs_read_in_heaps_are_stamped_by_their_number() -> None:
     tracker, ticks = TickTracker(), []
     for index in range(600):
         read_s = 1e9 + 0.06 * (index // 3) + 0.05
-        ticks.append(tracker.add(Pulses(read_s, 7, 7, index % 3 == 0, 2 - index % 3)))
+        ticks.append(tracker.add_pulses(Pulses(read_s, 7, 7, index % 3 == 0, 2 - index % 3)))
     steps_s = [after.stamp_s - before.stamp_s for before, after in pairwise(ticks[300:])]
     assert steps_s == pytest.approx([0.02] * len(steps_s), abs=1e-4)
     assert ticks[-1].stamp_s <= 1e9 + 0.06 * 199 + 0.05

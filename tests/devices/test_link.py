@@ -111,7 +111,7 @@ def test_unplugged_and_plugged_in_again(controller: SimulatedController, port: s
         wait(connected(link))
         link.drive(0.5, 0.5)
         wait(lambda: controller.duties == (500, 500))
-        controller.vanish()
+        controller.unplug()
         wait(lambda: link.status is LinkStatus.VANISHED)
         with pytest.raises(DeviceError, match="the port vanished"):
             link.drive(0.5, 0.5)
@@ -137,7 +137,7 @@ def test_a_restarted_controller_invents_no_ticks(
     with WheelLink(port) as link:
         wait(connected(link))
         if is_unplugged:
-            controller.vanish()
+            controller.unplug()
             wait(lambda: link.status is LinkStatus.VANISHED)
             controller.restart()
             controller.plug()
@@ -157,7 +157,7 @@ def test_frames_that_come_together_with_those_of_a_restart_are_no_loss(
 ) -> None:
     """As a busy host reads them; the test above meets it by chance alone."""
     controller.is_muted = True
-    controller.vanish()  # with what it has said by itself
+    controller.unplug()  # with what it has said by itself
     controller.plug()
     before = [Counts(100 + k, 1_000_000 + 1000 * k, 5000, 7000) for k in range(3)]
     after = [Counts(k, 1000 * k, 0, 0) for k in range(40)]

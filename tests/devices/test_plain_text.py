@@ -44,9 +44,9 @@ class Host:
     def hear(self, data: bytes, arrival_s: float) -> None:
         for told in self.decoder.feed(data, arrival_s):
             if isinstance(told, PlainReading):
-                self.ticks += self.tracker.read(told)
+                self.ticks += self.tracker.add_line(told)
             elif isinstance(told, Counts):
-                self.ticks += self.tracker.follow(told, arrival_s)
+                self.ticks += self.tracker.add_counts(told, arrival_s)
 
     def listen(self, lines: Sequence[bytes], start_s: float = 100.0) -> None:
         for n, line in enumerate(lines):

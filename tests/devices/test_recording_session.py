@@ -16,7 +16,7 @@ from wheelsight.core.errors import OutputError
 from wheelsight.core.settings import RecorderSettings
 from wheelsight.io.devices import WheelLink, host_clock
 from wheelsight.io.devices.live_camera import CameraStatus
-from wheelsight.io.devices.recorder import LiveRecorder, RecordingSession, SessionLook
+from wheelsight.io.devices.recorder import LiveRecorder, RecordingSession, SessionStatus
 from wheelsight.io.devices.simulated_controller import SimulatedController
 from wheelsight.io.recordings import RecordingWriter, open_recording
 
@@ -25,7 +25,7 @@ DEFAULTS = RecorderSettings()
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("wheelsight.io.devices.recorder._LOOK_S", 0.02)
+    monkeypatch.setattr("wheelsight.io.devices.recorder._CHECK_S", 0.02)
     monkeypatch.setattr("wheelsight.io.devices.recorder._RATE_SPAN_S", 0.5)
 
 
@@ -34,7 +34,7 @@ class Session:
 
     def __init__(self, recorder: LiveRecorder, folder: Path, camera: HandFedCamera, link: WheelLink | None) -> None:
         self.notes: list[str] = []
-        self.looks: list[SessionLook] = []
+        self.looks: list[SessionStatus] = []
         self.problem: OutputError | None = None
         self.recorder, self.camera = recorder, camera
         self._is_over = threading.Event()

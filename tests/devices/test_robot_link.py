@@ -180,7 +180,7 @@ def test_without_steps_the_link_stops_the_motors(robot: LinkRobot, controller: S
 
 def test_a_vanished_port_stops(robot: LinkRobot, controller: SimulatedController) -> None:
     run(robot, AHEAD, 0.5)
-    controller.vanish()
+    controller.unplug()
     wait(robot, lambda: bool(robot.stop_reason), AHEAD)
     controller.plug()
     before = len(controller.commands)

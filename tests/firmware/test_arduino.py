@@ -83,7 +83,7 @@ class Host:
         for cycle, byte in uno.sent():
             for told in self.decoder.feed(bytes([byte]), cycle / UNO_HZ + BYTE_S):
                 assert isinstance(told, PlainReading)
-                self.ticks += self.tracker.read(told)
+                self.ticks += self.tracker.add_line(told)
 
 
 def test_the_link_reads_what_the_sketch_prints(uno: Chip) -> None:

@@ -107,7 +107,7 @@ def test_counts_and_clock_roll_over_and_the_host_goes_on(built_stm32: Path, boar
     for _ in range(20):
         board.run(0.02)
         for counts in board.counts():
-            ticks += tracker.follow(counts, board.peripherals.now_s)
+            ticks += tracker.add_counts(counts, board.peripherals.now_s)
     moved = ticks[-1].left - (1 << 31) + 500, ticks[-1].right + (1 << 31) - 700
     assert moved == (40_000, -40_000)
     assert (tracker.restarts, tracker.refused) == (0, 0)
@@ -119,7 +119,7 @@ def test_a_reset_is_told_and_is_no_motion(board: Stm32) -> None:
 
     def hear() -> None:
         for counts in board.counts():
-            ticks.extend(tracker.follow(counts, board.peripherals.now_s))
+            ticks.extend(tracker.add_counts(counts, board.peripherals.now_s))
 
     board.turn("left", 50_000, 200_000)
     for _ in range(20):

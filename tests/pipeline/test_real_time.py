@@ -342,7 +342,7 @@ def test_a_serial_port_that_is_unplugged(drive: Path, tmp_path: Path) -> None:
     with SimulatedController(tmp_path) as controller:
         controller.speeds = (10, 10)
         with in_real_time(open_recording(drive), str(controller.port)) as live:
-            wheels, joined = run_each(live, JOINED, tmp_path / "out", on_event=AfterReadings(10, controller.vanish))
+            wheels, joined = run_each(live, JOINED, tmp_path / "out", on_event=AfterReadings(10, controller.unplug))
     assert len(wheels.frames) >= 10
     assert wheels.estimate.length_m > 0.02
     stamps_s = [frame.stamp_s for frame in wheels.frames]

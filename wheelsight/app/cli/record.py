@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, get_args
 import typer
 
 from wheelsight.app.cli.console import console, print_note, print_warning
-from wheelsight.app.cli.options import OUTPUT, Topics
+from wheelsight.app.cli.options import OUTPUT, Topics, option
 from wheelsight.app.cli.wheels import Baud, Seconds
 from wheelsight.core.errors import ConfigError, OutputError
 from wheelsight.core.runtime import until_stopped
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from wheelsight.core.calibration import Calibration
     from wheelsight.core.settings import LiveCameraSettings, RecorderSettings
     from wheelsight.io.devices.live_camera import LiveCamera
-    from wheelsight.io.devices.recorder import LiveRecorder, RecordingSession, SessionLook
+    from wheelsight.io.devices.recorder import LiveRecorder, RecordingSession, SessionStatus
     from wheelsight.io.recordings.bags.writing import LiveBag
     from wheelsight.io.recordings.native import LiveWriter
 
@@ -37,29 +37,21 @@ _SENSORS = "Sensors"
 
 CameraKind = Annotated[
     str | None,
-    typer.Option(
-        metavar="NAME",
-        help="Camera: its kind, or kind:serial number; any for the first that is plugged in; recording:DIR plays one.",
-        show_default="none",
-        rich_help_panel=_SENSORS,
+    option(
+        "Camera: its kind, or kind:serial number; any for the first that is plugged in; recording:DIR plays one.",
+        "NAME",
+        "none",
+        _SENSORS,
     ),
 ]
-WheelsPort = Annotated[
-    str | None,
-    typer.Option(
-        metavar="PORT",
-        help="Serial port of the wheel controller.",
-        show_default="none",
-        rich_help_panel=_SENSORS,
-    ),
-]
+WheelsPort = Annotated[str | None, option("Serial port of the wheel controller.", "PORT", "none", _SENSORS)]
 Calibrations = Annotated[
     list[Path] | None,
-    typer.Option(
-        metavar="FILE",
-        help="calibration.yaml to put into the recording, over what the camera says of itself. May be given again.",
-        show_default="none",
-        rich_help_panel=_SENSORS,
+    option(
+        "calibration.yaml to put into the recording, over what the camera says of itself. May be given again.",
+        "FILE",
+        "none",
+        _SENSORS,
     ),
 ]
 Infrared = Annotated[
@@ -70,15 +62,7 @@ Out = Annotated[
     Path | None,
     typer.Option(metavar="DIR", help="Folder of the recording; made.", show_default=False, rich_help_panel=OUTPUT),
 ]
-Bag = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Write a bag of ROS 2, .mcap, in place of a folder.",
-        show_default=False,
-        rich_help_panel=OUTPUT,
-    ),
-]
+Bag = Annotated[Path | None, option("Write a bag of ROS 2, .mcap, in place of a folder.", "FILE", False, OUTPUT)]
 Color = Annotated[
     str,
     typer.Option(metavar="png|jpeg", help="How colour is kept: exactly, or small.", rich_help_panel=OUTPUT),
@@ -137,7 +121,7 @@ def record(
 
 @dataclass(frozen=True, slots=True)
 class SensorOptions:
-    """What is to be recorded, as the options say."""
+    """Options of the sensors."""
 
     camera: str | None
     wheels: str | None
@@ -152,7 +136,7 @@ class SensorOptions:
 def opened_recording(
     asked: SensorOptions, out: Path | BagPlace, color: str, *, force: bool, resume: bool
 ) -> Iterator[RecordingSession]:
-    """Sensors and recording opened for the block; a refusal leaves no folder, and the end prints a summary.
+    """Open sensors and recording for the block. A refusal leaves no folder; the end prints a summary.
 
     Raises InputError.
     """
@@ -203,7 +187,7 @@ def opened_recording(
 
 
 def _known(asked: SensorOptions, out: Path, resume: bool) -> Calibration | None:
-    """Of what is resumed, which stands whatever the camera says. Raises CalibrationError, ConfigError."""
+    """Calibration of the resumed recording, which overrides the camera's. Raises CalibrationError, ConfigError."""
     from wheelsight.io.recordings.native import resumed_calibration
 
     calibration = resumed_calibration(out) if resume else None
@@ -215,7 +199,7 @@ def _known(asked: SensorOptions, out: Path, resume: bool) -> Calibration | None:
 def _camera(
     asked: SensorOptions, settings: LiveCameraSettings, known: Calibration | None, opened: ExitStack
 ) -> tuple[LiveCamera | None, Calibration | None]:
-    """The camera, if any, and the calibration of what is recorded. Raises DeviceError, CalibrationError."""
+    """The camera, if any, and the calibration of the recording. Raises DeviceError, CalibrationError."""
     from wheelsight.app.cli.console import print_warning
     from wheelsight.core.calibration import load_calibration
     from wheelsight.io.devices.cameras import open_robot_camera
@@ -230,7 +214,7 @@ def _camera(
 
 
 def _settings(asked: SensorOptions) -> tuple[LiveCameraSettings, RecorderSettings]:
-    """Of camera and recorder. Raises ConfigError."""
+    """Settings of camera and recorder. Raises ConfigError."""
     from wheelsight.core.settings import LiveCameraSettings, RecorderSettings
 
     camera, recorder = LiveCameraSettings(), RecorderSettings()
@@ -248,12 +232,12 @@ def _settings(asked: SensorOptions) -> tuple[LiveCameraSettings, RecorderSetting
 
 @dataclass(frozen=True, slots=True)
 class BagPlace:
-    """A bag that is to be written."""
+    """The path of a bag to write."""
 
     path: Path
 
     def check(self, *, has_infrared: bool, force: bool, resume: bool) -> None:
-        """Raises ConfigError, OutputError before a device is touched, for what a bag cannot be or hold."""
+        """Check a bag before a device is opened. Raises ConfigError, OutputError."""
         from wheelsight.app.cli.options import check_out
         from wheelsight.io.recordings.bags.writing import check_growing_name, check_library
 
@@ -266,19 +250,19 @@ class BagPlace:
         check_out(self.path, force)
 
     def settings(self, of_recorder: RecorderSettings) -> RecorderSettings:
-        """Frames wait no longer than readers of bags do."""
+        """Settings in which frames wait no longer than readers of bags."""
         wait_s = min(of_recorder.longest_wait_s, _BAG_WAIT_S)
         return of_recorder.model_copy(update={"longest_wait_s": wait_s})
 
     def writer(self, calibration: Calibration | None, color: str) -> LiveBag:
-        """What writes it. Raises CalibrationError, OutputError."""
+        """The writer of the bag. Raises CalibrationError, OutputError."""
         from wheelsight.io.recordings.bags.writing import LiveBag
 
         return LiveBag(self.path, calibration, color, _BAG_FLUSH_S)  # type: ignore[arg-type]
 
 
 def place_of(out: Path | None, bag: Path | None) -> Path | BagPlace:
-    """Where to, by --out and --bag. Raises ConfigError unless one of them is given."""
+    """The output of --out or --bag. Raises ConfigError unless exactly one is given."""
     if out is not None and bag is not None:
         raise ConfigError("--out and --bag are two recordings", fix="one of them; `wheelsight export` makes the other")
     if bag is not None:
@@ -295,7 +279,7 @@ def place_of(out: Path | None, bag: Path | None) -> Path | BagPlace:
 _LINE_EVERY_S = 10.0
 
 
-def line_of(look: SessionLook, width: int, seconds: float | None = None) -> str:
+def line_of(look: SessionStatus, width: int, seconds: float | None = None) -> str:
     """Time, count, rate, drops by cause, disk: with all words where there is room, else with few.
 
     Of a recording that ends after some seconds the time says of how many.
@@ -308,7 +292,7 @@ def line_of(look: SessionLook, width: int, seconds: float | None = None) -> str:
     return next((line for line in lines if len(line) <= width), lines[-1][: max(width, 0)])
 
 
-def _words(look: SessionLook, seconds: float | None, are_few: bool) -> Iterator[str]:
+def _words(look: SessionStatus, seconds: float | None, are_few: bool) -> Iterator[str]:
     yield _time_of(look, seconds, "/" if are_few else " of ")
     if look.camera is not None:
         yield f"{look.recorder.frames} frames, {look.frames_per_s:.1f}/s"
@@ -325,7 +309,7 @@ def _words(look: SessionLook, seconds: float | None, are_few: bool) -> Iterator[
         yield f"{look.bytes_per_s / 1e6:.1f} MB/s, {_bytes(look.free_bytes)} free{_left(look, ', full in ')}"
 
 
-def _fewest_words(look: SessionLook, seconds: float | None, drops: str, *, has_speed: bool = True) -> Iterator[str]:
+def _fewest_words(look: SessionStatus, seconds: float | None, drops: str, *, has_speed: bool = True) -> Iterator[str]:
     yield _time_of(look, seconds, "/")
     if look.camera is not None:
         yield f"{look.recorder.frames} fr {look.frames_per_s:.0f}/s"
@@ -339,12 +323,12 @@ def _fewest_words(look: SessionLook, seconds: float | None, drops: str, *, has_s
     yield f"{_bytes(look.free_bytes)}{_left(look, '=')}"
 
 
-def _time_of(look: SessionLook, seconds: float | None, of: str) -> str:
+def _time_of(look: SessionStatus, seconds: float | None, of: str) -> str:
     return clock_of(look.seconds) if seconds is None else f"{clock_of(look.seconds)}{of}{clock_of(seconds)}"
 
 
 def _short(cause: str) -> str:
-    """Its last word, such as "disk" of "slow disk"."""
+    """The last word of a cause, such as "disk" of "slow disk"."""
     return cause.split()[-1]
 
 
@@ -353,7 +337,7 @@ def clock_of(seconds: float) -> str:
     return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
 
 
-def _left(look: SessionLook, before: str) -> str:
+def _left(look: SessionStatus, before: str) -> str:
     """How long the free space lasts; "" if unknown."""
     if look.full_after_s is None:
         return ""
@@ -367,7 +351,7 @@ def _bytes(count: int) -> str:
 
 
 @contextmanager
-def shown_looks(seconds: float | None = None) -> Iterator[Callable[[SessionLook], None]]:
+def shown_looks(seconds: float | None = None) -> Iterator[Callable[[SessionStatus], None]]:
     """Show the state of a recording: a changing line on a terminal, else a line every ten seconds."""
     stderr = console(stderr=True)
     if stderr.is_terminal:
@@ -376,7 +360,7 @@ def shown_looks(seconds: float | None = None) -> Iterator[Callable[[SessionLook]
         return
     shown_s = [time.monotonic()]
 
-    def show(look: SessionLook) -> None:
+    def show(look: SessionStatus) -> None:
         if time.monotonic() - shown_s[0] >= _LINE_EVERY_S:
             shown_s[0] = time.monotonic()
             stderr.print(line_of(look, stderr.width, seconds))
@@ -385,12 +369,12 @@ def shown_looks(seconds: float | None = None) -> Iterator[Callable[[SessionLook]
 
 
 def note(text: str) -> None:
-    """Say something that happened, with the time, on stderr."""
+    """Print an event with its time on stderr."""
     print_note(f"{time.strftime('%H:%M:%S')} {text}")
 
 
 def print_end(writer: LiveWriter, recorder: LiveRecorder, out: Path, has_camera: bool) -> None:
-    """What is in the folder by now, and what is not."""
+    """Print the contents of the recording, and what was dropped."""
     recorder.close()
     report = recorder.report()
     frames = f"{writer.frames} frames and " if has_camera else ""

@@ -175,7 +175,7 @@ class PlayedCamera:
     def opened(cls, where: str | None, settings: LiveCameraSettings, calibration: Calibration | None) -> PlayedCamera:
         """A player of a recording. Raises DeviceError where it has no frames of this calibration."""
         # Loads OpenCV, which other cameras do not need.
-        from wheelsight.io.recordings import OpenOptions, camera_turns, open_recording
+        from wheelsight.io.recordings import OpenOptions, camera_angular_velocities, open_recording
 
         if where is None:
             raise DeviceError("no recording is named", fix="--camera recording:DIR")
@@ -186,7 +186,7 @@ class PlayedCamera:
         if calibration is not None and _sizes(calibration) != _sizes(own):
             problem = f"its images are of {_sizes(own)}, the calibration's of {_sizes(calibration)}"
             raise DeviceError(problem, path=where, fix="leave out --calibration, or give that of this camera")
-        turns, notes = camera_turns(Path(where)) if settings.gyro else ([], [])
+        turns, notes = camera_angular_velocities(Path(where)) if settings.gyro else ([], [])
         frames = (event for event in recording.events() if isinstance(event, RgbdFrame | SkippedFrame))
         name = f"the recording {recording.name}"
         return cls(name, calibration or own, frames, settings, turns=turns, notes=notes)

@@ -193,12 +193,12 @@ class LiveRecorder:
 
 THREAD = "wheelsight-capture"
 _LONGEST_WAIT_S = 0.1
-_LOOK_S = 0.5  # between two checks of the camera, the disk and the rates
+_CHECK_S = 0.5  # between two checks of the camera, the disk and the rates
 _RATE_SPAN_S = 3.0  # rates are averages over this time
 
 
 @dataclass(frozen=True, slots=True)
-class SessionLook:
+class SessionStatus:
     """The state of a recording session at one moment.
 
     Attributes:
@@ -263,14 +263,14 @@ class RecordingSession:
     def run(
         self,
         is_over: Callable[[], bool],
-        on_look: Callable[[SessionLook], None] = lambda look: None,
+        on_status: Callable[[SessionStatus], None] = lambda status: None,
         seconds: float | None = None,
     ) -> None:
         """Record until `is_over`, or for a duration.
 
         Args:
             is_over: polled about ten times per second.
-            on_look: called regularly with the state of the session.
+            on_status: called regularly with the state of the session.
             seconds: the duration; None for no limit.
 
         Raises:
@@ -279,7 +279,7 @@ class RecordingSession:
         capture = threading.Thread(target=self._capture, name=THREAD, daemon=True)
         self._began_s = time.monotonic()
         self._history.append((self._began_s, self._recorder.report()))
-        next_look_s = self._began_s
+        next_check_s = self._began_s
         capture.start()
         try:
             while not (is_over() or self._has_ended()):
@@ -289,9 +289,9 @@ class RecordingSession:
                     time.sleep(_LONGEST_WAIT_S)
                 elif (ticks := self._link.read(_LONGEST_WAIT_S)) is not None:
                     self._recorder.add_reading(ticks)
-                if time.monotonic() >= next_look_s:
-                    next_look_s += _LOOK_S
-                    on_look(self.look())
+                if time.monotonic() >= next_check_s:
+                    next_check_s += _CHECK_S
+                    on_status(self.status())
                     free_mb = self._free_bytes() / 1e6
                     if free_mb < self._settings.least_free_mb:
                         full = f"only {free_mb:.0f} MB are left on the disk: recording stopped, and is complete"
@@ -303,7 +303,7 @@ class RecordingSession:
         if (problem := self._recorder.report().problem) is not None:
             raise problem
 
-    def look(self) -> SessionLook:
+    def status(self) -> SessionStatus:
         """The state of the session. Calls `note` for changes since the last call."""
         now_s, recorder = time.monotonic(), self._recorder.report()
         self._history.append((now_s, recorder))
@@ -315,7 +315,7 @@ class RecordingSession:
         free_bytes = self._free_bytes()
         left_bytes = max(free_bytes - 1e6 * self._settings.least_free_mb, 0.0)
         self._notice()
-        return SessionLook(
+        return SessionStatus(
             now_s - self._began_s,
             recorder,
             None if self._camera is None else self._camera.report(),

@@ -155,7 +155,16 @@ class SimulatedController:
         self._lock = threading.RLock()
         self._is_over = threading.Event()
         self.plug()
-        self._thread = threading.Thread(target=self._run, daemon=True)
+
+        def run() -> None:
+            next_s = time.monotonic()
+            while not self._is_over.is_set():
+                self._obey_until(next_s)
+                next_s = max(next_s + PERIOD_S, time.monotonic() - PERIOD_S)
+                with self._lock:
+                    self._send_counts()
+
+        self._thread = threading.Thread(target=run, daemon=True)
         self._thread.start()
 
     def plug(self) -> None:
@@ -179,7 +188,7 @@ class SimulatedController:
             if self.is_plain:
                 self.send(b"time_us,left,right\r\n")
 
-    def vanish(self) -> None:
+    def unplug(self) -> None:
         """Close both ends, as when it is unplugged. The controller continues to count."""
         with self._lock:
             self.port.unlink(missing_ok=True)
@@ -206,21 +215,13 @@ class SimulatedController:
         """End, and remove the port."""
         self._is_over.set()
         self._thread.join()
-        self.vanish()
+        self.unplug()
 
     def __enter__(self) -> SimulatedController:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _run(self) -> None:
-        next_s = time.monotonic()
-        while not self._is_over.is_set():
-            self._obey_until(next_s)
-            next_s = max(next_s + PERIOD_S, time.monotonic() - PERIOD_S)
-            with self._lock:
-                self._send_counts()
 
     def _send_counts(self) -> None:
         """Count the pulses of a period, and send them."""

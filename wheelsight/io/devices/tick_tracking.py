@@ -63,7 +63,7 @@ class TickTracker:
         """The drift of the controller's clock in millionths, positive where it runs faster; 0 without a clock."""
         return (self._plain.clock if self._is_plain else self.clock).drift_ppm
 
-    def follow(self, counts: Counts, arrival_s: float) -> list[WheelTicks]:
+    def add_counts(self, counts: Counts, arrival_s: float) -> list[WheelTicks]:
         """Add a frame that arrived at `arrival_s`. Returns the confirmed ticks: none, one, or two after a restart."""
         last, held = self._last, self._held
         self._pairs.restart()  # the number of pairs is unknown across frames
@@ -91,7 +91,7 @@ class TickTracker:
         began = self._restart(last, held)
         return [began, self._accept(after, _steps(held.counts, counts))]
 
-    def add(self, pulses: Pulses) -> WheelTicks:
+    def add_pulses(self, pulses: Pulses) -> WheelTicks:
         """Add a pair of the paper's format. Returns its ticks, stamped by the number of pairs, as it has no clock."""
         self._has_begun = True
         self._plain.forget()
@@ -106,7 +106,7 @@ class TickTracker:
         self._stamp_s = max(sent_s, self._stamp_s + 1e-6)
         return WheelTicks(self._stamp_s, self._left, self._right)
 
-    def read(self, reading: PlainReading) -> list[WheelTicks]:
+    def add_line(self, reading: PlainReading) -> list[WheelTicks]:
         """Add a line of plain text. Returns the confirmed ticks: none, one, or two."""
         plain = self._plain
         if self._last is not None:  # later frames are of another program
@@ -115,7 +115,7 @@ class TickTracker:
         self._pairs.restart()
         self._is_plain = True
         restarts, refused = plain.restarts, plain.refused
-        steps = plain.follow(reading)
+        steps = plain.add(reading)
         self.restarts += plain.restarts - restarts
         self.refused += plain.refused - refused
         if steps and not self._has_begun:
@@ -282,7 +282,7 @@ class PlainTracker:
         self._has_map = False
         self._stamp_s = -float("inf")
 
-    def follow(self, line: PlainReading) -> list[PlainStep]:
+    def add(self, line: PlainReading) -> list[PlainStep]:
         """Add a reading. Returns the confirmed steps; the first one is zero."""
         if line.clock is None and line.following:
             return []  # its arrival is unknown: of lines in one read, only the last one did not wait
@@ -546,7 +546,13 @@ class PairClock:
             if not following:  # of pairs in one read, the last one waited least
                 self._arrivals.append((float(self._number), arrival_s))
             if len(self._arrivals) >= 3 and self._arrivals[-1][1] - self._arrivals[0][1] >= _LEARN_S:
-                self._estimate_period()
+                period_s = slope_beneath(self._arrivals)
+                if _SHORTEST_PERIOD_S <= period_s <= _LONGEST_PERIOD_S:
+                    self.period_s = period_s
+                    for number, arrived_s in self._arrivals:
+                        self._map.update(number * period_s, arrived_s)
+                    self._begun = True
+                self._arrivals.clear()
             return self._growing(arrival_s, arrival_s)
         latest_s = arrival_s - following * self.period_s
         if self._begun:
@@ -562,16 +568,6 @@ class PairClock:
         self._arrivals.clear()
         self._late.clear()
         self._begun = False
-
-    def _estimate_period(self) -> None:
-        """Estimate the period from the arrivals."""
-        period_s = slope_beneath(self._arrivals)
-        if _SHORTEST_PERIOD_S <= period_s <= _LONGEST_PERIOD_S:
-            self.period_s = period_s
-            for number, arrived_s in self._arrivals:
-                self._map.update(number * period_s, arrived_s)
-            self._begun = True
-        self._arrivals.clear()
 
     def _count_lost(self, arrival_s: float, latest_s: float, following: int) -> None:
         """Correct the number after pairs were lost or not sent."""

@@ -291,15 +291,15 @@ class WheelLink:
             self._decoded_s = now_s
             if isinstance(message, Counts):
                 restarts = self._tracker.restarts
-                for ticks in self._tracker.follow(message, self._unix_s + now_s):
+                for ticks in self._tracker.add_counts(message, self._unix_s + now_s):
                     self._put(ticks)
                 if self._tracker.restarts > restarts:
                     self._commands.forget_drive()
                     self._decoder.forgive_gap(message.sequence)
             elif isinstance(message, Pulses):
-                self._put(self._tracker.add(message))
+                self._put(self._tracker.add_pulses(message))
             elif isinstance(message, PlainReading):
-                for ticks in self._tracker.read(message):
+                for ticks in self._tracker.add_line(message):
                     self._put(ticks)
             elif isinstance(message, Ack) and self._commands.answered(message):
                 self._tracker.reset_done()

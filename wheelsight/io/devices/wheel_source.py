@@ -195,9 +195,14 @@ class TelemetryPipe:
         if len(data) > LONGEST_LINE or data.count(b"\n") != 1:
             raise ValueError(f"not one line of at most {LONGEST_LINE - 1} bytes: {line[:40]!r}…")
         if self._writer is None:
-            self._writer = self._find_reader()
-        if self._writer is None:
-            return
+            try:
+                writer = os.open(self.path, os.O_WRONLY | os.O_NONBLOCK)
+            except OSError:  # ENXIO: no reader; ENOENT: the pipe was removed
+                return
+            if _identity(os.fstat(writer)) != self._identity:
+                os.close(writer)
+                return
+            self._writer = writer
         self._waiting.append(data)
         if len(self._waiting) > _MOST_WAITING:
             self._waiting.popleft()
@@ -225,17 +230,6 @@ class TelemetryPipe:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _find_reader(self) -> int | None:
-        """The descriptor of the pipe, opened for writing; None where it has no reader."""
-        try:
-            writer = os.open(self.path, os.O_WRONLY | os.O_NONBLOCK)
-        except OSError:  # ENXIO: no reader; ENOENT: the pipe was removed
-            return None
-        if _identity(os.fstat(writer)) == self._identity:
-            return writer
-        os.close(writer)
-        return None
 
     def _disconnect(self) -> None:
         """Drop waiting lines and close the pipe for writing."""

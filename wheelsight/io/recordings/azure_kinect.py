@@ -140,7 +140,28 @@ class KinectRegistration:
             color.K, color.coefficients, np.eye(3), color.K, (width, height), cv2.CV_32FC1
         )
         T_color_depth = se3.compose(color.T_camera_device, se3.invert(depth.T_camera_device))
-        self._rays: Float32Array = (_quarter_rays(depth) @ T_color_depth[:3, :3].T).astype(np.float32)
+        # Rays (4·H·W, 3) with z = 1 of the quarters of depth pixels, row by row; NaN outside the lens's reach.
+        columns, rows = (np.arange(2 * side) / 2 - 0.25 for side in depth.size)
+        u, v = np.meshgrid(columns, rows)
+        px = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
+        if hasattr(cv2, "undistortPointsIter"):  # before OpenCV 5
+            undistorted = cv2.undistortPointsIter(px, depth.K, depth.coefficients, None, None, _UNDISTORT)
+        else:
+            undistorted = cv2.undistortPoints(px, depth.K, depth.coefficients, criteria=_UNDISTORT)
+        xy: FloatArray = np.asarray(undistorted, float).reshape(-1, 2)
+        focal_px, middle = depth.K[[0, 1], [0, 1]], depth.K[:2, 2]
+        # The points are distorted again as a check. OpenCV also computes derivatives, which takes seconds.
+        k1, k2, p1, p2, k3, k4, k5, k6 = depth.coefficients
+        x, y = xy.T
+        r2 = x**2 + y**2
+        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        moved = (2 * p1 * x * y + p2 * (r2 + 2 * x**2), p1 * (r2 + 2 * y**2) + 2 * p2 * x * y)
+        distorted = np.stack([x * radial + moved[0], y * radial + moved[1]], axis=1)
+        off_px = np.abs(distorted * focal_px + middle - px.reshape(-1, 2)).max(axis=1)
+        is_beyond = (off_px > _CONVERGED_PX) | (np.linalg.norm(xy, axis=1) > depth.reach)
+        rays = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
+        rays[is_beyond] = np.nan
+        self._rays: Float32Array = (rays @ T_color_depth[:3, :3].T).astype(np.float32)
         self._t: Float32Array = T_color_depth[:3, 3].astype(np.float32)
 
     def calibration(self, depth_mode: str, serial: str) -> Calibration:
@@ -173,31 +194,6 @@ class KinectRegistration:
         np.minimum.at(nearest, index, p_color[inside, 2])
         nearest[nearest >= _FAR_M] = 0
         return nearest.reshape(height, width)
-
-
-def _quarter_rays(depth: KinectLens) -> FloatArray:
-    """Rays (4·H·W, 3) with z = 1 of the quarters of depth pixels, row by row; NaN outside the lens's reach."""
-    width, height = depth.size
-    u, v = np.meshgrid(np.arange(2 * width) / 2 - 0.25, np.arange(2 * height) / 2 - 0.25)
-    px = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
-    if hasattr(cv2, "undistortPointsIter"):  # before OpenCV 5
-        undistorted = cv2.undistortPointsIter(px, depth.K, depth.coefficients, None, None, _UNDISTORT)
-    else:
-        undistorted = cv2.undistortPoints(px, depth.K, depth.coefficients, criteria=_UNDISTORT)
-    xy: FloatArray = np.asarray(undistorted, float).reshape(-1, 2)
-    focal_px, middle = depth.K[[0, 1], [0, 1]], depth.K[:2, 2]
-    # The points are distorted again as a check. OpenCV also computes derivatives, which takes seconds.
-    k1, k2, p1, p2, k3, k4, k5, k6 = depth.coefficients
-    x, y = xy.T
-    r2 = x**2 + y**2
-    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    moved = (2 * p1 * x * y + p2 * (r2 + 2 * x**2), p1 * (r2 + 2 * y**2) + 2 * p2 * x * y)
-    distorted = np.stack([x * radial + moved[0], y * radial + moved[1]], axis=1)
-    off_px = np.abs(distorted * focal_px + middle - px.reshape(-1, 2)).max(axis=1)
-    is_beyond = (off_px > _CONVERGED_PX) | (np.linalg.norm(xy, axis=1) > depth.reach)
-    rays = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
-    rays[is_beyond] = np.nan
-    return rays
 
 
 _COLOR, _DEPTH = "COLOR", "DEPTH"

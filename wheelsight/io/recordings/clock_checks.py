@@ -354,7 +354,7 @@ class MotionClock:
     def add(self, event: Event) -> None:
         """Add a frame or a reading. Frames too soon after the last one are ignored."""
         if isinstance(event, RgbdFrame):
-            self.see(event.stamp_s, event.color)
+            self.add_image(event.stamp_s, event.color)
         elif isinstance(event, YawRate):
             # Integrate the mean rate of two readings.
             headings, before = self._headings["gyroscope"], self._rate or event
@@ -365,13 +365,13 @@ class MotionClock:
         elif isinstance(event, WheelTicks | WheelSpeeds | OdometryReading):
             self._read(event)
 
-    def wants(self, stamp_s: float) -> bool:
+    def needs_image(self, stamp_s: float) -> bool:
         """Whether an image of a stamp is long enough after the last one."""
         return self._last is None or stamp_s - self._last[0] >= _APART_S
 
-    def see(self, stamp_s: float, color: ByteArray) -> None:
+    def add_image(self, stamp_s: float, color: ByteArray) -> None:
         """Add a colour image (H, W, 3)."""
-        if self._focal_px is None or not self.wants(stamp_s):
+        if self._focal_px is None or not self.needs_image(stamp_s):
             return
         grey = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY))
         size = (_WIDTH_PX, max(1, round(_WIDTH_PX * grey.shape[0] / grey.shape[1])))

@@ -54,9 +54,8 @@ from wheelsight.io.recordings.tables import (
     GrowingText,
     Row,
     column_names,
-    keep_growing,
     parse_stamp,
-    read_columns,
+    read_items,
     read_table,
     seconds,
 )
@@ -134,16 +133,11 @@ def _read_readings(
             fix = "say `kind: holonomic` of wheels in calibration.yaml, or write stamp_s,left,right"
             problem = f"has {', '.join(_ODOMETRY)}, but the calibration has two wheels"
             raise RecordingError(problem, path=path, fix=fix)
-        table, warnings = read_columns(path, numbers=_ODOMETRY)
-        poses = list(map(OdometryReading, table.stamps_s, *(table[name] for name in _ODOMETRY)))
-        growing_poses, more = keep_growing(poses, table.lines, path)
-        return tuple(growing_poses), warnings + more
+        poses, warnings = read_items(path, OdometryReading, _ODOMETRY)
+        return tuple(poses), warnings
     if names:
-        table, warnings = read_columns(path, counts=names)
-        rows = zip(*(table[name] for name in names), strict=True)
-        counts = list(map(WheelCounts, table.stamps_s, rows))
-        growing_counts, more = keep_growing(counts, table.lines, path)
-        return tuple(growing_counts), warnings + more
+        found, warnings = read_items(path, lambda stamp_s, *counts: WheelCounts(stamp_s, counts), counts=names)
+        return tuple(found), warnings
     ticks, warnings = read_wheels(path)
     return tuple(ticks), warnings
 
@@ -157,10 +151,7 @@ def _has_columns(path: Path, names: Sequence[str]) -> bool:
 
 def read_wheels(path: Path) -> tuple[list[WheelTicks], list[str]]:
     """The counts of two wheels in wheels.csv in order of time, and warnings. Raises RecordingError."""
-    table, warnings = read_columns(path, counts=("left", "right"))
-    ticks = list(map(WheelTicks, table.stamps_s, table["left"], table["right"]))
-    growing, more = keep_growing(ticks, table.lines, path)
-    return growing, warnings + more
+    return read_items(path, WheelTicks, counts=("left", "right"))
 
 
 def _read_yaw_rates(folder: Path, calibration: Calibration) -> tuple[list[YawRate], list[str]]:
@@ -169,9 +160,7 @@ def _read_yaw_rates(folder: Path, calibration: Calibration) -> tuple[list[YawRat
     warnings: list[str] = []
     path = folder / "gyro.csv"
     if is_there(path):
-        table, warnings = read_columns(path, numbers=("yaw_rate_rad_s",))
-        rates, more = keep_growing(list(map(YawRate, table.stamps_s, table["yaw_rate_rad_s"])), table.lines, path)
-        warnings += more
+        rates, warnings = read_items(path, YawRate, ("yaw_rate_rad_s",))
     if rates or not is_there(folder / IMU_FILE):
         return rates, warnings
     turns, more = read_angular_velocities(folder / IMU_FILE)
@@ -184,14 +173,10 @@ def _read_yaw_rates(folder: Path, calibration: Calibration) -> tuple[list[YawRat
 
 def read_angular_velocities(path: Path) -> tuple[list[AngularVelocity], list[str]]:
     """The readings of imu.csv in order of time, about the camera's axes, and warnings. Raises RecordingError."""
-    names = IMU_HEADER.split(",")[1:]
-    table, warnings = read_columns(path, numbers=names)
-    turns = list(map(AngularVelocity, table.stamps_s, *(table[name] for name in names)))
-    growing, more = keep_growing(turns, table.lines, path)
-    return growing, warnings + more
+    return read_items(path, AngularVelocity, IMU_HEADER.split(",")[1:])
 
 
-def camera_turns(folder: StrPath) -> tuple[list[AngularVelocity], list[str]]:
+def camera_angular_velocities(folder: StrPath) -> tuple[list[AngularVelocity], list[str]]:
     """The readings of the camera's gyroscope in a recording, and warnings; empty where it has none."""
     path = Path(folder) / IMU_FILE
     return read_angular_velocities(path) if is_there(path) else ([], [])

@@ -252,6 +252,19 @@ def read_columns(path: Path, numbers: Sequence[str] = (), counts: Sequence[str] 
     return Columns(stamps_s, values, lines), warnings
 
 
+def read_items(
+    path: Path, make: Callable[..., S], numbers: Sequence[str] = (), counts: Sequence[str] = ()
+) -> tuple[list[S], list[str]]:
+    """`make(stamp_s, *numbers, *counts)` of each line of a table, at increasing stamps, and warnings.
+
+    Raises RecordingError as `read_columns` and `keep_growing`.
+    """
+    table, warnings = read_columns(path, numbers, counts)
+    items = list(map(make, table.stamps_s, *(table[name] for name in (*numbers, *counts))))
+    growing, more = keep_growing(items, table.lines, path)
+    return growing, warnings + more
+
+
 def column_names(path: Path, columns: Sequence[str], kind: Kind = LIST) -> tuple[str, ...]:
     """All columns of a table. Raises RecordingError where one of `columns` is missing."""
     return _header(read_list(path, kind), path, columns).names

@@ -7,6 +7,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import accumulate
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from wheelsight.core.inputs import is_there
 from wheelsight.core.messages import Event, Match, SpeedVariances, WheelReading, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.recordings.recording import AssociationReport, Layout, LeftOut, OpenOptions, choose_calibration
-from wheelsight.io.recordings.tables import keep_growing, read_columns, read_lines, read_table
+from wheelsight.io.recordings.tables import keep_growing, read_columns, read_items, read_lines, read_table
 from wheelsight.io.recordings.tum_datasets import read_truth
 
 _FOLDER = Path(__file__).parent / "robots"
@@ -113,10 +114,7 @@ class VelocityReader:
         """The recording in `folder`. Raises InputError naming file and line."""
         path = folder / "odometry.csv"
         nominal = need_wheels(shipped_robot("velocities"))
-        table, warnings = read_columns(path, numbers=("v_mps", "w_radps"))
-        rows = zip(table.stamps_s, table["v_mps"], table["w_radps"], strict=True)
-        speeds, more = keep_growing([speeds_of_wheels(nominal, *row) for row in rows], table.lines, path)
-        warnings += more
+        speeds, warnings = read_items(path, partial(speeds_of_wheels, nominal), ("v_mps", "w_radps"))
         path = folder / "ground_truth.csv"
         poses, more = read_table(path, ("stamp_s", "x_m", "y_m", "yaw_rad", "valid"))
         warnings += more
@@ -171,9 +169,7 @@ class SkidSteerReader:
         ticks, more = keep_growing(list(map(WheelTicks, table.stamps_s, left, right)), table.lines, path)
         warnings += more
         path = folder / "imu.csv"
-        table, more = read_columns(path, numbers=("wz_radps",))
-        warnings += more
-        rates, more = keep_growing(list(map(YawRate, table.stamps_s, table["wz_radps"])), table.lines, path)
+        rates, more = read_items(path, YawRate, ("wz_radps",))
         warnings += more
         reference = read_truth(folder / "reference.txt", warnings, body="base")
         if reference is not None:

@@ -210,9 +210,9 @@ class BagRecording:
         for item in passing.items(images=True):
             begin_s = min(begin_s, item.stamp_s)
             if isinstance(item, ImagePair):
-                if turns.wants(item.stamp_s):
+                if turns.needs_image(item.stamp_s):
                     with suppress(RecordingError):  # the pass over all frames reports damaged images
-                        turns.see(item.stamp_s, color_of(bag.decode(item.color), self.path))
+                        turns.add_image(item.stamp_s, color_of(bag.decode(item.color), self.path))
             else:
                 turns.add(item)
             compared_s = item.stamp_s - begin_s
