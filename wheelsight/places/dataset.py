@@ -168,24 +168,23 @@ def natural_order(names: set[str]) -> tuple[str, ...]:
 def _read_rows(path: Path) -> tuple[tuple[str, ...], list[tuple[int, list[str]]]]:
     """Return the form of the file, and each line's number and words."""
     text = read_text(path, _FILE, AreaError)
-    lines = [(number, line) for number, line in enumerate(lines_of(text), 1) if not line.lstrip().startswith("#")]
-    rows = [(number, _split_words(line)) for number, line in lines if line.strip()]
+    rows = []
+    for number, line in enumerate(lines_of(text), 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        # An area's name may have commas in quotes, or in a line with semicolons.
+        between = ";" if ";" in line else ","
+        try:
+            words = next(csv.reader([line], delimiter=between))
+        except csv.Error:
+            words = line.split(between)
+        rows.append((number, [word.strip() for word in words]))
     for header in (RANGES_HEADER, FRAMES_HEADER):
         if rows and tuple(word.lower() for word in rows[0][1][: len(header)]) == header:
             is_cut_off = header == FRAMES_HEADER and rows[-1][0] == len(lines_of(text))
             return header, rows[1:-1] if is_cut_off else rows[1:]
-    line, first = (rows[0][0], ",".join(rows[0][1])) if rows else (1, "")
-    raise AreaError(f"the first line is {first!r}", path=path, line=line, fix=f"name the columns: {_FORMS}")
-
-
-def _split_words(line: str) -> list[str]:
-    """Return the words of a line. An area's name may have commas in quotes, or in a line with semicolons."""
-    between = ";" if ";" in line else ","
-    try:
-        words = next(csv.reader([line], delimiter=between))
-    except csv.Error:
-        words = line.split(between)
-    return [word.strip() for word in words]
+    at, first = (rows[0][0], ",".join(rows[0][1])) if rows else (1, "")
+    raise AreaError(f"the first line is {first!r}", path=path, line=at, fix=f"name the columns: {_FORMS}")
 
 
 def _entry(path: Path, line: int, words: list[str], header: tuple[str, ...]) -> Entry:

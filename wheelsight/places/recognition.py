@@ -174,7 +174,7 @@ class Recognizer:
         path = Path(path)
         data = read_bytes(path, _FILE, MapError)
         try:
-            return cls._from_arrays(_FileHeader(ArrayFile(data), settings, most_keyframes), on_disk)
+            return cls._from_arrays(*_arrays_of(ArrayFile(data), settings, most_keyframes), on_disk)
         except MapError as error:
             raise MapError(error.problem, path=path, fix=error.fix) from error
         except (KeyError, ValueError, TypeError) as error:
@@ -182,9 +182,11 @@ class Recognizer:
             raise MapError(f"is damaged: {why}", path=path, fix=_REBUILD) from error
 
     @classmethod
-    def _from_arrays(cls, stated: _FileHeader, on_disk: Descriptors) -> Self:
+    def _from_arrays(
+        cls, settings: RecognitionSettings, arrays: dict[str, NDArray[Any]], is_old: bool, on_disk: Descriptors
+    ) -> Self:
         """Return a recognizer of a file's arrays. Raises MapError if they are inconsistent."""
-        made, arrays = cls(stated.settings), stated.arrays()
+        made = cls(settings)
         keyframes, codes = arrays["keyframes"], arrays["codes"]
         shapes = {"pixel": (_FERNS,), "grey": (_FERNS, 2), "depth_m": (_FERNS, 2)}
         is_whole = codes.shape == (len(keyframes), _FERNS // 16) and codes.dtype == np.uint64
@@ -198,56 +200,49 @@ class Recognizer:
         made._rows = {number: row for row, number in enumerate(made._keyframes)}
         if len(made._rows) < len(keyframes):
             raise MapError("it knows a keyframe twice", fix=_REBUILD)
-        if stated.format != _FIRST_FORMAT:
+        if not is_old:
             words = unpacked(words, made._keyframes, on_disk)
         made._words = Vocabulary.from_arrays(words, len(keyframes))
         made._codes = np.concatenate([codes, np.zeros((16, codes.shape[1]), np.uint64)])
         return made
 
 
-class _FileHeader:
-    """Headers of a file, of which only the settings are unpacked.
+def _arrays_of(
+    file: ArrayFile, expected: RecognitionSettings | None, most_keyframes: int | None
+) -> tuple[RecognitionSettings, dict[str, NDArray[Any]], bool]:
+    """Return the settings of a file, its arrays, each no larger than its keyframes need, and whether it is old.
 
     Raises:
         MapError: it is of another format, of other settings, or larger than its keyframes need.
         ValueError, KeyError: it is damaged.
     """
-
-    def __init__(self, file: ArrayFile, expected: RecognitionSettings | None, most_keyframes: int | None) -> None:
-        self._file = file
-        self.format = file.read("format", _LONGEST_TEXT).tobytes().decode(errors="replace")
-        if self.format not in (FORMAT, _FIRST_FORMAT):
-            raise MapError(f"is of format {self.format!r}, not {FORMAT!r}", fix=_REBUILD)
-        stated = dict(parse_json(file.read("settings", _LONGEST_TEXT).tobytes()))
-        known, removed = split_removed(stated, "recognition")
-        self.settings = RecognitionSettings.model_validate(known)
-        if any(one.differs for one in removed) or (expected is not None and self.settings != expected):
-            raise MapError("is of other settings", fix=_REBUILD)
-        (self._keyframes,) = file.headers["keyframes"].shape
-        if most_keyframes is not None and self._keyframes > most_keyframes:
-            problem = f"knows {self._keyframes:,} keyframes, and its map has {most_keyframes:,}"
-            raise MapError(problem, fix=_REBUILD)
-        if most_keyframes is None and sum(header.nbytes for header in file.headers.values()) > _MOST_BYTES:
-            raise MapError(f"states more than {_MOST_BYTES >> 20:,} MB of codes", fix=_REBUILD)
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return all arrays, each no larger than the keyframes need."""
-        postings = self._keyframes * DESCRIPTORS
-        # Each node is created with its own descriptor, and each inner one has at least two children.
-        nodes = min(RULES.most_nodes, 2 * postings + 1)
-        # The first format has blocks, used and free.
+    written = file.read("format", _LONGEST_TEXT).tobytes().decode(errors="replace")
+    if written not in (FORMAT, _FIRST_FORMAT):
+        raise MapError(f"is of format {written!r}, not {FORMAT!r}", fix=_REBUILD)
+    stated = dict(parse_json(file.read("settings", _LONGEST_TEXT).tobytes()))
+    known, removed = split_removed(stated, "recognition")
+    settings = RecognitionSettings.model_validate(known)
+    if any(one.differs for one in removed) or (expected is not None and settings != expected):
+        raise MapError("is of other settings", fix=_REBUILD)
+    (keyframes,) = file.headers["keyframes"].shape
+    if most_keyframes is not None and keyframes > most_keyframes:
+        raise MapError(f"knows {keyframes:,} keyframes, and its map has {most_keyframes:,}", fix=_REBUILD)
+    if most_keyframes is None and sum(header.nbytes for header in file.headers.values()) > _MOST_BYTES:
+        raise MapError(f"states more than {_MOST_BYTES >> 20:,} MB of codes", fix=_REBUILD)
+    postings = keyframes * DESCRIPTORS
+    # Each node is created with its own descriptor, and each inner one has at least two children.
+    nodes = min(RULES.most_nodes, 2 * postings + 1)
+    most = {"codes": keyframes * _FERNS // 2, "words_centre": 32 * nodes, "words_own": 32 * postings}
+    most |= dict.fromkeys(("pixel", "grey", "depth_m"), 16 * _FERNS)
+    most |= {"keyframes": 8 * keyframes, "words_place": 2 * postings, "words_row": 4 * postings}
+    if written == _FIRST_FORMAT:  # it has blocks, used and free
         blocks = 2 * (postings // BLOCK + nodes + RULES.branching)
-        most = {"codes": self._keyframes * _FERNS // 2, "words_centre": 32 * nodes, "words_own": 32 * postings}
-        most |= dict.fromkeys(("pixel", "grey", "depth_m"), 16 * _FERNS)
-        most |= {"keyframes": 8 * self._keyframes, "words_place": 2 * postings}
-        if self.format == _FIRST_FORMAT:
-            most |= {"words_row": 4 * BLOCK * blocks, "words_descriptor": 32 * BLOCK * blocks}
-            most |= {"words_following": 4 * blocks}
-        else:
-            most |= {"words_row": 4 * postings}
-        known = {"format": _LONGEST_TEXT, "settings": _LONGEST_TEXT, **most}
-        rest = max(4 * nodes, _SMALL_BYTES)
-        return {name: self._file.read(name, known.get(name, rest)) for name in self._file.headers}
+        most |= {"words_row": 4 * BLOCK * blocks, "words_descriptor": 32 * BLOCK * blocks}
+        most |= {"words_following": 4 * blocks}
+    most |= {"format": _LONGEST_TEXT, "settings": _LONGEST_TEXT}
+    rest = max(4 * nodes, _SMALL_BYTES)
+    arrays = {name: file.read(name, most.get(name, rest)) for name in file.headers}
+    return settings, arrays, written == _FIRST_FORMAT
 
 
 # Halving cannot bring two widths closer than this ratio.

@@ -159,7 +159,16 @@ def packed(arrays: Mapping[str, NDArray[Any]], keyframes: Sequence[KeyframeId], 
     `place` is the index of the descriptor among those of its keyframe on disk, or the largest number for those in `own`
     (Q, 4). `check` is a checksum of all rows and descriptors.
     """
-    slots = _slots(arrays["postings"], _chain(arrays))
+    # All used blocks, word by word, in their order.
+    counts = arrays["postings"]
+    blocks = -(-counts // BLOCK)
+    into, left, at = (np.cumsum(blocks) - blocks)[counts > 0], blocks[counts > 0], arrays["head"][counts > 0]
+    chain = np.empty(blocks.sum(), np.int64)
+    while len(at):
+        chain[into] = at
+        goes_on = left > 1
+        into, left, at = into[goes_on] + 1, left[goes_on] - 1, arrays["following"][at[goes_on]]
+    slots = _slots(counts, chain)
     row, descriptor = arrays["row"].reshape(-1)[slots], arrays["descriptor"].reshape(-1, 4)[slots]
     place = np.full(len(row), _OWN, np.uint16)
     for number, of_keyframe in _by_rows(row, keyframes):
@@ -198,19 +207,6 @@ def _by_rows(row: NDArray[np.int32], keyframes: Sequence[KeyframeId]) -> Iterato
     for number, begin, end in zip(keyframes, ends[:-1], ends[1:], strict=True):
         if begin < end:
             yield number, order[begin:end]
-
-
-def _chain(arrays: Mapping[str, NDArray[Any]]) -> IntArray:
-    """Return all used blocks, word by word, in their order."""
-    counts = arrays["postings"]
-    blocks = -(-counts // BLOCK)
-    into, left, at = (np.cumsum(blocks) - blocks)[counts > 0], blocks[counts > 0], arrays["head"][counts > 0]
-    chain = np.empty(blocks.sum(), np.int64)
-    while len(at):
-        chain[into] = at
-        goes_on = left > 1
-        into, left, at = into[goes_on] + 1, left[goes_on] - 1, arrays["following"][at[goes_on]]
-    return chain
 
 
 def _slots(counts: NDArray[np.int32], chain: IntArray) -> IntArray:
