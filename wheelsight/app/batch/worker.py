@@ -23,7 +23,7 @@ def serve(connection: Connection, work: Callable[[Any], object], folder: str) ->
     """Answer each job with its outcome.
 
     Args:
-        connection: to who hands them out.
+        connection: to the process that distributes the jobs.
         work: what is done with a job.
         folder: what is written meanwhile goes there, stderr too.
     """

@@ -38,7 +38,7 @@ class _Commands(Group):
     """Prints a user's error in one line; any other error is a bug and keeps its traceback."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """As the panels have them: typer would put all groups last."""
+        """Return commands in the order of the panels; typer puts all groups last."""
         return [name for _, commands in _COMMANDS for _, name, _ in commands]
 
     def invoke(self, ctx: Any) -> Any:

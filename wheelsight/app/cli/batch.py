@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wheelsight.app.cli.console import INPUT_IS_WRONG
-from wheelsight.app.cli.options import OUTPUT
+from wheelsight.app.cli.options import OUTPUT, option
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.runtime import exit_code
 
@@ -83,7 +83,7 @@ def _is_worse(
     tolerance: float,
     cost_tolerance: float | None,
 ) -> bool:
-    """Name what is worse than the baseline. Raises ConfigError where nothing can be compared."""
+    """Print figures that are worse than the baseline; True if there are any. Raises ConfigError without common rows."""
     from wheelsight.app.batch import compare
     from wheelsight.app.cli.console import console, print_warning
     from wheelsight.core.errors import ConfigError
@@ -114,76 +114,38 @@ Recordings = Annotated[
         show_default=False,
     ),
 ]
-Out = Annotated[
-    Path,
-    typer.Option(
-        metavar="DIR",
-        help="Folder for the table and what is done; made if need be.",
-        show_default=False,
-        rich_help_panel=OUTPUT,
-    ),
-]
+Out = Annotated[Path, option("Folder for the table and what is done; made if need be.", "DIR", False, OUTPUT)]
 Configs = Annotated[
     list[Path] | None,
-    typer.Option(
-        "--config",
-        metavar="FILE",
-        help="Settings in YAML. May be given again.",
-        show_default="the defaults alone",
-        rich_help_panel=_RUNS,
-    ),
+    option("Settings in YAML. May be given again.", "FILE", "the defaults alone", _RUNS, flag="--config"),
 ]
-Seeds = Annotated[
-    int,
-    typer.Option(
-        min=1, metavar="N", help="Runs of each; where nothing is random, one is made, not N.", rich_help_panel=_RUNS
-    ),
-]
-Jobs = Annotated[
-    int | None,
-    typer.Option(
-        "--jobs", min=1, metavar="N", help="Processes at once.", show_default="one a core", rich_help_panel=_RUNS
-    ),
-]
+Seeds = Annotated[int, option("Runs of each; where nothing is random, one is made, not N.", "N", panel=_RUNS, min=1)]
+Jobs = Annotated[int | None, option("Processes at once.", "N", "one a core", _RUNS, flag="--jobs", min=1)]
 Scheduler = Annotated[
     str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Run on the workers of a Dask scheduler, such as tcp://192.168.1.5:8786.",
-        show_default="on this computer",
-        rich_help_panel=_RUNS,
+    option(
+        "Run on the workers of a Dask scheduler, such as tcp://192.168.1.5:8786.", "ADDRESS", "on this computer", _RUNS
     ),
 ]
 Baseline = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="CSV",
-        help="table.csv of an earlier batch; what is worse is named.",
-        show_default="none",
-        rich_help_panel=_BASELINE,
-    ),
+    Path | None, option("table.csv of an earlier batch; what is worse is named.", "CSV", "none", _BASELINE)
 ]
 Tolerance = Annotated[
-    str,
-    typer.Option(
-        metavar="SHARE",
-        help="By how much errors may grow, and frames with a pose get fewer.",
-        rich_help_panel=_BASELINE,
-    ),
+    str, option("By how much errors may grow, and frames with a pose get fewer.", "SHARE", panel=_BASELINE)
 ]
 CostTolerance = Annotated[
     str | None,
-    typer.Option(
-        metavar="SHARE",
-        help="By how much time and memory may grow; only where the baseline is of the same computer.",
-        show_default="not judged",
-        rich_help_panel=_BASELINE,
+    option(
+        "By how much time and memory may grow; only where the baseline is of the same computer.",
+        "SHARE",
+        "not judged",
+        _BASELINE,
     ),
 ]
 
 
 def share(text: str, option: str) -> float:
-    """Of "10%" or "0.1". Raises ConfigError."""
+    """The value of "10%" or "0.1". Raises ConfigError."""
     try:
         value = float(text.removesuffix("%").strip()) / (100 if text.endswith("%") else 1)
     except ValueError:
@@ -194,5 +156,5 @@ def share(text: str, option: str) -> float:
 
 
 def cores() -> int:
-    """How many this process may use."""
+    """Number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

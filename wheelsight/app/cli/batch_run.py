@@ -42,7 +42,7 @@ def run_plan(
     scheduler: str | None,
     notes: Sequence[str] = (),
 ) -> Sequence[BatchRow]:
-    """Rows of the table, with progress on stderr, after some notes; what is done already is not run again."""
+    """Run the jobs that are not done, and return the rows of the table. Notes and progress go to stderr."""
     done = KeptOutcomes(out).found(plan.jobs)  # refuses a folder of something else before anything is compiled
     for note in notes:
         print_note(note)
@@ -72,7 +72,7 @@ def run_plan(
 
 
 def notes_on(plan: BatchPlan, seeds: int) -> list[str]:
-    """What is run otherwise than a user may expect, and which odometry it is where no configuration names one."""
+    """Notes on cases that run once for lack of randomness, and on automatic choices of the odometry."""
     notes = []
     if once := sum(0 < len(case.jobs) < seeds for case in plan.cases):
         notes.append(f"{once} of {len(plan.cases)} rows have nothing random, and are run once")
@@ -93,7 +93,7 @@ class _TimeLeftByBytes(ProgressColumn):
     """Estimate of the time left by bytes, since recordings differ in length; it counts down between jobs."""
 
     def render(self, task: Task) -> Text:
-        """Such as "12:30 left"."""
+        """The time left, such as "12:30 left"."""
         ends_s = task.fields["ends_s"]
         return Text(left_text(None if ends_s is None else ends_s - time.monotonic()))
 
@@ -121,7 +121,7 @@ class BatchProgress:
         self._progress.stop()
 
     def show(self, done: Done) -> None:
-        """A job more is done, or the batch begins."""
+        """Show the progress at the beginning, and after each job."""
         if done.outcome is None:
             self._began_s = time.monotonic()
         else:
@@ -141,7 +141,7 @@ class BatchProgress:
         )
 
     def warn(self, note: str) -> None:
-        """A warning, above the line of progress."""
+        """Print a warning above the line of progress."""
         self._progress.console.print(Text.assemble(("warning: ", "yellow"), note))
 
 

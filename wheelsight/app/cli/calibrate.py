@@ -18,6 +18,7 @@ from wheelsight.app.cli.options import (
     Topics,
     kept_in,
     open_for,
+    option,
     page_beside,
     save_found,
     settings_from,
@@ -77,11 +78,7 @@ Robot = Annotated[
 ]
 Check = Annotated[
     Path | None,
-    typer.Option(
-        metavar="RECORDING",
-        help="A drive that ends where it began, heading as at its start: checks all of FILE on it.",
-        show_default=False,
-    ),
+    option("A drive that ends where it began, heading as at its start: checks all of FILE on it.", "RECORDING", False),
 ]
 
 
@@ -139,10 +136,10 @@ calibrate_app.command("robot", cls=CliCommand)(robot)
 
 Reference = Annotated[
     Path | None,
-    typer.Option(
-        metavar="TRAJECTORY",
-        help="Where it truly went, TUM text, such as visual odometry's; of what body, its '# frames:' line says.",
-        show_default="the recording's ground truth",
+    option(
+        "Where it truly went, TUM text, such as visual odometry's; of what body, its '# frames:' line says.",
+        "TRAJECTORY",
+        "the recording's ground truth",
     ),
 ]
 TrainShare = Annotated[

@@ -14,7 +14,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wheelsight.app.cli.console import console, print_note, print_warning
-from wheelsight.app.cli.options import CalibrationFile, Force, Out, kept_in, page_beside, save_found, settings_from
+from wheelsight.app.cli.options import (
+    CalibrationFile,
+    Force,
+    Out,
+    kept_in,
+    option,
+    page_beside,
+    save_found,
+    settings_from,
+)
 from wheelsight.app.cli.run_options import SettingsFile
 from wheelsight.core.errors import CalibrationError, ConfigError
 from wheelsight.core.runtime import exit_code, until_stopped
@@ -38,29 +47,29 @@ Folders = Annotated[
 ]
 LiveCameraName = Annotated[
     str | None,
-    typer.Option(
-        "--camera",
-        metavar="NAME",
-        help="Take views from this camera, as wheelsight record names it, until nothing is missing.",
-        show_default="none: FOLDER has them",
+    option(
+        "Take views from this camera, as wheelsight record names it, until nothing is missing.",
+        "NAME",
+        "none: FOLDER has them",
+        flag="--camera",
     ),
 ]
 BoardText = Annotated[
     str,
-    typer.Option(
-        "--board",
-        metavar="BOARD",
-        help="9x6:25mm: inner corners and side of a square; charuco:9x6:27mm: squares and "
+    option(
+        "9x6:25mm: inner corners and side of a square; charuco:9x6:27mm: squares and "
         "side, then :MARKER:DICTIONARY if need be; ? for an unknown side, which depth then gives.",
-        show_default=False,
+        "BOARD",
+        False,
+        flag="--board",
     ),
 ]
 Sensor = Annotated[
     str,
-    typer.Option(
-        metavar="KIND",
-        help="How depth is measured: structured-light (Kinect v1, Xtion), tof (Kinect v2, Azure) or stereo "
+    option(
+        "How depth is measured: structured-light (Kinect v1, Xtion), tof (Kinect v2, Azure) or stereo "
         "(RealSense D400). Kinect v1's raw disparities are recognised by themselves.",
+        "KIND",
     ),
 ]
 Registered = Annotated[bool, typer.Option("--registered", help="Depth images have colour's pixels.")]
@@ -131,7 +140,7 @@ _MOST_LEFT_OUT = 12
 
 @dataclass(frozen=True, slots=True)
 class CameraTask:
-    """What is to be calibrated, and where the result goes, as the options say."""
+    """The options of a camera calibration."""
 
     board: Board
     out: Path
@@ -142,7 +151,7 @@ class CameraTask:
     force: bool
 
     def check(self) -> None:
-        """Refuse, before any work, what could not be written. Raises OutputError, CalibrationError."""
+        """Check outputs before any work. Raises OutputError, CalibrationError."""
         page_beside(self.out, self.force)
         kept_in(self.out, self.calibration)
 
@@ -180,7 +189,7 @@ class CameraTask:
         print_end(found.warnings, written, page)
 
     def by_folders(self, folders: Sequence[Path]) -> None:
-        """The same, by the cameras of `--calibration` to begin with."""
+        """Calibrate as `calibrate`, starting from the cameras of `--calibration`."""
         from wheelsight.core.calibration import load_calibration
 
         nominal = load_calibration(*self.calibration) if self.calibration else None
@@ -240,27 +249,20 @@ def calibrate_live(task: CameraTask, which: str, folder: Path, settings: LiveCam
             if not taker.seen:
                 problem = f"no view of the board {task.board} came from {camera.name}"
                 raise CalibrationError(problem, fix="check --board, light and focus; hold still for half a second")
-            if _is_calibrated(task, folder, is_last=why is _Why.ENDED):
+            try:
+                task.calibrate([folder])
                 return
+            except CalibrationError as error:
+                if why is _Why.ENDED:  # no more views can come
+                    raise
+                print_note(f"not yet: {error}")
             taker.ask_more()
-
-
-def _is_calibrated(task: CameraTask, folder: Path, *, is_last: bool) -> bool:
-    """Whether the views determine it; prints what is missing. Raises CalibrationError where no more views can come."""
-    try:
-        task.calibrate([folder])
-    except CalibrationError as error:
-        if is_last:
-            raise
-        print_note(f"not yet: {error}")
-        return False
-    return True
 
 
 def _take_views(
     camera: LiveCamera, taker: ViewTaker, folder: Path, depth_factor: float, is_over: Callable[[], bool]
 ) -> _Why:
-    """Until nothing is missing, the camera has ended, or it is over. Prints each view once it is on the disk."""
+    """Take views until none is missing, the camera ends, or the user stops. Prints each view once it is on disk."""
     from wheelsight.vision.camera_calibration.live_views import save_view
 
     with camera_progress() as (show, note):
@@ -290,7 +292,7 @@ def _take_views(
 
 @contextmanager
 def camera_progress() -> Iterator[tuple[Callable[[str], None], Callable[[str], None]]]:
-    """What says how it is just now, where a terminal watches, and what says a thing that stays, above that."""
+    """Functions that show the current state on a terminal, and that print a lasting line above it."""
     stderr = console(stderr=True)
     if not stderr.is_terminal:
         yield lambda _: None, print_note
@@ -310,10 +312,10 @@ def board_board(
     out: Annotated[Path, typer.Option(metavar="FILE", help="FILE.pdf or FILE.svg to write.", show_default=False)],
     board: Annotated[
         str,
-        typer.Option(
-            metavar="BOARD",
-            help="9x6:25mm: inner corners and side of a square; charuco:9x6:28mm: squares and side, "
+        option(
+            "9x6:25mm: inner corners and side of a square; charuco:9x6:28mm: squares and side, "
             "then :MARKER:DICTIONARY if need be.",
+            "BOARD",
         ),
     ] = "9x6:25mm",
     paper: Annotated[str, typer.Option(metavar="PAPER", help="A4, A3, A2 or Letter.")] = "A4",

@@ -54,7 +54,7 @@ class Squares:
 
 
 def squares_from_table(path: Path, calibration: Sequence[str] | None, side_m: float | None) -> Squares:
-    """From a table of return position errors. Raises CalibrationError where what it needs beside it is missing."""
+    """UMBmark from a table of return position errors. Raises CalibrationError without wheels or side."""
     if not calibration or side_m is None:
         raise CalibrationError("a table has neither wheels nor side", path=path, fix="add --calibration and --side")
     nominal = load_calibration(*calibration)
@@ -63,7 +63,7 @@ def squares_from_table(path: Path, calibration: Sequence[str] | None, side_m: fl
 
 
 def squares_from_recordings(recordings: Sequence[Recording], side_m: float | None) -> Squares:
-    """From recordings of one square each, all of one robot."""
+    """UMBmark from recordings of one square each, all of one robot."""
     nominal = _wheels(recordings[0].calibration)
     for recording in recordings[1:]:
         if recording.calibration.wheels != nominal:
@@ -86,7 +86,7 @@ def squares_from_recordings(recordings: Sequence[Recording], side_m: float | Non
 
 
 def print_trial(trial: WheelTrial, written: str, page: Path | None) -> None:
-    """Wheels and errors before and after, and where the files are."""
+    """Print wheels and errors before and after, and the paths of the files."""
     stdout, fit = console(), trial.fit
     along, across, turn = fit.spread
     slips = f"{len(fit.segments)} segments, {int(fit.is_slip.sum())} of them slips or jumps"
@@ -100,7 +100,7 @@ def print_trial(trial: WheelTrial, written: str, page: Path | None) -> None:
 
 
 def print_squares(squares: Squares, written: str, page: Path | None) -> None:
-    """The same for UMBmark."""
+    """Print results of UMBmark, as `print_trial`."""
     stdout, result = console(), squares.result
     stdout.print(rows_table(f"{squares.name}: wheels", CALIBRATION_HEAD, square_rows(result)))
     before_m, after_m = result.largest_error_m, result.largest_error_after_m
@@ -112,7 +112,7 @@ def print_squares(squares: Squares, written: str, page: Path | None) -> None:
 
 
 def print_mount(found: BaseCalibration, written: str, page: Path | None) -> None:
-    """A camera's mount before and after, and where the files are."""
+    """Print a camera's mount before and after, and the paths of the files."""
     stdout, fit = console(), found.fit
     stdout.print(rows_table(f"{found.recording}: where the camera sits", CALIBRATION_HEAD, mount_rows(found)))
     pieces = f"{len(fit.segments)} pieces, {int(fit.is_slip.sum())} of them slips or jumps"
@@ -122,7 +122,7 @@ def print_mount(found: BaseCalibration, written: str, page: Path | None) -> None
 
 @contextmanager
 def show_steps() -> Iterator[Callable[[str], None]]:
-    """Says on stderr what is being done, where a terminal watches."""
+    """Show the current step on stderr if it is a terminal."""
     stderr = console(stderr=True)
     if not stderr.is_terminal:
         yield lambda _: None
@@ -139,7 +139,7 @@ def _wheels(calibration: Calibration) -> Wheels:
 
 
 def print_end(warnings: Sequence[str], written: str, page: Path | None) -> None:
-    """What to know, and where the files are."""
+    """Print warnings, and the paths of the files."""
     for warning in warnings:
         print_warning(warning)
     console().print(f"calibration: {written}", markup=False)
@@ -154,7 +154,7 @@ HEAD = ("", "by", "what", "figures")
 
 
 def measured_wheels(trial: WheelTrial) -> Measured:
-    """What wheels fitted to a reference are worth, for the history."""
+    """The history entry of wheels fitted to a reference."""
     before, after = (x.evaluation.ate.translation.rmse for x in (trial.before, trial.after))
     figures = {"segments": float(len(trial.fit.segments)), "ate_nominal_m": before, "ate_m": after}
     figures |= {f"sigma {name}": float(value) for name, value in trial.fit.sigmas.items()}
@@ -162,20 +162,20 @@ def measured_wheels(trial: WheelTrial) -> Measured:
 
 
 def measured_squares(squares: Squares) -> Measured:
-    """The same of UMBmark."""
+    """The history entry of UMBmark."""
     before_m, after_m = squares.result.largest_error_m, squares.result.largest_error_after_m
     figures = {"side_m": squares.result.side_m, "error_nominal_m": before_m, "error_m": after_m}
     return Measured(f"wheels, by {squares.name}", "calibrate umbmark", figures)
 
 
 def measured_mount(found: BaseCalibration) -> Measured:
-    """The same of a camera's mount."""
+    """The history entry of a camera's mount."""
     figures = {"pieces": float(len(found.fit.segments)), "views_with_floor": float(len(found.floor.tilts))}
     return Measured(f"T_base_camera, on {found.recording}", "calibrate base", figures)
 
 
 def history_rows(history: Sequence[Measured]) -> list[tuple[str, ...]]:
-    """A row an entry, the newest last."""
+    """One row an entry, the newest last."""
     return [
         (
             entry.date,
@@ -209,12 +209,12 @@ class CalibrationStep:
 
     @property
     def state(self) -> str:
-        """In a word or two."""
+        """The state in one or two words."""
         return "measured" if self.is_done else "not measured" if self.is_known else "missing"
 
 
 def steps_of(file: Path) -> tuple[list[CalibrationStep], tuple[Measured, ...]]:
-    """The steps in their order, and what was measured so far. Raises CalibrationError for a file that is none."""
+    """The steps in their order, and what was measured so far. Raises CalibrationError for an invalid file."""
     known: dict[str, Any] = read_layer(file) if is_there(file) else {}
     history = history_of(known)
     by = {entry.command for entry in history}
@@ -263,7 +263,7 @@ def steps_of(file: Path) -> tuple[list[CalibrationStep], tuple[Measured, ...]]:
 
 
 def loop_check(folder: Path, file: Path, topics: Sequence[str] | None) -> tuple[tuple[str, ...], bool]:
-    """What the wheels make of a drive that ends where it began, in lines, and whether a calibrated robot's does so.
+    """Lines on the closing error of a loop by the wheels alone, and whether it is that of a calibrated robot.
 
     Raises:
         InputError: a recording without wheels, or a drive that is too short.

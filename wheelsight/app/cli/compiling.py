@@ -15,7 +15,7 @@ _MUCH_LONGER = 1.4
 
 
 def compile_ahead(parts: Sequence[str]) -> int:
-    """Compile what these parts lack, and say so before; how many kernels that were.
+    """Compile missing kernels of these parts after a note. Returns their number.
 
     Raises:
         Exit: Ctrl-C.
@@ -61,7 +61,7 @@ def compile_ahead(parts: Sequence[str]) -> int:
 
 
 def compile_missing(parts: Sequence[str]) -> None:
-    """The same for a command that goes on all the same: what cannot be compiled ahead is compiled on the way."""
+    """Compile ahead for a command. On failure it warns, and the kernels compile during the work."""
     from wheelsight.core.errors import OutputError
 
     try:

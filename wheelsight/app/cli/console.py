@@ -56,7 +56,7 @@ def _in_letters(error: UnicodeError) -> tuple[str, int]:
 class _Loseable(io.FileIO):
     """A stream that drops what it cannot write: a closed terminal must not stop the program.
 
-    A reader of stderr may go too. One of stdout, such as `head`, ends the program as ever.
+    The reader of stderr may also close. A closed reader of stdout, such as `head`, ends the program.
     """
 
     def write(self, data: Any, /) -> int:
@@ -69,7 +69,7 @@ class _Loseable(io.FileIO):
 
 
 def prepare_streams() -> None:
-    """From now on stdout and stderr take any text, and go on without their terminal once that is closed."""
+    """Let stdout and stderr accept any text, and survive the end of their terminal."""
     # Replace characters that the encoding lacks by letters
     codecs.register_error(_LETTERS, _in_letters)
     for output in (sys.stdout, sys.stderr):
@@ -110,7 +110,7 @@ def print_warning(message: str) -> None:
 
 
 def print_note(message: str) -> None:
-    """Print a message about the work itself on stderr, unless -q was given."""
+    """Print a progress message on stderr, unless -q was given."""
     if not QUIET.on:
         console(stderr=True).print(message, markup=False)
 
@@ -149,7 +149,7 @@ def rows_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], s
 
 
 def percent(share: float) -> str:
-    """A share as a percentage that says 100 only when it is all; "unknown" for NaN."""
+    """A share as a percentage, 100 % only for 1; "unknown" for NaN."""
     if not math.isfinite(share):
         return "unknown"
     return "100 %" if share == 1 else f"{min(100 * share, 99.9):.1f} %"
@@ -184,7 +184,7 @@ class _Stderr(logging.Handler):
 
 @dataclass
 class _Logs:
-    """What the options of one command line ask for; they may stand before the command and after it."""
+    """The log options of a command line; they may stand before and after the command."""
 
     verbose: int = 0
     is_quiet: bool = False
@@ -192,7 +192,7 @@ class _Logs:
     handlers: tuple[logging.Handler, ...] = ()
 
     def apply(self) -> None:
-        """Raises OutputError for a file that cannot be written."""
+        """Open the handlers. Raises OutputError for a file that cannot be written."""
         self.close()
         QUIET.on = self.is_quiet
         level = _LEVELS[min(self.verbose, len(_LEVELS) - 1)]
@@ -219,7 +219,7 @@ class _Logs:
             _LOGGER.info("wheelsight %s", " ".join(sys.argv[1:]))
 
     def close(self) -> None:
-        """As if there had been no options."""
+        """Remove the handlers and reset the level."""
         for handler in self.handlers:
             _LOGGER.removeHandler(handler)
             handler.close()
@@ -272,7 +272,7 @@ def _options(
 
 @cache
 def log_options(panel: str | None) -> tuple[Any, ...]:
-    """The options, as parameters of a command; in its panel of the help."""
+    """The log options as parameters of a command, in its panel of the help."""
     holder = typer.Typer(add_completion=False)
     holder.command()(_options)
     made = [param for param in typer.main.get_command(holder).params if param.name != "help"]
@@ -289,7 +289,7 @@ _EXAMPLES, _LAST = "[bold]Examples[/bold]", "Help"
 
 
 class _Readable:
-    """What commands and groups of commands have in common."""
+    """Help and log options of commands and groups."""
 
     help: str | None
 
@@ -298,7 +298,7 @@ class _Readable:
         self.help = None if self.help is None else laid_out(self.help)
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """As ever; a flag is not shown as if it took a value, and where all others have panels, so has --help."""
+        """Add the log options. Flags show no metavar; --help gets a panel if all other options have one."""
         params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
         for param in params:
             if getattr(param, "is_flag", False):
@@ -319,7 +319,7 @@ class Group(_Readable, typer.core.TyperGroup):
 
 
 def laid_out(text: str) -> str:
-    """The lines of each paragraph as one, which the terminal wraps; examples, which come last, after a prompt each."""
+    """The help text with one line a paragraph, which the terminal wraps, and a prompt before each example."""
     body, heading, examples = inspect.cleandoc(text).partition(_EXAMPLES)
     paragraphs = [" ".join(paragraph.split()) for paragraph in body.split("\n\n") if paragraph.strip()]
     if heading:
@@ -335,7 +335,7 @@ Options = TypeVar("Options")
 
 
 def takes(kind: type[Options]) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
-    """Make a function of one dataclass a command whose options are the fields, with their annotations and defaults."""
+    """Turn a function of one dataclass into a command. Its options are the fields, with annotations and defaults."""
     # Of each class by the names of its own module: bases may come from others.
     hints, named = get_type_hints(kind, include_extras=True), inspect.signature(kind).parameters
     signature = inspect.Signature([one.replace(annotation=hints[name]) for name, one in named.items()])

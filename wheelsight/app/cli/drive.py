@@ -145,7 +145,7 @@ def _driven(
 
 @contextmanager
 def _begun(robot: Robot, config: Config, watch: DriveWatch, options: DriveOptions) -> Iterator[GoalDrive]:
-    """Whether the floor around the start is free: the user confirms it for a real robot; a simulated one has it."""
+    """A drive or an exploration, ready to start. The user has confirmed that the floor around the start is free."""
     from wheelsight.app.run.drives import drive_in_map, exploring
     from wheelsight.slam.maps import MAP_FOLDER, discard_map
 
@@ -218,7 +218,7 @@ _NAMED = 5
 
 
 class Truth:
-    """What the simulator knows of a drive."""
+    """True figures of a simulated drive."""
 
     def __init__(self, robot: Robot) -> None:
         from wheelsight_sim.simulator import Simulator
@@ -231,7 +231,7 @@ class Truth:
         self._clearance_m = min(self._clearance_m, self._simulator.clearance_m())
 
     def to_dict(self) -> dict[str, Any]:
-        """For the record."""
+        """Contacts and least clearance, for `DriveRecord.truth`."""
         contacts = [
             {"stamp_s": one.time_s, "with": one.name, "by_the_robot": bool(one.is_by_robot)}
             for one in self._simulator.contacts
@@ -240,7 +240,7 @@ class Truth:
 
 
 def write(record: DriveRecord, out: Path) -> None:
-    """All files of --out."""
+    """Write all files of --out."""
     from wheelsight.app.cli.options import can_draw
     from wheelsight.app.report import write_drive_page, write_drive_picture
     from wheelsight.app.run.drive_record import write_drive
@@ -253,7 +253,7 @@ def write(record: DriveRecord, out: Path) -> None:
 
 
 def print_results(record: DriveRecord, left_out: str = "") -> None:
-    """What became of each goal, on stdout, what was not begun, and last what a simulated robot touched.
+    """Print the result of each goal, tasks that were left out, and contacts of a simulated robot.
 
     Raises Exit where a goal was not reached, or anything was touched.
     """
@@ -297,7 +297,7 @@ _CALLED = {"profile": "--profile", "known_map.path": "--map", "known_map.start":
 
 
 def check(options: DriveOptions) -> None:
-    """Raises ConfigError for options that mean nothing together."""
+    """Check the options. Raises ConfigError for invalid combinations."""
     check_robot(options, partial(_check_task, options))
 
 
@@ -341,7 +341,7 @@ def drive_settings(options: DriveOptions) -> Config:
 
 
 def settings_of(options: SettingsOptions, given: Mapping[str, str | None]) -> Config:
-    """The configuration by the options, and over its file what else is given and not None. Raises ConfigError.
+    """The configuration of the options. Given values that are not None override its file. Raises ConfigError.
 
     Without a name for it, the odometry is the one that `Localizer`, `run` and `wheelsight run` choose: a robot without
     wheels or without a mounted camera is refused. Dense odometry keeps up beside control: on two cores 14.3 to 14.5 of
@@ -368,7 +368,7 @@ def settings_of(options: SettingsOptions, given: Mapping[str, str | None]) -> Co
 
 
 def goals_of(options: DriveOptions) -> list[NamedGoal]:
-    """All of --to. Raises ConfigError, MapError: before anything moves."""
+    """The goals of --to. Raises ConfigError, MapError."""
     from wheelsight.app.run.drives import NamedGoal
 
     if options.map_ is None:
@@ -380,7 +380,7 @@ def goals_of(options: DriveOptions) -> list[NamedGoal]:
 
 
 def way_of(options: DriveOptions) -> FloatArray | None:
-    """(N, 3) of --follow; None without it. Raises as `read_way`, and MapError: before anything moves."""
+    """(N, 3) of --follow; None without it. Raises as `read_way`, and MapError."""
     from wheelsight.app.cli.console import print_warning
     from wheelsight.app.run.drives import read_way
 
@@ -391,7 +391,7 @@ def way_of(options: DriveOptions) -> FloatArray | None:
 
 
 def _opened(path: Path) -> closing[MapFolder]:
-    """A map of --map. Raises MapError."""
+    """The open map of --map. Raises MapError."""
     from wheelsight.slam.maps import MapFolder, find_map
 
     return closing(MapFolder.open(find_map(path)))
@@ -401,7 +401,7 @@ def _opened(path: Path) -> closing[MapFolder]:
 
 
 _QUESTION = "Is the floor around the robot free, and is somebody at the stop button?"
-# Pairs of the paper's format are recognised within 3 s; who speaks frames is known at the first one.
+# The paper's format is recognised within 3 s, the framed protocol at its first frame.
 _HEARD_WITHIN_S, _LOOK_S = 3.5, 0.02
 _SIMULATED_CAMERA = "kinect-v1"
 
@@ -417,7 +417,7 @@ def robot_of(options: RobotOptions, config: Config) -> Iterator[Robot]:
 
 
 def robot_words(options: RobotOptions) -> str:
-    """Which robot, for records."""
+    """Description of the robot, for records."""
     if options.robot is not None:
         return f"a robot at {options.robot}"
     people = f", {options.people} people" if options.people else ""
@@ -509,7 +509,7 @@ def _linked(options: RobotOptions, config: Config) -> Iterator[Robot]:
 
 
 def poses_of(words: Sequence[str], folder: MapFolder) -> list[FloatArray]:
-    """(3,) of each goal as people write it: a name of the map, an area of it, or coordinates.
+    """Poses (3,) of goals: names of places, names of areas, or coordinates.
 
     A yaw of NaN is any heading. A name that a place and an area have is the place's; of an area it is where there is
     most room.

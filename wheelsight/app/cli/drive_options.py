@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from wheelsight.app.cli.options import OUTPUT, SETTINGS, Profile
+from wheelsight.app.cli.options import OUTPUT, SETTINGS, Profile, option
 
 # The robot
 
@@ -17,30 +17,17 @@ _SIMULATED, _REAL, _EITHER = "A simulated robot", "A real robot", "Either robot"
 
 Sim = Annotated[
     str | None,
-    typer.Option(
-        metavar="WORLD|PLAN",
-        help="Drive in the simulator: a world of wheelsight simulate --list, or a floor plan's file.",
-        show_default=False,
-        rich_help_panel=_SIMULATED,
+    option(
+        "Drive in the simulator: a world of wheelsight simulate --list, or a floor plan's file.",
+        "WORLD|PLAN",
+        False,
+        _SIMULATED,
     ),
 ]
-Resolution = Annotated[
-    float | None,
-    typer.Option(
-        metavar="M",
-        help="Metres a pixel of a plan that is a bare image.",
-        show_default=False,
-        rich_help_panel=_SIMULATED,
-    ),
-]
+Resolution = Annotated[float | None, option("Metres a pixel of a plan that is a bare image.", "M", False, _SIMULATED)]
 Start = Annotated[
     str | None,
-    typer.Option(
-        metavar="X,Y,YAW_DEG",
-        help="Where the robot truly stands at first, in the world.",
-        show_default="the world's own",
-        rich_help_panel=_SIMULATED,
-    ),
+    option("Where the robot truly stands at first, in the world.", "X,Y,YAW_DEG", "the world's own", _SIMULATED),
 ]
 Seed = Annotated[int, typer.Option(help="Of everything random.", rich_help_panel=_SIMULATED)]
 Day = Annotated[
@@ -55,50 +42,50 @@ Realism = Annotated[
 ]
 CameraName = Annotated[
     str | None,
-    typer.Option(
-        "--camera",
-        metavar="NAME",
-        help="Of a simulated robot as for simulate; of a real one the live camera, as for record.",
-        show_default="kinect-v1; any that is plugged in",
-        rich_help_panel=_EITHER,
+    option(
+        "Of a simulated robot as for simulate; of a real one the live camera, as for record.",
+        "NAME",
+        "kinect-v1; any that is plugged in",
+        _EITHER,
+        flag="--camera",
     ),
 ]
 Size = Annotated[str, typer.Option(metavar="WxH|half|full", help="Size of the images.", rich_help_panel=_SIMULATED)]
 Rate = Annotated[float, typer.Option(metavar="HZ", help="Images a second.", rich_help_panel=_SIMULATED)]
 RobotPort = Annotated[
     str | None,
-    typer.Option(
-        "--robot",
-        metavar="PORT",
-        help="Drive the robot whose wheel controller is at a serial port, by a live camera.",
-        show_default=False,
-        rich_help_panel=_REAL,
+    option(
+        "Drive the robot whose wheel controller is at a serial port, by a live camera.",
+        "PORT",
+        False,
+        _REAL,
+        flag="--robot",
     ),
 ]
 CalibrationFile = Annotated[
     Path | None,
-    typer.Option(
-        "--calibration",
-        metavar="FILE",
-        help="calibration.yaml of the robot: wheels, camera, and where that sits.",
-        show_default=False,
-        rich_help_panel=_REAL,
+    option(
+        "calibration.yaml of the robot: wheels, camera, and where that sits.",
+        "FILE",
+        False,
+        _REAL,
+        flag="--calibration",
     ),
 ]
 Baud = Annotated[int, typer.Option(min=1, metavar="RATE", help="Baud rate of the port.", rich_help_panel=_REAL)]
 Yes = Annotated[
     bool,
-    typer.Option(
-        "--yes",
-        help="Do not ask whether the floor around the robot is free and somebody is at the stop button: both are so.",
-        rich_help_panel=_REAL,
+    option(
+        "Do not ask whether the floor around the robot is free and somebody is at the stop button: both are so.",
+        panel=_REAL,
+        flag="--yes",
     ),
 ]
 
 
 @dataclass(frozen=True)
 class RobotOptions:
-    """What a user typed of the robot; a base of commands' options, after which others come in the help."""
+    """Options of the robot; in the help they come before other options."""
 
     sim: Sim = None
     resolution: Resolution = None
@@ -126,30 +113,25 @@ class RobotOptions:
 
 _TASK = "Where to"
 
-MapPath = Annotated[
-    Path | None,
-    typer.Option(
-        "--map", metavar="DIR", help="The map, or the run that left it.", show_default=False, rich_help_panel=_TASK
-    ),
-]
+MapPath = Annotated[Path | None, option("The map, or the run that left it.", "DIR", False, _TASK, flag="--map")]
 To = Annotated[
     list[str] | None,
-    typer.Option(
-        metavar="GOAL",
-        help="A name of the map (wheelsight map name), an area of it (wheelsight map zone), X,Y,YAW_DEG in it, or X,Y "
+    option(
+        "A name of the map (wheelsight map name), an area of it (wheelsight map zone), X,Y,YAW_DEG in it, or X,Y "
         "for any heading. May be given again: one after another.",
-        show_default=False,
-        rich_help_panel=_TASK,
+        "GOAL",
+        False,
+        _TASK,
     ),
 ]
 Follow = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Along a way that was driven before: the trajectory.txt of a run or a drive in this map, or its folder. "
+    option(
+        "Along a way that was driven before: the trajectory.txt of a run or a drive in this map, or its folder. "
         "In place of --to.",
-        show_default=False,
-        rich_help_panel=_TASK,
+        "FILE",
+        False,
+        _TASK,
     ),
 ]
 Back = Annotated[
@@ -157,29 +139,23 @@ Back = Annotated[
 ]
 Explore = Annotated[
     bool,
-    typer.Option(
-        "--explore",
-        help="Look at all floor that can be reached, and leave a map of it in the folder of --out.",
-        rich_help_panel=_TASK,
+    option(
+        "Look at all floor that can be reached, and leave a map of it in the folder of --out.",
+        panel=_TASK,
+        flag="--explore",
     ),
 ]
 KnownStart = Annotated[
     str | None,
-    typer.Option(
-        metavar="X,Y,YAW_DEG",
-        help="Where the robot stands at first, in the map; as --start of wheelsight run.",
-        show_default="the place is recognised",
-        rich_help_panel=_TASK,
+    option(
+        "Where the robot stands at first, in the map; as --start of wheelsight run.",
+        "X,Y,YAW_DEG",
+        "the place is recognised",
+        _TASK,
     ),
 ]
 Out = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="DIR",
-        help="Folder for drive.json, trajectory.txt, drive.png and drive.html.",
-        show_default="none",
-        rich_help_panel=OUTPUT,
-    ),
+    Path | None, option("Folder for drive.json, trajectory.txt, drive.png and drive.html.", "DIR", "none", OUTPUT)
 ]
 SettingsFile = Annotated[
     Path | None,
@@ -187,23 +163,23 @@ SettingsFile = Annotated[
 ]
 Set = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help="A setting by its dotted name, such as navigation.limits.forward_m_s=0.5; wins over --config. May be "
+    option(
+        "A setting by its dotted name, such as navigation.limits.forward_m_s=0.5; wins over --config. May be "
         "given again.",
-        show_default=False,
-        rich_help_panel=SETTINGS,
+        "NAME=VALUE",
+        False,
+        SETTINGS,
+        flag="--set",
     ),
 ]
 Rerun = Annotated[
     str | None,
-    typer.Option(
-        "--rerun",
-        metavar="FILE.rrd|spawn",
-        help="Show the drive in Rerun as it goes: written to a file, or in a viewer that is started here.",
-        show_default="not shown",
-        rich_help_panel=OUTPUT,
+    option(
+        "Show the drive in Rerun as it goes: written to a file, or in a viewer that is started here.",
+        "FILE.rrd|spawn",
+        "not shown",
+        OUTPUT,
+        flag="--rerun",
     ),
 ]
 Force = Annotated[
@@ -213,7 +189,7 @@ Force = Annotated[
 
 @dataclass(frozen=True)
 class SettingsOptions:
-    """What a user typed of settings."""
+    """Options of settings."""
 
     config: SettingsFile = None
     profile: Profile = None
@@ -222,7 +198,7 @@ class SettingsOptions:
 
 @dataclass(frozen=True)
 class TaskOptions:
-    """What a user typed of the task, and of what is left of it."""
+    """Options of the task and of its results."""
 
     map_: MapPath = None
     to: To = None
@@ -237,4 +213,4 @@ class TaskOptions:
 
 @dataclass(frozen=True)
 class DriveOptions(RobotOptions, SettingsOptions, TaskOptions):
-    """What a user typed; fields of the last base come first."""
+    """All options; fields of the last base come first."""

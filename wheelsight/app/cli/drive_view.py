@@ -41,11 +41,7 @@ _MOVED_M = 0.5
 
 
 class DriveView:
-    """Shows a drive on stderr; use it in a `with` block.
-
-    Args:
-        footprint: of the robot.
-    """
+    """Shows a drive on stderr; use it in a `with` block."""
 
     def __init__(self, footprint: Footprint) -> None:
         self._footprint, self._console = footprint, console(stderr=True)
@@ -77,7 +73,7 @@ class DriveView:
                 self._live.start()
 
     def note(self, transition: Transition) -> None:
-        """A change of state: kept for the terminal, or a line of its own."""
+        """Show a change of state, on a terminal among the last ones, else as a line."""
         self._transitions.append(transition)
         if self._live is None:
             self._console.print(f"{transition.stamp_s:.1f} s {transition}")
@@ -115,7 +111,7 @@ class DriveView:
 
 
 class SoFar:
-    """How long a drive has taken, how far it came, and how fast its time goes by."""
+    """Duration, distance and speed of a drive so far."""
 
     def __init__(self) -> None:
         self.seconds = self.way_m = 0.0
@@ -123,34 +119,34 @@ class SoFar:
         self._last_s: float | None = None
 
     def add(self, feedback: Feedback) -> None:
-        """A period more."""
+        """Add a period."""
         lasted_s = 0.0 if self._last_s is None else feedback.stamp_s - self._last_s
         self.seconds, self.way_m = self.seconds + lasted_s, self.way_m + abs(feedback.forward_m_s) * lasted_s
         self._last_s = feedback.stamp_s
 
     def times_real_time(self) -> float:
-        """Of a simulated drive; about 1 of a real one."""
+        """Speed of the drive relative to real time."""
         return self.seconds / max(time.monotonic() - self._began_s, 1e-3)
 
     def left_s(self, to_go_m: float) -> float | None:
-        """How long the rest takes as fast as it went; None before it has moved."""
+        """Time left at the mean speed so far, seconds; None before it has moved."""
         return to_go_m * self.seconds / self.way_m if self.way_m > _MOVED_M else None
 
 
 def floor_m2(navigator: Navigator) -> float:
-    """How much floor has been seen, free or not."""
+    """Area of the seen floor, free or occupied, square metres."""
     layer = navigator.senses.floor.layer
     return float(np.count_nonzero(~layer.is_unseen)) * layer.resolution_m**2
 
 
 def line_of(feedback: Feedback, so_far: SoFar, seen_m2: float) -> str:
-    """All facts in one line."""
+    """All facts of a period in one line."""
     facts = facts_of(feedback, so_far, seen_m2)
     return f"{feedback.stamp_s:.1f} s " + "; ".join(f"{name}: {value}" for name, value in facts)
 
 
 def facts_of(feedback: Feedback, so_far: SoFar, seen_m2: float) -> Iterator[tuple[str, str]]:
-    """Names and values."""
+    """Names and values of the facts of a period."""
     yield "state", f"{feedback.state}, {feedback.doing}" if feedback.doing else str(feedback.state)
     yield "status", STATUS_WORDS[feedback.status]
     if feedback.pose is not None:
@@ -170,28 +166,28 @@ def facts_of(feedback: Feedback, so_far: SoFar, seen_m2: float) -> Iterator[tupl
 
 
 class DriveWatch:
-    """See the module.
+    """Passes a drive to the terminal and to Rerun.
 
     Attributes:
-        view: of the terminal; what is said before it is entered comes above it.
+        view: of the terminal. Lines that are printed before it is entered stay above it.
     """
 
     def __init__(self, view: DriveView, log: DriveLog | None = None) -> None:
         self.view, self._log = view, log
 
     def on_events(self, events: Sequence[Event]) -> None:
-        """What the robot's sensors said."""
+        """Pass on events of the robot's sensors."""
         if self._log is not None:
             self._log.on_events(events)
 
     def note(self, transition: Transition) -> None:
-        """A change of the navigator's state."""
+        """Pass on a change of the navigator's state."""
         self.view.note(transition)
         if self._log is not None:
             self._log.note(transition)
 
     def step(self, feedback: Feedback, navigator: Navigator) -> None:
-        """A period is over."""
+        """Pass on a period."""
         self.view.show(feedback, navigator)
         if self._log is not None:
             self._log.step(feedback, navigator)
@@ -199,7 +195,7 @@ class DriveWatch:
 
 @contextmanager
 def watching(rerun: str | None, robot: Robot, config: Config) -> Iterator[DriveWatch]:
-    """Raises as `open_drive_log`."""
+    """Open the views of a drive. Raises as `open_drive_log`."""
     view = DriveView(config.navigation.footprint.outline)
     if rerun is None:
         yield DriveWatch(view)
@@ -214,7 +210,7 @@ def watching(rerun: str | None, robot: Robot, config: Config) -> Iterator[DriveW
 
 
 class Sign(IntEnum):
-    """What a cell of the plan shows; of several the highest."""
+    """The content of a cell of the plan; the highest counts."""
 
     FREE = 0
     UNKNOWN = 1
@@ -252,7 +248,7 @@ _GOAL_CELLS = 1
 def plan_signs(
     floor: StaticLayer | Costmap, feedback: Feedback, footprint: Footprint, shape: tuple[int, int], cell_m: float
 ) -> ByteArray:
-    """(H, W) of `Sign`, y up, with the robot in the middle; of a robot that does not know where it is, the map's.
+    """(H, W) of `Sign`, y up, around the robot, or around the middle of the map if its pose is unknown.
 
     Args:
         floor: what is known of it.
@@ -316,7 +312,7 @@ def as_text(signs: ByteArray, *, in_colour: bool = True) -> Text:
 
 
 def _mark(signs: ByteArray, points: FloatArray, x: FloatArray, y: FloatArray, sign: Sign) -> None:
-    """Where points (N, 2) are."""
+    """Set the cells of points (N, 2)."""
     cell_m = x[1] - x[0]
     columns = np.floor((points[:, 0] - x[0]) / cell_m + 0.5).astype(int)
     rows = np.floor((y[0] - points[:, 1]) / cell_m + 0.5).astype(int)

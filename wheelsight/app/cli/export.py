@@ -6,13 +6,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, get_args
+from typing import Annotated, get_args
 
 import typer
 
-if TYPE_CHECKING:
-    pass
-
+from wheelsight.app.cli.options import option
 
 Out = Annotated[
     Path | None,
@@ -20,30 +18,26 @@ Out = Annotated[
 ]
 Voxel = Annotated[
     float | None,
-    typer.Option(
-        metavar="METRES",
-        min=0.001,
-        max=10,
-        help="How fine a mesh, or points or cells of a map, are.",
-        show_default="0.02 of a mesh, else 0.05",
+    option(
+        "How fine a mesh, or points or cells of a map, are.", "METRES", "0.02 of a mesh, else 0.05", min=0.001, max=10
     ),
 ]
 Format = Annotated[
     str | None,
-    typer.Option(
-        "--format",
-        metavar="NAME",
-        help="tum, kitti, euroc: the trajectory. nerfstudio, colmap: images of keyframes with poses. octomap: a tree.",
-        show_default=False,
+    option(
+        "tum, kitti, euroc: the trajectory. nerfstudio, colmap: images of keyframes with poses. octomap: a tree.",
+        "NAME",
+        False,
+        flag="--format",
     ),
 ]
 Images = Annotated[
     str | None,
-    typer.Option(
-        "--images",
-        metavar="raw|png|jpeg",
-        help="Camera images into the bag: exactly; or compressed, depth to millimetres.",
-        show_default="none",
+    option(
+        "Camera images into the bag: exactly; or compressed, depth to millimetres.",
+        "raw|png|jpeg",
+        "none",
+        flag="--images",
     ),
 ]
 Body = Annotated[
@@ -144,7 +138,7 @@ class Asked:
 
 
 def check_asked(asked: Asked, way: str) -> None:
-    """Raises ConfigError for options that mean nothing with what is written."""
+    """Check the options. Raises ConfigError for options of another format."""
     from wheelsight.core.errors import ConfigError
 
     given = {
@@ -154,10 +148,10 @@ def check_asked(asked: Asked, way: str) -> None:
         "--body": asked.body is not None,
         "--out": asked.out is not None,
     }
-    for option, ways in _OF_WAYS.items():
-        if given[option] and way not in ways:
-            fix = "name the file behind --bag" if option == "--out" else f"{' or '.join(ways)}, or no {option}"
-            raise ConfigError(f"{option} is of {' and '.join(_CALLED[one] for one in ways)} alone", fix=fix)
+    for name, ways in _OF_WAYS.items():
+        if given[name] and way not in ways:
+            fix = "name the file behind --bag" if name == "--out" else f"{' or '.join(ways)}, or no {name}"
+            raise ConfigError(f"{name} is of {' and '.join(_CALLED[one] for one in ways)} alone", fix=fix)
     if asked.body is not None and asked.body not in _BODIES:
         raise ConfigError(f"--body is {asked.body!r}", fix=f"one of {', '.join(_BODIES)}")
 
@@ -166,7 +160,7 @@ def check_asked(asked: Asked, way: str) -> None:
 
 
 def export_to_bag(asked: Asked, to: Path) -> None:
-    """Write a bag with its layouts, and say what is in it. Raises InputError."""
+    """Write a bag with its layouts, and print its contents. Raises InputError."""
     from wheelsight.app.cli.console import print_warning
     from wheelsight.app.cli.options import check_out
     from wheelsight.app.cli.progress import FrameProgress

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from wheelsight.app.run import FrameDrops
     from wheelsight.evaluation import SequenceStatistics
     from wheelsight.io.recordings import RecordedTopic
-    from wheelsight.io.recordings.inspection import ClockMapping, Inspection, RegistrationOffset
+    from wheelsight.io.recordings.inspection import ClockMapping, Inspection
 
 
 _GAPS_SHOWN = 5
@@ -96,73 +96,58 @@ def _facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
         yield "wheel readings", f"{inspection.wheel_readings}{'' if inspection.frames else span}"
     if inspection.yaw_readings:
         yield "yaw rates", str(inspection.yaw_readings)
-    yield "gaps", _gaps(inspection)
-    if inspection.frames:
-        from wheelsight.app.cli.console import percent
-
-        association = inspection.association
-        dropped = f"{association.dropped_color} and {association.dropped_depth} without a partner"
-        counts = f"{association.color_images} colour, {association.depth_images} depth, {dropped}"
-        pairing = f"{counts}; at most {1e3 * association.largest_gap_s:.1f} ms apart"
-        yield "images", pairing
-        yield "dropped", frame_drops(inspection).sentence
-        for reason, count in inspection.skipped:
-            yield "unusable", f"{count} × {reason}"
-        depth_m = inspection.depth_m
-        yield "valid depth", f"{percent(inspection.valid_depth_share)} of pixels"
-        yield (
-            "depth",
-            f"median {depth_m['median']:.2f} m, 5 to 95 % within {depth_m['p5']:.2f} to {depth_m['p95']:.2f} m",
-        )
-        yield "registration", _registration(inspection.offset, bool(inspection.is_registered))
+    longest = sorted(inspection.gaps, key=lambda gap: -gap.length_s)[:_GAPS_SHOWN]
+    shown = ", ".join(f"{gap.length_s:.2f} s at {gap.start_s:.2f}" for gap in longest)
+    more = ", …" if len(inspection.gaps) > _GAPS_SHOWN else ""
+    gaps = f"{len(inspection.gaps)} over three periods: {shown}{more}"
+    yield "gaps", gaps if inspection.gaps else "none over three periods"
+    yield from _frame_facts(inspection) if inspection.frames else ()
     if inspection.clock is not None:
         yield from clock_facts(inspection.clock)
-    yield from _reading_facts(inspection)
+    for why, count, of in inspection.left_out:
+        yield "left out", f"{count} of {of}: {why}"
+    if (motion := inspection.motion) is not None:
+        unknown = f"whether their clocks are apart is not known: {motion.why_not}"
+        known = f"by their turns the camera's stamps are {motion}"
+        yield "camera and wheels", unknown if motion.offset_s is None else known
     if inspection.ground_truth is None:
         yield "ground truth", "none"
 
 
-def _reading_facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
-    for why, count, of in inspection.left_out:
-        yield "left out", f"{count} of {of}: {why}"
-    if inspection.motion is not None:
-        if inspection.motion.offset_s is None:
-            motion = f"whether their clocks are apart is not known: {inspection.motion.why_not}"
-        else:
-            motion = f"by their turns the camera's stamps are {inspection.motion}"
-        yield "camera and wheels", motion
+def _frame_facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
+    from wheelsight.app.cli.console import percent
 
-
-def _gaps(inspection: Inspection) -> str:
-    gaps = inspection.gaps
-    if not gaps:
-        return "none over three periods"
-    longest = sorted(gaps, key=lambda gap: -gap.length_s)[:_GAPS_SHOWN]
-    shown = ", ".join(f"{gap.length_s:.2f} s at {gap.start_s:.2f}" for gap in longest)
-    return f"{len(gaps)} over three periods: {shown}" + (", …" if len(gaps) > _GAPS_SHOWN else "")
-
-
-def _registration(offset: RegistrationOffset | None, is_registered: bool) -> str:
-    said = "registered, by the calibration" if is_registered else "not registered; the calibration joins them"
-    if offset is None:
-        return f"{said}; too few edges to check"
-    if not offset.is_clear:
-        return f"{said}; the images agree with shared pixels"
-    return f"{said}; {offset}"
+    association, depth_m, offset = inspection.association, inspection.depth_m, inspection.offset
+    dropped = f"{association.dropped_color} and {association.dropped_depth} without a partner"
+    counts = f"{association.color_images} colour, {association.depth_images} depth, {dropped}"
+    yield "images", f"{counts}; at most {1e3 * association.largest_gap_s:.1f} ms apart"
+    yield "dropped", frame_drops(inspection).sentence
+    for reason, count in inspection.skipped:
+        yield "unusable", f"{count} × {reason}"
+    yield "valid depth", f"{percent(inspection.valid_depth_share)} of pixels"
+    usual = f"5 to 95 % within {depth_m['p5']:.2f} to {depth_m['p95']:.2f} m"
+    yield "depth", f"median {depth_m['median']:.2f} m, {usual}"
+    joined = (
+        "registered, by the calibration" if inspection.is_registered else "not registered; the calibration joins them"
+    )
+    checked = "too few edges to check" if offset is None else str(offset)
+    if offset is not None and not offset.is_clear:
+        checked = "the images agree with shared pixels"
+    yield "registration", f"{joined}; {checked}"
 
 
 # Topics, clocks, truth and drops
 
 
 def topic_facts(topics: Sequence[RecordedTopic]) -> Iterator[tuple[str, str]]:
-    """Each topic, how many messages of what type it has, and what it is used as."""
+    """Number of messages, type and use of each topic."""
     for topic in topics:
         used = f", used as {topic.used_as}" if topic.used_as else ""
         yield topic.name, f"{topic.count:,} × {topic.type.rpartition('/')[2]}{used}"
 
 
 def clock_facts(clock: ClockMapping) -> Iterator[tuple[str, str]]:
-    """How the camera's clock was mapped to the host's, and how surely."""
+    """The mapping of the camera's clock to the host's, with its uncertainty."""
     if clock.offset_s is None:
         yield "camera clock", "none: frames are stamped when they arrived"
     else:
@@ -175,7 +160,7 @@ def clock_facts(clock: ClockMapping) -> Iterator[tuple[str, str]]:
 
 
 def truth_facts(truth: SequenceStatistics) -> Iterator[tuple[str, str]]:
-    """Ground truth in figures."""
+    """Statistics of the ground truth."""
     from math import degrees
 
     yield "duration", f"{truth.duration_s:.2f} s"

@@ -25,7 +25,7 @@ _MB = 1e6
 
 
 def print_info(folder: MapFolder, as_json: bool) -> None:
-    """The figures of an open map, as a table or as JSON; and what is wrong with it, as warnings."""
+    """Print figures of an open map, as a table or as JSON, and warnings about its health."""
     from wheelsight.app.cli.console import console, facts_table, print_json, print_warning
     from wheelsight.slam.maps import info_of
 
@@ -82,7 +82,7 @@ _FORM = "X,Y,YAW_DEG in metres and degrees, such as 3.2,1.5,90; or X,Y for any h
 
 
 def name_place(source: Path, called: str, at: str | None) -> None:
-    """Name a place, or forget the name where it is nowhere. Raises ConfigError, MapError, OutputError."""
+    """Name a place, or forget the name if no pose is given. Raises ConfigError, MapError, OutputError."""
     from wheelsight.mapping import NamedPose
     from wheelsight.slam.maps import MapFolder, find_map, in_largest_piece
 
@@ -117,7 +117,7 @@ def name_place(source: Path, called: str, at: str | None) -> None:
 
 
 def print_names(folder: MapFolder) -> None:
-    """All names of a map, each with where it is by now."""
+    """Print all named places of a map with their current poses."""
     from wheelsight.app.cli.console import console, facts_table
 
     where = places_of(folder)
@@ -128,12 +128,12 @@ def print_names(folder: MapFolder) -> None:
 
 
 def places_of(folder: MapFolder) -> dict[str, FloatArray]:
-    """(3,) of each name where it is by now. Raises MapError."""
+    """Current pose (3,) of each named place. Raises MapError."""
     return {one.name: one.pose_now(folder.store.T_map_keyframe) for one in names_of(folder)}
 
 
 def names_of(folder: MapFolder) -> NamedPoses:
-    """All that hang on keyframes that are there. Raises MapError."""
+    """All named poses of existing keyframes. Raises MapError."""
     from wheelsight.slam.maps.contents import current_named_poses
 
     return current_named_poses(folder)
@@ -154,7 +154,7 @@ def pose_of(option: str, text: str) -> FloatArray:
 
 
 def pose_text(pose: FloatArray) -> str:
-    """Such as "3.20, 1.50 m, 90°"."""
+    """A pose as text, such as "3.20, 1.50 m, 90°"."""
     yaw = "any heading" if math.isnan(pose[2]) else f"{math.degrees(pose[2]):.0f}°"
     return f"{pose[0]:.2f}, {pose[1]:.2f} m, {yaw}"
 
@@ -167,7 +167,7 @@ _SUFFIXES = {"--out": (".ply",), "--occupancy": (".yaml", ".yml"), "--picture": 
 
 @dataclass(frozen=True, slots=True)
 class Exports:
-    """What to write, where to; at least one of them.
+    """Files to write; at least one.
 
     Attributes:
         points: PLY file of the surfels.
@@ -185,7 +185,7 @@ class Exports:
 
 
 def write_exports(folder: MapFolder, wanted: Exports, force: bool) -> None:
-    """Write a map for other programs; nothing where any of it must not be written."""
+    """Write a map for other programs: all files, or none if one cannot be written."""
     _check(wanted, force)
     if wanted.points is not None:
         from wheelsight.mapping import write_ply
@@ -264,7 +264,7 @@ def _fused(folder: MapFolder) -> SurfelMap:
 
 
 def write_picture(grid: OccupancyGrid, folder: MapFolder, out: Path) -> None:
-    """The plan, with axes, the way of its drives, and what people said of it. Raises OutputError."""
+    """Write the plan with axes, driven paths, areas, speed zones and named places. Raises OutputError."""
     # Outlines of areas and speed zones, and named places
     from wheelsight.mapping import EditKind
     from wheelsight.mapping.occupancy import PlanLine, PlanMark, picture_of, save_picture

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def change_zones(source: Path, asked: AskedZone) -> None:
-    """Draw what is asked, or forget it. Raises ConfigError, MapError, AreaError, OutputError."""
+    """Add zones or areas, or remove one. Raises ConfigError, MapError, AreaError, OutputError."""
     from wheelsight.app.cli.compiling import compile_missing
     from wheelsight.app.cli.console import print_warning
     from wheelsight.app.cli.progress import FrameProgress
@@ -47,7 +47,7 @@ def change_zones(source: Path, asked: AskedZone) -> None:
 
 
 def _added(folder: MapFolder, known: MapEdits, drawn: Sequence[MapEdit]) -> Sequence[MapEdit]:
-    """Keep what was drawn, each hung on the nearest keyframe, and say so."""
+    """Attach each edit to the nearest keyframe, save it, and print it."""
     from wheelsight.slam.maps import in_largest_piece
 
     # A keyframe of unknown position must not carry a zone.
@@ -86,7 +86,7 @@ def _forgotten(folder: MapFolder, known: MapEdits, number: int) -> MapEdit:
 
 
 def _warn_where_nobody_saw(what: str, polygon: FloatArray, T_map_keyframe: FloatArray) -> None:
-    """One farther from all keyframes than floor is taken from them was probably mistyped, or in another frame."""
+    """Warn of a polygon beyond the seen floor: probably mistyped, or in another frame."""
     import shapely
 
     from wheelsight.app.cli.console import print_warning
@@ -103,7 +103,7 @@ def _warn_where_nobody_saw(what: str, polygon: FloatArray, T_map_keyframe: Float
 
 
 def print_zones(folder: MapFolder) -> None:
-    """All edits of a map, each with its number and where it is by now. Raises MapError."""
+    """Print all edits of a map with their numbers and current polygons. Raises MapError."""
     from wheelsight.app.cli.console import console, facts_table
     from wheelsight.slam.maps.contents import current_edits
 
@@ -112,14 +112,16 @@ def print_zones(folder: MapFolder) -> None:
         typer.echo("the map has no zones: wheelsight map zone MAP --keep-out X,Y X,Y X,Y")
         return
     table = folder.store.T_map_keyframe
-    facts = (
-        (str(n), f"{_what(edit)}: {_corners_text(edit.polygon_now(table))}") for n, edit in enumerate(known.edits, 1)
-    )
+    facts = []
+    for number, edit in enumerate(known.edits, 1):
+        # As one types it. Adding 0 makes a zero of a negative one.
+        corners = " ".join(f"{x:.2f},{y:.2f}" for x, y in (edit.polygon_now(table).round(2) + 0.0).tolist())
+        facts.append((str(number), f"{_what(edit)}: {corners}"))
     console().print(facts_table("zones and areas", facts))
 
 
 def _what(edit: MapEdit) -> str:
-    """Such as "speed zone, at most 0.3 m/s"."""
+    """Description of an edit, such as "speed zone, at most 0.3 m/s"."""
     from wheelsight.mapping import EditKind
 
     if edit.limit_m_s is not None:
@@ -127,12 +129,6 @@ def _what(edit: MapEdit) -> str:
     if edit.name is not None:
         return f"area {edit.name}"
     return "keep-out zone" if edit.kind == EditKind.KEEP_OUT else "wiped place"
-
-
-def _corners_text(polygon: FloatArray) -> str:
-    """As one types it."""
-    # Adding 0 makes a zero of a negative one.
-    return " ".join(f"{x:.2f},{y:.2f}" for x, y in (polygon.round(2) + 0.0).tolist())
 
 
 # Options
@@ -144,7 +140,7 @@ _FORM = "X,Y in metres in the map, such as 2,-1 3,-1 3,0.5; two are opposite cor
 
 @dataclass(frozen=True, slots=True)
 class AskedZone:
-    """What was typed: one of what is there, and corners, for which it is; without any of it, a list.
+    """The options: one kind of zone or area with its corners; without options, a list.
 
     Attributes:
         corners: words, of one or more corners each.
@@ -172,7 +168,7 @@ class AskedZone:
         return [name for name, value in zip(names, values, strict=True) if value is not None]
 
     def check(self) -> None:
-        """Raises ConfigError for what means nothing together."""
+        """Check the options. Raises ConfigError for invalid combinations."""
         for word in self.corners:
             if word.startswith("-") and not word[1:2].isdigit() and word[1:2] != ".":
                 raise ConfigError(f"there is no option {word}", fix=f"{_WHICH}; --areas FILE or --forget NUMBER")
@@ -190,7 +186,9 @@ class AskedZone:
 
 
 def drawn_by(asked: AskedZone) -> Sequence[MapEdit]:
-    """What is to be drawn, hung on no keyframe. Raises ConfigError, MapError, AreaError."""
+    """The edits of the options, not attached to keyframes. Raises ConfigError, MapError, AreaError."""
+    import numpy as np
+
     from wheelsight.core.areas import load_areas
     from wheelsight.mapping import EditKind, MapEdit
 
@@ -199,10 +197,15 @@ def drawn_by(asked: AskedZone) -> Sequence[MapEdit]:
     if asked.forget is not None:
         return []
     # (N, 2) corners of words such as "2,-1" or "2,-1 3,-1 3,0.5"
-    option = asked.option or ""
-    import numpy as np
-
-    corners = [_corner(text) for word in asked.corners for text in word.split()]
+    option, corners = asked.option or "", []
+    for text in (text for word in asked.corners for text in word.split()):
+        try:
+            x_m, y_m = map(float, text.split(","))
+        except ValueError:
+            x_m = y_m = math.nan
+        if not math.isfinite(x_m) or not math.isfinite(y_m):
+            raise ConfigError(f"{text!r} is no corner", fix=_FORM)
+        corners.append((x_m, y_m))
     if len(corners) < 2:
         raise ConfigError(f"{option} has {'one corner' if corners else 'no corners'}", fix=_FORM)
     if len(corners) == 2:
@@ -214,13 +217,3 @@ def drawn_by(asked: AskedZone) -> Sequence[MapEdit]:
     if asked.area is not None:
         return [MapEdit(EditKind.AREA, polygon, name=asked.area)]
     return [MapEdit(EditKind.KEEP_OUT if asked.keep_out else EditKind.WIPED, polygon)]
-
-
-def _corner(text: str) -> tuple[float, float]:
-    try:
-        x_m, y_m = map(float, text.split(","))
-    except ValueError:
-        x_m = y_m = math.nan
-    if not math.isfinite(x_m) or not math.isfinite(y_m):
-        raise ConfigError(f"{text!r} is no corner", fix=_FORM)
-    return x_m, y_m

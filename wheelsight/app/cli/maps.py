@@ -13,6 +13,7 @@ from wheelsight.app.cli.compiling import compile_missing
 from wheelsight.app.cli.console import CliCommand, Group, print_warning
 from wheelsight.app.cli.map_contents import Exports, name_place, print_info, print_names, write_exports
 from wheelsight.app.cli.map_zones import AskedZone, change_zones, print_zones
+from wheelsight.app.cli.options import option
 from wheelsight.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -251,10 +252,10 @@ Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")
 Called = Annotated[str | None, typer.Argument(metavar="NAME", help="What the place is called.", show_default=False)]
 At = Annotated[
     str | None,
-    typer.Option(
-        metavar="X,Y[,YAW_DEG]",
-        help="Where it is in the map: metres, and the heading of a robot there, in degrees from x to y.",
-        show_default=False,
+    option(
+        "Where it is in the map: metres, and the heading of a robot there, in degrees from x to y.",
+        "X,Y[,YAW_DEG]",
+        False,
     ),
 ]
 Corners = Annotated[
@@ -266,43 +267,22 @@ Corners = Annotated[
     ),
 ]
 KeepOut = Annotated[bool, typer.Option("--keep-out", help="Robots do not drive there.", rich_help_panel=_ZONES)]
-Speed = Annotated[
-    float | None,
-    typer.Option(
-        metavar="M_S",
-        help="The speed limit there, in metres a second.",
-        show_default=False,
-        rich_help_panel=_ZONES,
-    ),
-]
+Speed = Annotated[float | None, option("The speed limit there, in metres a second.", "M_S", False, _ZONES)]
 Wipe = Annotated[
     bool, typer.Option("--wipe", help="Obstacles that the map has there are gone: free.", rich_help_panel=_ZONES)
 ]
-AreaName = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help="It is called so, for wheelsight drive --to NAME.",
-        show_default=False,
-        rich_help_panel=_ZONES,
-    ),
-]
+AreaName = Annotated[str | None, option("It is called so, for wheelsight drive --to NAME.", "NAME", False, _ZONES)]
 AreasFile = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="All areas of an areas.yaml, whose corners must be in this map's frame; that of a simulated world is in "
+    option(
+        "All areas of an areas.yaml, whose corners must be in this map's frame; that of a simulated world is in "
         "the building's.",
-        show_default=False,
-        rich_help_panel=_ZONES,
+        "FILE",
+        False,
+        _ZONES,
     ),
 ]
-Forget = Annotated[
-    int | None,
-    typer.Option(
-        metavar="NUMBER", help="Forget the one of this number in the list.", show_default=False, rich_help_panel=_ZONES
-    ),
-]
+Forget = Annotated[int | None, option("Forget the one of this number in the list.", "NUMBER", False, _ZONES)]
 Points = Annotated[
     Path | None, typer.Option(metavar="FILE", help="PLY file of the surfels to write.", show_default=False)
 ]

@@ -22,10 +22,26 @@ SET_BY: dict[str, str] = {"known_map.start": "--start"}
 """The option that sets a setting, by its dotted name."""
 
 
-def setting_option(name: str, flag: str, **details: Any) -> Any:
-    """Return a `typer.Option` that sets a setting of `Config`, by its dotted name."""
+def option(
+    text: str, metavar: str | None = None, shown: str | bool = True, panel: str | None = None, **details: Any
+) -> Any:
+    """Return a `typer.Option`.
+
+    Args:
+        text: its help.
+        metavar: what its value is called.
+        shown: what the help shows as its default; True: the default itself.
+        panel: of the help.
+        details: `flag`, and others as of `typer.Option`, such as min and max.
+    """
+    flags = [details.pop("flag")] if "flag" in details else []
+    return typer.Option(*flags, metavar=metavar, help=text, show_default=shown, rich_help_panel=panel, **details)
+
+
+def setting_option(name: str, flag: str, text: str, *how: Any, **details: Any) -> Any:
+    """Return an `option` that sets a setting of `Config`, by its dotted name."""
     SET_BY[name] = flag.partition("/")[0]
-    return typer.Option(flag, **details)
+    return option(text, *how, flag=flag, **details)
 
 
 RecordingPath = Annotated[
@@ -41,10 +57,10 @@ Camera = Annotated[
     setting_option(
         "recording.camera",
         "--camera",
-        metavar="NAME|FILE",
-        help="Calibration to use: the name of a shipped one, such as freiburg1, or a calibration.yaml.",
-        show_default="what the recording itself says",
-        rich_help_panel=INPUT,
+        "Calibration to use: the name of a shipped one, such as freiburg1, or a calibration.yaml.",
+        "NAME|FILE",
+        "what the recording itself says",
+        INPUT,
     ),
 ]
 CalibrationFile = Annotated[
@@ -52,11 +68,11 @@ CalibrationFile = Annotated[
     setting_option(
         "recording.calibration",
         "--calibration",
-        metavar="FILE",
-        help="calibration.yaml whose parts (cameras, mount, wheels, gyro) stand in place of the recording's; what it "
+        "calibration.yaml whose parts (cameras, mount, wheels, gyro) stand in place of the recording's; what it "
         "leaves out stays. May be given again: each is laid over those before.",
-        show_default=False,
-        rich_help_panel=INPUT,
+        "FILE",
+        False,
+        INPUT,
     ),
 ]
 DepthFactor = Annotated[
@@ -64,9 +80,9 @@ DepthFactor = Annotated[
     setting_option(
         "recording.depth_factor",
         "--depth-factor",
-        help="Depth units a metre in the depth images.",
-        show_default="as its format says",
-        rich_help_panel=INPUT,
+        "Depth units a metre in the depth images.",
+        shown="as its format says",
+        panel=INPUT,
     ),
 ]
 MaxGap = Annotated[
@@ -74,10 +90,10 @@ MaxGap = Annotated[
     setting_option(
         "recording.max_gap_s",
         "--max-gap",
-        metavar="SECONDS",
-        help="Largest distance in time of a colour and a depth image.",
-        show_default="0.02",
-        rich_help_panel=INPUT,
+        "Largest distance in time of a colour and a depth image.",
+        "SECONDS",
+        "0.02",
+        INPUT,
     ),
 ]
 RateHz = Annotated[
@@ -85,10 +101,10 @@ RateHz = Annotated[
     setting_option(
         "recording.rate_hz",
         "--rate-hz",
-        metavar="HZ",
-        help="How many a second the images' stamps count: 30 for numbers of a 30 Hz camera, 1000 for milliseconds.",
-        show_default="stamps are seconds",
-        rich_help_panel=INPUT,
+        "How many a second the images' stamps count: 30 for numbers of a 30 Hz camera, 1000 for milliseconds.",
+        "HZ",
+        "stamps are seconds",
+        INPUT,
     ),
 ]
 Topics = Annotated[
@@ -96,12 +112,12 @@ Topics = Annotated[
     setting_option(
         "recording.topics",
         "--topic",
-        metavar="ROLE=TOPIC",
-        help="Of a bag: which topic is color, depth, color_info, depth_info, wheels, gyro or truth; none leaves one "
+        "Of a bag: which topic is color, depth, color_info, depth_info, wheels, gyro or truth; none leaves one "
         "out. May be given again. Joints, fields, places or frames of wheels: wheels=/joints:left,right, "
         "wheels=/ticks:2,3, wheels=/tf:odom,base_link; a topic each: wheels=/lwheel,/rwheel.",
-        show_default="by type, frame and name",
-        rich_help_panel=INPUT,
+        "ROLE=TOPIC",
+        "by type, frame and name",
+        INPUT,
     ),
 ]
 Profile = Annotated[
@@ -109,11 +125,11 @@ Profile = Annotated[
     setting_option(
         "profile",
         "--profile",
-        metavar="NAME",
-        help="Settings for one kind of computer: pi, for a small one. --config and other options win over it; "
+        "Settings for one kind of computer: pi, for a small one. --config and other options win over it; "
         "wheelsight config --profile pi shows them.",
-        show_default="none",
-        rich_help_panel=SETTINGS,
+        "NAME",
+        "none",
+        SETTINGS,
     ),
 ]
 
@@ -145,12 +161,12 @@ def open_source(folder: Path, settings: Config) -> Recording:
 
 Rerun = Annotated[
     str | None,
-    typer.Option(
-        "--rerun",
-        metavar="FILE.rrd|spawn",
-        help="Show the run in Rerun as it goes: written to a file, or in a viewer that is started here.",
-        show_default="not shown",
-        rich_help_panel=OUTPUT,
+    option(
+        "Show the run in Rerun as it goes: written to a file, or in a viewer that is started here.",
+        "FILE.rrd|spawn",
+        "not shown",
+        OUTPUT,
+        flag="--rerun",
     ),
 ]
 
@@ -159,7 +175,7 @@ Rerun = Annotated[
 
 
 def can_draw() -> bool:
-    """Whether a page can be drawn; warns where it cannot, and all but the page will be written."""
+    """Whether a page can be drawn; else it warns that all but the page is written."""
     from wheelsight.app.cli.console import print_warning
     from wheelsight.app.report import why_no_page
 
@@ -170,7 +186,7 @@ def can_draw() -> bool:
 
 
 def check_out(out: Path, force: bool | None, option: str = "--out") -> None:
-    """Raises OutputError, before any work, where `out` cannot or must not be written.
+    """Check an output before any work. Raises OutputError if it cannot or must not be written.
 
     `force` is None where the command has none; `option` is what names the file.
     """
@@ -218,7 +234,7 @@ def open_for(
 
 
 def page_beside(out: Path, force: bool) -> Path | None:
-    """Where the page goes, or None where none can be drawn; before any work.
+    """Path of the page, or None if none can be drawn. Call it before any work.
 
     Raises:
         OutputError: it or `out` cannot or must not be written.

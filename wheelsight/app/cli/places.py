@@ -12,7 +12,7 @@ import typer
 
 from wheelsight.app.cli.compiling import compile_missing
 from wheelsight.app.cli.console import CliCommand, Group
-from wheelsight.app.cli.options import RecordingPath, Topics, check_out
+from wheelsight.app.cli.options import RecordingPath, Topics, check_out, option
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -38,18 +38,15 @@ Recordings = Annotated[
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="What places train wrote.", show_default=False)]
 LabelFiles = Annotated[
     list[Path] | None,
-    typer.Option(
-        "--labels",
-        metavar="FILE",
-        help="CSV of labels, from_s,to_s,area or stamp_s,area; one for each recording, in their order.",
-        show_default="by areas and trajectory",
+    option(
+        "CSV of labels, from_s,to_s,area or stamp_s,area; one for each recording, in their order.",
+        "FILE",
+        "by areas and trajectory",
+        flag="--labels",
     ),
 ]
 Labels = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE", help="CSV of labels, from_s,to_s,area or stamp_s,area.", show_default="by areas and trajectory"
-    ),
+    Path | None, option("CSV of labels, from_s,to_s,area or stamp_s,area.", "FILE", "by areas and trajectory")
 ]
 Areas = Annotated[
     Path | None,
@@ -287,7 +284,7 @@ def source_of(
 
 @contextmanager
 def show_progress(action: str, count: int | None) -> Iterator[Callable[[], None]]:
-    """A progress bar; what it hands out moves it on by one."""
+    """A progress bar; yields the function that advances it by one."""
     from wheelsight.app.cli.progress import FrameProgress
 
     with FrameProgress(action, count) as progress:
@@ -316,7 +313,7 @@ def open_labelled(
 def described(
     recordings: Sequence[Recording], sources: Sequence[LabelSource], names: tuple[str, ...], describer: Describer
 ) -> list[LabelledDrive]:
-    """Each recording in numbers and labels."""
+    """The descriptors and labels of each recording."""
     from wheelsight.places import describe_drive
 
     drives = []
@@ -330,7 +327,7 @@ def described(
 
 
 def training_tables(model: PlaceModel, drives: Sequence[LabelledDrive]) -> Iterator[Table]:
-    """A model's areas and figures."""
+    """Tables of a model: its areas and its figures."""
     from wheelsight.app.cli.console import facts_table, rows_table
     from wheelsight.app.report.places_page import TRAINING_HEAD, training_facts, training_rows
 
@@ -343,7 +340,7 @@ def training_tables(model: PlaceModel, drives: Sequence[LabelledDrive]) -> Itera
 
 
 def trial_tables(trial: PlaceTrial, recording: str) -> Iterator[Table]:
-    """Accuracy of each area, confusions, calibration."""
+    """Tables of a trial: accuracy of each area, confusions, calibration."""
     from wheelsight.app.cli.console import facts_table, rows_table
     from wheelsight.app.report.places_page import AREA_HEAD, CURVE_HEAD, area_rows, confusion_rows, curve_rows
     from wheelsight.app.run import words
@@ -362,7 +359,7 @@ def trial_tables(trial: PlaceTrial, recording: str) -> Iterator[Table]:
 
 
 def trial_document(trial: PlaceTrial) -> dict[str, Any]:
-    """The same as nested values."""
+    """The figures of a trial as nested values."""
     counts, curve = trial.confusion, trial.curve
     return {
         "frames": len(trial.answers),

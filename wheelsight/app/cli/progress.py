@@ -35,11 +35,11 @@ class FrameProgress:
         self._progress.stop()
 
     def advance(self, status: str = "") -> None:
-        """One frame more."""
+        """Count one frame."""
         self._progress.update(self._task, advance=1, status=status)
 
     def reach(self, done: float, total: float | None, status: str = "", rate: str = "") -> None:
-        """So much is done by now, of a total that is only now known, or not yet; `rate` where it is not the count's."""
+        """Set the count and the total, which may be unknown; `rate` replaces the rate of the count."""
         all_of_it = None if total is None else int(total)
         self._progress.update(self._task, completed=int(done), total=all_of_it, rate=rate, status=status)
 
@@ -94,7 +94,7 @@ class _Rate(ProgressColumn):
 
 
 class _TimeLeft(ProgressColumn):
-    """By the rate; nothing where there is no end."""
+    """The time left by the rate; empty without a total."""
 
     max_refresh = 0.5
 

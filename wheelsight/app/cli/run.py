@@ -158,7 +158,7 @@ def track(
 
 @dataclass(frozen=True, slots=True)
 class LiveRun:
-    """The options that say so."""
+    """Options of the source, live or recorded."""
 
     live: bool
     recording: Path | None
@@ -171,7 +171,7 @@ class LiveRun:
 
     @classmethod
     def of(cls, given: RunOptions) -> LiveRun:
-        """The options that were typed."""
+        """The part of all options."""
         sensors = given.recording, given.camera, given.wheels
         return cls(given.live, *sensors, given.seconds, given.record, tuple(given.calibration or ()), given.baud)
 
@@ -321,7 +321,7 @@ def rate_of(recording: InRealTime) -> str:
 
 
 def words(recording: InRealTime) -> str:
-    """Such as "31 ms late, 12 dropped"."""
+    """Latency and drops, such as "31 ms late, 12 dropped"."""
     parts = []
     if (lately := recording.lately()) is not None:
         parts.append(f"{1e3 * lately[1]:.0f} ms late")

@@ -21,6 +21,7 @@ from wheelsight.app.cli.options import (
     RateHz,
     Rerun,
     Topics,
+    option,
     setting_option,
     settings_from,
 )
@@ -40,74 +41,44 @@ LiveRecording = Annotated[
 ]
 LiveCamera = Annotated[
     str | None,
-    typer.Option(
-        "--camera",
-        metavar="NAME|FILE",
-        help="Calibration to use: the name of a shipped one, such as freiburg1, or a calibration.yaml. With --live: "
+    option(
+        "Calibration to use: the name of a shipped one, such as freiburg1, or a calibration.yaml. With --live: "
         "the camera, as for wheelsight record.",
-        show_default="what the recording itself says",
-        rich_help_panel=INPUT,
+        "NAME|FILE",
+        "what the recording itself says",
+        INPUT,
+        flag="--camera",
     ),
 ]
 RealTime = Annotated[
     bool,
-    typer.Option(
-        "--realtime",
-        help="Play the recording in real time; frames that come too fast are dropped.",
-        rich_help_panel=_REAL_TIME,
+    option(
+        "Play the recording in real time; frames that come too fast are dropped.", panel=_REAL_TIME, flag="--realtime"
     ),
 ]
 WheelsFrom = Annotated[
     str | None,
-    typer.Option(
-        metavar="FROM",
-        help="Wheel readings in real time from elsewhere: a serial port, the pipe of wheels serve, or a wheels.csv.",
-        show_default="the recording's own",
-        rich_help_panel=_REAL_TIME,
+    option(
+        "Wheel readings in real time from elsewhere: a serial port, the pipe of wheels serve, or a wheels.csv.",
+        "FROM",
+        "the recording's own",
+        _REAL_TIME,
     ),
 ]
-Baud = Annotated[
-    int | None,
-    typer.Option(
-        min=1, metavar="RATE", help="Baud rate of the port.", show_default="115200", rich_help_panel=_REAL_TIME
-    ),
-]
+Baud = Annotated[int | None, option("Baud rate of the port.", "RATE", "115200", _REAL_TIME, min=1)]
 Live = Annotated[
     bool,
-    typer.Option(
-        "--live",
-        help="Follow what --camera and --wheels show just now, until Ctrl-C or --seconds, in place of a recording.",
-        rich_help_panel=_LIVE,
+    option(
+        "Follow what --camera and --wheels show just now, until Ctrl-C or --seconds, in place of a recording.",
+        panel=_LIVE,
+        flag="--live",
     ),
 ]
-Wheels = Annotated[
-    str | None,
-    typer.Option(
-        metavar="PORT",
-        help="With --live: serial port of the wheel controller.",
-        show_default="none",
-        rich_help_panel=_LIVE,
-    ),
-]
+Wheels = Annotated[str | None, option("With --live: serial port of the wheel controller.", "PORT", "none", _LIVE)]
 Seconds = Annotated[
-    float | None,
-    typer.Option(
-        min=0,
-        metavar="SECONDS",
-        help="With --live: stop so long after ready.",
-        show_default="at Ctrl-C",
-        rich_help_panel=_LIVE,
-    ),
+    float | None, option("With --live: stop so long after ready.", "SECONDS", "at Ctrl-C", _LIVE, min=0)
 ]
-Record = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="DIR",
-        help="With --live: record what is followed, too.",
-        show_default="not recorded",
-        rich_help_panel=_LIVE,
-    ),
-]
+Record = Annotated[Path | None, option("With --live: record what is followed, too.", "DIR", "not recorded", _LIVE)]
 
 
 # Odometry and areas
@@ -120,10 +91,10 @@ Odometry = Annotated[
     setting_option(
         "odometry",
         "--odometry",
-        metavar="NAME[,NAME]",
-        help="How motion is estimated: features, dense, wheels, or several; wheels and a camera are joined too.",
-        show_default="all sensors that the recording has, joined",
-        rich_help_panel=_ODOMETRY,
+        "How motion is estimated: features, dense, wheels, or several; wheels and a camera are joined too.",
+        "NAME[,NAME]",
+        "all sensors that the recording has, joined",
+        _ODOMETRY,
     ),
 ]
 Fusion = Annotated[
@@ -131,10 +102,10 @@ Fusion = Annotated[
     setting_option(
         "fusion.filter",
         "--fusion",
-        metavar="NAME",
-        help="How wheels and camera are joined: default, ligocki (eq. 2), or none.",
-        show_default="default, where both are named",
-        rich_help_panel=_ODOMETRY,
+        "How wheels and camera are joined: default, ligocki (eq. 2), or none.",
+        "NAME",
+        "default, where both are named",
+        _ODOMETRY,
     ),
 ]
 Reference = Annotated[
@@ -142,10 +113,10 @@ Reference = Annotated[
     setting_option(
         "features.reference",
         "--reference",
-        metavar="NAME",
-        help="What a frame is aligned with: previous or keyframes.",
-        show_default="keyframes",
-        rich_help_panel=_ODOMETRY,
+        "What a frame is aligned with: previous or keyframes.",
+        "NAME",
+        "keyframes",
+        _ODOMETRY,
     ),
 ]
 Integration = Annotated[
@@ -153,37 +124,30 @@ Integration = Annotated[
     setting_option(
         "wheels.integration",
         "--integration",
-        metavar="NAME",
-        help="How wheels are integrated: arc, midpoint or euler.",
-        show_default="arc",
-        rich_help_panel=_ODOMETRY,
+        "How wheels are integrated: arc, midpoint or euler.",
+        "NAME",
+        "arc",
+        _ODOMETRY,
     ),
 ]
 Gyro = Annotated[
     bool | None,
     setting_option(
-        "wheels.gyro",
-        "--gyro/--no-gyro",
-        help="Join a gyroscope with the wheels.",
-        show_default="--gyro",
-        rich_help_panel=_ODOMETRY,
+        "wheels.gyro", "--gyro/--no-gyro", "Join a gyroscope with the wheels.", shown="--gyro", panel=_ODOMETRY
     ),
 ]
 Seed = Annotated[
-    int | None,
-    setting_option(
-        "features.seed", "--seed", help="Seed of all random choices.", show_default="0", rich_help_panel=_ODOMETRY
-    ),
+    int | None, setting_option("features.seed", "--seed", "Seed of all random choices.", shown="0", panel=_ODOMETRY)
 ]
 Model = Annotated[
     str | None,
     setting_option(
         "places.model",
         "--places",
-        metavar="MODEL",
-        help="Rectify wheels, joined or alone, by the areas that frames show.",
-        show_default=False,
-        rich_help_panel=_AREAS,
+        "Rectify wheels, joined or alone, by the areas that frames show.",
+        "MODEL",
+        False,
+        _AREAS,
     ),
 ]
 Rectify = Annotated[
@@ -191,21 +155,16 @@ Rectify = Annotated[
     setting_option(
         "places.rectify",
         "--rectify",
-        metavar="WAY",
-        help="probabilistic: a filter with covariance; paper: eq. 5.",
-        show_default="probabilistic",
-        rich_help_panel=_AREAS,
+        "probabilistic: a filter with covariance; paper: eq. 5.",
+        "WAY",
+        "probabilistic",
+        _AREAS,
     ),
 ]
 Areas = Annotated[
     str | None,
     setting_option(
-        "places.areas",
-        "--areas",
-        metavar="FILE",
-        help="areas.yaml of the model.",
-        show_default="that in the recording's folder",
-        rich_help_panel=_AREAS,
+        "places.areas", "--areas", "areas.yaml of the model.", "FILE", "that in the recording's folder", _AREAS
     ),
 ]
 OdometryTerm = Annotated[
@@ -213,22 +172,15 @@ OdometryTerm = Annotated[
     setting_option(
         "places.odometry_term",
         "--odometry-term",
-        metavar="NAME",
-        help="Odometry in eq. 5: increment or absolute.",
-        show_default="increment",
-        rich_help_panel=_AREAS,
+        "Odometry in eq. 5: increment or absolute.",
+        "NAME",
+        "increment",
+        _AREAS,
     ),
 ]
 Weights = Annotated[
     str | None,
-    setting_option(
-        "places.weights",
-        "--weights",
-        metavar="A,B,G",
-        help="alpha, beta, gamma of eq. 5.",
-        show_default="0,0.9,0.1",
-        rich_help_panel=_AREAS,
-    ),
+    setting_option("places.weights", "--weights", "alpha, beta, gamma of eq. 5.", "A,B,G", "0,0.9,0.1", _AREAS),
 ]
 
 
@@ -240,12 +192,7 @@ _MAPS = "Loops and maps"
 Map = Annotated[
     str | None,
     setting_option(
-        "map",
-        "--map",
-        metavar="NAME",
-        help="What dense odometry builds and tracks against: surfels.",
-        show_default="keyframes alone",
-        rich_help_panel=_MAPS,
+        "map", "--map", "What dense odometry builds and tracks against: surfels.", "NAME", "keyframes alone", _MAPS
     ),
 ]
 Loops = Annotated[
@@ -253,11 +200,11 @@ Loops = Annotated[
     setting_option(
         "loops.source",
         "--loops",
-        metavar="SOURCE",
-        help="Correct the way by places that were recognised: keyframes, those that the camera sees again; matches, "
+        "Correct the way by places that were recognised: keyframes, those that the camera sees again; matches, "
         "the recording's own and its loops.csv; or a file like that.",
-        show_default="none",
-        rich_help_panel=_MAPS,
+        "SOURCE",
+        "none",
+        _MAPS,
     ),
 ]
 MapFrom = Annotated[
@@ -265,27 +212,25 @@ MapFrom = Annotated[
     setting_option(
         "known_map.path",
         "--map-from",
-        metavar="DIR",
-        help="Find oneself in a map of before: that of an earlier run with --map surfels.",
-        show_default=False,
-        rich_help_panel=_MAPS,
+        "Find oneself in a map of before: that of an earlier run with --map surfels.",
+        "DIR",
+        False,
+        _MAPS,
     ),
 ]
 Extend = Annotated[
     bool,
-    setting_option(
-        "known_map.extend", "--extend", help="Add to the map of --map-from what this drive sees.", rich_help_panel=_MAPS
-    ),
+    setting_option("known_map.extend", "--extend", "Add to the map of --map-from what this drive sees.", panel=_MAPS),
 ]
 Start = Annotated[
     str | None,
     setting_option(
         "places.start",
         "--start",
-        metavar="X,Y,YAW_DEG",
-        help="Where the base stands at first, in the map of --map-from or of the areas.",
-        show_default="recognised; of areas, by ground truth",
-        rich_help_panel=_MAPS,
+        "Where the base stands at first, in the map of --map-from or of the areas.",
+        "X,Y,YAW_DEG",
+        "recognised; of areas, by ground truth",
+        _MAPS,
     ),
 ]
 
@@ -293,27 +238,16 @@ Start = Annotated[
 # All options
 
 
-Out = Annotated[
-    Path,
-    typer.Option(
-        metavar="DIR", help="Folder for the results; made if need be.", show_default=False, rich_help_panel=OUTPUT
-    ),
-]
+Out = Annotated[Path, option("Folder for the results; made if need be.", "DIR", False, OUTPUT)]
 SettingsFile = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Settings in YAML; options given here win over it.",
-        show_default=False,
-        rich_help_panel=SETTINGS,
-    ),
+    Path | None, option("Settings in YAML; options given here win over it.", "FILE", False, SETTINGS)
 ]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite results in DIR.", rich_help_panel=OUTPUT)]
 
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """What a user typed; None where an option was left out."""
+    """Options of `run`; None where one was left out."""
 
     out: Out
     recording: LiveRecording = None

@@ -21,7 +21,7 @@ import typer
 from wheelsight.app.cli.console import print_note, print_warning, takes
 from wheelsight.app.cli.drive import check_robot, kernels_of, robot_of, settings_of, start_of
 from wheelsight.app.cli.drive_options import KnownStart, MapPath, Rate, Rerun, RobotOptions, SettingsOptions
-from wheelsight.app.cli.options import OUTPUT
+from wheelsight.app.cli.options import OUTPUT, option
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.runtime import until_stopped
 
@@ -39,37 +39,37 @@ _PAGE = "The page"
 
 MapsFolder = Annotated[
     Path | None,
-    typer.Option(
-        "--out",
-        metavar="DIR",
-        help="Folder for maps that are made, each in one of its own; those that are there can be driven in.",
-        show_default="none",
-        rich_help_panel=OUTPUT,
+    option(
+        "Folder for maps that are made, each in one of its own; those that are there can be driven in.",
+        "DIR",
+        "none",
+        OUTPUT,
+        flag="--out",
     ),
 ]
 Host = Annotated[
     str,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Where the page is served: this computer alone, or, behind a token, any that reaches the address.",
-        rich_help_panel=_PAGE,
+    option(
+        "Where the page is served: this computer alone, or, behind a token, any that reaches the address.",
+        "ADDRESS",
+        panel=_PAGE,
     ),
 ]
 Port = Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.", rich_help_panel=_PAGE)]
 Token = Annotated[
     str | None,
-    typer.Option(
-        metavar="TEXT",
-        help="What each request must hold; 16 letters and digits at least.",
-        show_default="a new one; none on this computer alone",
-        rich_help_panel=_PAGE,
+    option(
+        "What each request must hold; 16 letters and digits at least.",
+        "TEXT",
+        "a new one; none on this computer alone",
+        _PAGE,
     ),
 ]
 
 
 @dataclass(frozen=True)
 class PageOptions:
-    """What a user typed of maps and of the page."""
+    """Options of maps and of the page."""
 
     map_: MapPath = None
     known_start: KnownStart = None
@@ -82,7 +82,7 @@ class PageOptions:
 
 @dataclass(frozen=True)
 class ServeOptions(RobotOptions, SettingsOptions, PageOptions):
-    """What a user typed; fields of the last base come first."""
+    """All options; fields of the last base come first."""
 
     rate: Rate = 5.0
 
@@ -161,7 +161,7 @@ _TIMES = re.compile(r" \((\d+) times\)$")
 
 
 class CountedLines:
-    """Shows lines in a thread of its own, so that a terminal that takes nothing stops no other; counts repeats.
+    """Shows lines from its own thread, so that a blocked terminal blocks no other thread; counts repeats.
 
     A line that comes again and again is shown with its count after 1 s, 2 s, 4 s and so on, up to 10 minutes. Of lines
     that differ, which a stranger can make up, few are shown, and the others counted.
@@ -179,7 +179,7 @@ class CountedLines:
         self._thread.start()
 
     def add(self, line: str, *, is_problem: bool = False) -> None:
-        """One more; a problem of the robot is never among the others."""
+        """Add a line. Problems of the robot are always shown."""
         found = _TIMES.search(line)
         text, times = (line[: found.start()], int(found[1])) if found else (line, 1)
         now_s = time.monotonic()
@@ -199,7 +199,7 @@ class CountedLines:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Print what is left, and end."""
+        """Print the remaining lines, and end."""
         with self._changed:
             self._is_over = True
             self._changed.notify()
@@ -232,7 +232,7 @@ class CountedLines:
 
 @dataclass
 class _Line:
-    """How often a line came since it was printed, and when it may be printed again."""
+    """Number of repeats of a line since it was printed, and the time of its next print."""
 
     due_s: float
     wait_s: float = 1.0
@@ -254,7 +254,7 @@ def _log_of(rerun: str | None, calibration: Calibration, config: Config) -> Abst
 
 
 def access_of(options: PageOptions) -> Access:
-    """Who may speak to the page. Raises ConfigError."""
+    """The rules for requests to the page. Raises ConfigError."""
     from wheelsight.app.page import Access, is_loopback
 
     token = options.token
@@ -267,7 +267,7 @@ def access_of(options: PageOptions) -> Access:
 
 
 def addresses(host: str, port: int, token: str) -> list[str]:
-    """Where the page is, for people."""
+    """URLs of the page."""
     import socket
 
     if host in ("0.0.0.0", "::", ""):

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from wheelsight.app.cli.console import takes
-from wheelsight.app.cli.options import OUTPUT
+from wheelsight.app.cli.options import OUTPUT, option
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.runtime import exit_code
 
 if TYPE_CHECKING:
-    from wheelsight.io.recordings import RecordingWriter
-    from wheelsight_sim import FloorPlan, SimulatedRecording, SimulationSettings
+    from wheelsight_sim import FloorPlan, SimulationSettings
 
 
 # Options of the robot and its camera
@@ -42,30 +41,15 @@ Reverse = Annotated[
     bool, typer.Option("--reverse", help="Drive the route from its end to its start.", rich_help_panel=_DRIVE)
 ]
 DriveFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--drive",
-        metavar="CSV",
-        help="Velocities to drive in place of the route.",
-        show_default=False,
-        rich_help_panel=_DRIVE,
-    ),
+    Path | None, option("Velocities to drive in place of the route.", "CSV", False, _DRIVE, flag="--drive")
 ]
 StopAndTurn = Annotated[
-    bool,
-    typer.Option(
-        "--stop-and-turn", help="Stop at each waypoint and turn on the spot, as UMBmark asks.", rich_help_panel=_DRIVE
-    ),
+    bool, option("Stop at each waypoint and turn on the spot, as UMBmark asks.", panel=_DRIVE, flag="--stop-and-turn")
 ]
 Camera = Annotated[
     str, typer.Option(metavar="NAME", help="Which camera to carry; see --list.", rich_help_panel=_CAMERA)
 ]
-Size = Annotated[
-    str,
-    typer.Option(
-        metavar="WxH|half|full", help="Size of the images in pixels, or by the camera's own.", rich_help_panel=_CAMERA
-    ),
-]
+Size = Annotated[str, option("Size of the images in pixels, or by the camera's own.", "WxH|half|full", panel=_CAMERA)]
 Rate = Annotated[
     float | None,
     typer.Option(metavar="HZ", help="Images a second.", show_default="the camera's own", rich_help_panel=_CAMERA),
@@ -75,18 +59,16 @@ MotionBlur = Annotated[
 ]
 Realism = Annotated[
     str,
-    typer.Option(
-        metavar="NAME",
-        help="`real`: all that real sensors do; `ideal`: nothing but their noise, for closed forms.",
-        rich_help_panel=_CAMERA,
+    option(
+        "`real`: all that real sensors do; `ideal`: nothing but their noise, for closed forms.", "NAME", panel=_CAMERA
     ),
 ]
 Base = Annotated[
     str,
-    typer.Option(
-        metavar="KIND",
-        help="`differential`: a wheelchair; `mecanum`, `omni-3`, `omni-4`, `increments`: a base that drives sideways.",
-        rich_help_panel=_ROBOT,
+    option(
+        "`differential`: a wheelchair; `mecanum`, `omni-3`, `omni-4`, `increments`: a base that drives sideways.",
+        "KIND",
+        panel=_ROBOT,
     ),
 ]
 LeftRadius = Annotated[
@@ -122,22 +104,17 @@ _WORLD, _PLAN = "The world", "A building of your own"
 World = Annotated[
     str | None, typer.Argument(metavar="WORLD", help="What to drive through; see --list.", show_default=False)
 ]
-Out = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="DIR", help="Folder of the recording; made if need be.", show_default=False, rich_help_panel=OUTPUT
-    ),
-]
+Out = Annotated[Path | None, option("Folder of the recording; made if need be.", "DIR", False, OUTPUT)]
 ShowList = Annotated[
     bool, typer.Option("--list", help="Show all worlds and cameras, and exit.", rich_help_panel=_WORLD)
 ]
 Plan = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Floor plan to drive through in place of WORLD: of ROS map_server, or an image with --resolution.",
-        show_default=False,
-        rich_help_panel=_PLAN,
+    option(
+        "Floor plan to drive through in place of WORLD: of ROS map_server, or an image with --resolution.",
+        "FILE",
+        False,
+        _PLAN,
     ),
 ]
 Resolution = Annotated[
@@ -146,43 +123,26 @@ Resolution = Annotated[
 ]
 AreasImage = Annotated[
     Path | None,
-    typer.Option(
-        "--areas",
-        metavar="IMAGE",
-        help="The plan's rooms, one colour each or parted by lines; they become areas.yaml.",
-        show_default=False,
-        rich_help_panel=_PLAN,
+    option(
+        "The plan's rooms, one colour each or parted by lines; they become areas.yaml.",
+        "IMAGE",
+        False,
+        _PLAN,
+        flag="--areas",
     ),
 ]
 Start = Annotated[
-    str | None,
-    typer.Option(
-        metavar="X,Y,YAW_DEG",
-        help="Where in the plan the base begins.",
-        show_default="a roomy place, by --seed",
-        rich_help_panel=_PLAN,
-    ),
+    str | None, option("Where in the plan the base begins.", "X,Y,YAW_DEG", "a roomy place, by --seed", _PLAN)
 ]
 WayLength = Annotated[
     float | None,
-    typer.Option(
-        "--way",
-        metavar="METRES",
-        help="How long the tour is, about.",
-        show_default="up to 100, or as --duration takes",
-        rich_help_panel=_PLAN,
-    ),
+    option("How long the tour is, about.", "METRES", "up to 100, or as --duration takes", _PLAN, flag="--way"),
 ]
 Seed = Annotated[
     int, typer.Option(help="Of everything random; the same seed makes the same bytes.", rich_help_panel=_WORLD)
 ]
 Day = Annotated[
-    int,
-    typer.Option(
-        metavar="N",
-        help="Another day in the same building: other light, people, noise; chairs moved.",
-        rich_help_panel=_WORLD,
-    ),
+    int, option("Another day in the same building: other light, people, noise; chairs moved.", "N", panel=_WORLD)
 ]
 PassersBy = Annotated[
     int, typer.Option("--passers-by", metavar="N", help="How many people walk about.", rich_help_panel=_WORLD)
@@ -195,7 +155,7 @@ Force = Annotated[bool, typer.Option("--force", help="Overwrite a recording in D
 
 @dataclass(frozen=True, slots=True)
 class SimulateOptions:
-    """What a user typed."""
+    """Options of `simulate`."""
 
     world: World = None
     out: Out = None
@@ -280,17 +240,24 @@ def simulate(options: SimulateOptions) -> None:
 def _simulate(settings: SimulationSettings, out: Path, force: bool) -> None:
     from wheelsight.app.cli.compiling import compile_missing
     from wheelsight.app.cli.console import print_note, print_warning
+    from wheelsight.app.cli.progress import FrameProgress
     from wheelsight.core.files import new_output_folder
     from wheelsight.core.runtime import needed
+    from wheelsight_sim import simulate as simulate_drive
+    from wheelsight_sim import write_simulation
 
     needed("mujoco")
     with new_output_folder(out, force):  # refused before the long work
-        recording = _drive(settings, out)
+        refused = out.with_name(f"{out.name}-refused.png")
+        with FrameProgress("driving", None, unit="simulated s") as progress:
+            recording = simulate_drive(settings, progress.reach, refused=refused)
         for warning in recording.warnings:
             print_warning(warning)
         compile_missing(("simulation",))  # after the drive, which may be refused and needs none
         try:
-            writer = _render(recording, out)
+            # What new_output_folder has seen is the user's own wish, or empty.
+            with FrameProgress("rendering", recording.frame_count) as rendering:
+                writer = write_simulation(recording, out, force=True, on_frame=lambda frame: rendering.advance())
         except KeyboardInterrupt as interruption:
             # Number of frames before the interruption
             path = out / "depth.txt"
@@ -299,23 +266,6 @@ def _simulate(settings: SimulationSettings, out: Path, force: bool) -> None:
             print_note(f"interrupted; {out} holds the drive up to there, {frames} frames" if frames else "interrupted")
             raise typer.Exit(exit_code()) from interruption
     print_note(f"{writer.frames} frames and {writer.readings} wheel readings are in {out}; plan: {out / 'plan.png'}")
-
-
-def _drive(settings: SimulationSettings, out: Path) -> SimulatedRecording:
-    from wheelsight.app.cli.progress import FrameProgress
-    from wheelsight_sim import simulate as simulate_drive
-
-    with FrameProgress("driving", None, unit="simulated s") as progress:
-        return simulate_drive(settings, progress.reach, refused=out.with_name(f"{out.name}-refused.png"))
-
-
-def _render(recording: SimulatedRecording, out: Path) -> RecordingWriter:
-    from wheelsight.app.cli.progress import FrameProgress
-    from wheelsight_sim import write_simulation
-
-    # What new_output_folder has seen is the user's own wish, or empty.
-    with FrameProgress("rendering", recording.frame_count) as progress:
-        return write_simulation(recording, out, force=True, on_frame=lambda frame: progress.advance())
 
 
 # Parser of the options
@@ -327,7 +277,7 @@ _PATCH_FORM = "X,Y,R in metres, such as 4,2.5,0.6"
 
 
 def settings_from(given: SimulateOptions, plan: FloorPlan | None) -> SimulationSettings:
-    """The settings by the options. Raises ConfigError naming the option whose words mean nothing."""
+    """The settings of the options. Raises ConfigError naming an invalid option."""
     from wheelsight_sim import SimulationSettings
 
     building: dict[str, Any] = {"world": given.world} if plan is None else {"plan": plan}
@@ -372,7 +322,7 @@ def settings_from(given: SimulateOptions, plan: FloorPlan | None) -> SimulationS
 
 
 def plan_of(given: SimulateOptions) -> FloorPlan | None:
-    """The floor plan of the options, if any. Raises ConfigError for options that mean nothing together."""
+    """The floor plan of the options, if any. Raises ConfigError for invalid combinations."""
     from wheelsight_sim import FloorPlan
 
     if given.plan is None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wheelsight.app.cli.console import CliCommand, Group, facts_table
+from wheelsight.app.cli.options import option
 from wheelsight.core.runtime import until_stopped
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
     from wheelsight.core.calibration_parts import Wheels
     from wheelsight.io.devices import LinkReport, LinkStatus
-    from wheelsight.io.devices.plugged_in import PluggedIn
 
 
 wheels_app = typer.Typer(cls=Group, no_args_is_help=True, rich_markup_mode="rich")
@@ -124,17 +124,15 @@ def simulate(
     ] = False,
     motion: Annotated[
         str,
-        typer.Option(
-            metavar="NAME",
-            help="What it does until it is commanded: lap (2 m ahead, about, back, about), turns (each wheel one turn "
+        option(
+            "What it does until it is commanded: lap (2 m ahead, about, back, about), turns (each wheel one turn "
             "and back), or none.",
+            "NAME",
         ),
     ] = "lap",
     calibration: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="calibration.yaml with its wheels.", show_default="the wheelchair of the tutorial"
-        ),
+        option("calibration.yaml with its wheels.", "FILE", "the wheelchair of the tutorial"),
     ] = None,
     seconds: Seconds = None,
 ) -> None:
@@ -170,7 +168,7 @@ def simulate(
 
 
 def note_status(port: str) -> Callable[[LinkStatus], None]:
-    """What to do with a new status of the link: say it on stderr, with the time; its end goes without saying."""
+    """A function that prints a new status of the link with its time; the end is not printed."""
     from wheelsight.app.cli.console import print_note
     from wheelsight.io.devices import LinkStatus
 
@@ -206,7 +204,7 @@ _SHORTEST_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class LinkLook:
-    """The link at one moment, and what changed since half a second before.
+    """The state of the link, and its rates over the last half second.
 
     Attributes:
         report: the link's own.
@@ -222,7 +220,7 @@ class LinkLook:
 
 
 class Meter:
-    """Looks at a link again and again; speeds are in m/s where the wheels are known, else in ticks/s."""
+    """Computes rates of a link. Speeds are in m/s if the wheels are known, else in ticks/s."""
 
     def __init__(self, wheels: Wheels | None) -> None:
         self._scales = (1.0, 1.0) if wheels is None else (wheels.left_m_per_tick, wheels.right_m_per_tick)
@@ -230,7 +228,7 @@ class Meter:
         self._before: list[tuple[float, LinkReport]] = []
 
     def look(self, report: LinkReport) -> LinkLook:
-        """The link now; `report` is a fresh one."""
+        """The state of the link by its current report."""
         now_s = time.monotonic()
         self._before.append((now_s, report))
         while len(self._before) > 2 and self._before[1][0] <= now_s - _SHORTEST_S:
@@ -247,12 +245,12 @@ class Meter:
 
 
 def live_table(port: str, look: LinkLook) -> Table:
-    """All facts below each other."""
+    """All facts of the link as a table."""
     return facts_table(port, _facts(look))
 
 
 def live_line(look: LinkLook) -> str:
-    """All facts in one line."""
+    """All facts of the link in one line."""
     return "; ".join(f"{name}: {value}" for name, value in _facts(look))
 
 
@@ -265,17 +263,14 @@ def _facts(look: LinkLook) -> Iterator[tuple[str, str]]:
         ("left", last and last.left, look.left),
         ("right", last and last.right, look.right),
     ):
-        yield name, "—" if ticks is None else f"{ticks} ticks, {_speed(speed, look.unit)}"
+        moves = "standing still or unknown" if speed is None else f"{speed:+.3f} {look.unit}"
+        yield name, "—" if ticks is None else f"{ticks} ticks, {moves}"
     yield "frames", f"{line.frames}, {'—' if look.frames_per_s is None else f'{look.frames_per_s:.1f}'} a second"
     yield "lost", f"{line.lost}; {line.crc_errors} damaged, {line.malformed} garbled, {line.duplicates} repeated"
     if report.other_line:
         yield "other text", report.other_line
     yield "controller", f"{report.restarts} restarts; its clock {report.drift_ppm:+.0f} ppm fast"
     yield "port", f"{line.bytes} bytes, {report.reconnects} times plugged in again"
-
-
-def _speed(speed: float | None, unit: str) -> str:
-    return "standing still or unknown" if speed is None else f"{speed:+.3f} {unit}"
 
 
 # wheelsight devices
@@ -302,15 +297,13 @@ def devices_devices(
         print_json([asdict(device) for device in found])
         return
     for kind, none in (("camera", _NO_CAMERA), ("port", _NO_PORT)):
-        for line in [_line(device) for device in found if device.kind == kind] or [none]:
-            typer.echo(line)
+        devices = [device for device in found if device.kind == kind]
+        for device in devices:
+            state = f"ready ({device.use})" if device.is_ready else f"{device.problem} ({device.fix})"
+            typer.echo(f"{device.name}: {state}")
+        if not devices:
+            typer.echo(none)
 
 
 _NO_CAMERA = "no depth camera is seen: plug one in (the cable must carry data; in a container, hand it in)"
 _NO_PORT = "no serial port is seen: plug the wheel controller in"
-
-
-def _line(device: PluggedIn) -> str:
-    if device.is_ready:
-        return f"{device.name}: ready ({device.use})"
-    return f"{device.name}: {device.problem} ({device.fix})"

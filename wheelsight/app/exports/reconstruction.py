@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import os
 import secrets
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,31 +63,30 @@ def export_nerfstudio(
         is_of_base = source.need_map().calibration.T_base_camera is not None
         turn = np.eye(4) if is_of_base else T_LINK_OPTICAL
         points = points_of(source, voxel_m)
-        document: dict[str, Any] = {"frames": [_frame(view, turn) for view in views]}
+        document: dict[str, Any] = {"frames": []}
+        for view in views:
+            camera = view.camera
+            k1, k2, p1, p2, k3 = camera.distortion
+            frame: dict[str, Any] = {
+                "file_path": f"{IMAGES}/{view.name}",
+                "transform_matrix": (turn @ view.T_map_camera @ _CV_TO_GL).tolist(),
+                "camera_model": "OPENCV",
+                "w": camera.width,
+                "h": camera.height,
+                "fl_x": camera.fx,
+                "fl_y": camera.fy,
+                "cx": camera.cx + HALF_PX,
+                "cy": camera.cy + HALF_PX,
+                **{"k1": k1, "k2": k2, "k3": k3, "k4": 0.0, "p1": p1, "p2": p2},
+            }
+            frame |= {} if view.depth_name is None else {"depth_file_path": f"{DEPTHS}/{view.depth_name}"}
+            document["frames"].append(frame)
         if points is not None:
             turned = ColoredPoints(upright_points(points.p_map, "base" if is_of_base else "camera"), points.colors)
             write_points(turned, folder / POINTS_FILE)
             document["ply_file_path"] = POINTS_FILE
         write_text(folder / TRANSFORMS_FILE, json.dumps(document, indent=1, allow_nan=False) + "\n")
     return len(views)
-
-
-def _frame(view: KeyframeView, turn: FloatArray) -> dict[str, Any]:
-    camera = view.camera
-    k1, k2, p1, p2, k3 = camera.distortion
-    frame: dict[str, Any] = {
-        "file_path": f"{IMAGES}/{view.name}",
-        "transform_matrix": (turn @ view.T_map_camera @ _CV_TO_GL).tolist(),
-        "camera_model": "OPENCV",
-        "w": camera.width,
-        "h": camera.height,
-        "fl_x": camera.fx,
-        "fl_y": camera.fy,
-        "cx": camera.cx + HALF_PX,
-        "cy": camera.cy + HALF_PX,
-        **{"k1": k1, "k2": k2, "k3": k3, "k4": 0.0, "p1": p1, "p2": p2},
-    }
-    return frame | ({} if view.depth_name is None else {"depth_file_path": f"{DEPTHS}/{view.depth_name}"})
 
 
 def write_points(points: ColoredPoints, path: Path) -> None:
@@ -132,39 +131,32 @@ def export_colmap(
         for view in views:
             numbers.setdefault(view.camera, len(numbers) + 1)
         points = points_of(source, voxel_m)
-        if points is None:
-            points_text = ""
-        else:
+        points_text = ""
+        if points is not None:
             rows = zip(points.p_map.tolist(), points.colors.tolist(), strict=True)
             points_text = "".join(
                 f"{number} {x:.6f} {y:.6f} {z:.6f} {red} {green} {blue} {_NO_ERROR}\n"
                 for number, ((x, y, z), (red, green, blue)) in enumerate(rows, start=1)
             )
         write_text(model / "points3D.txt", points_text)
-        write_text(model / "images.txt", _images_text(views, numbers))
-        write_text(model / "cameras.txt", "".join(_camera_line(camera, n) for camera, n in numbers.items()))
+        # Two lines an image: T_camera_map as quaternion (w first) and position; and the keypoints, an empty line
+        images = ""
+        for number, view in enumerate(views, start=1):
+            T_camera_map = se3.invert(view.T_map_camera)
+            x, y, z, w = so3.to_quaternion(T_camera_map[:3, :3]).tolist()
+            pose = " ".join(f"{value:.12g}" for value in (w, x, y, z, *T_camera_map[:3, 3]))
+            images += f"{number} {pose} {numbers[view.camera]} {view.name}\n\n"
+        write_text(model / "images.txt", images)
+        cameras = ""
+        for camera, number in numbers.items():
+            lens = [camera.fx, camera.fy, camera.cx + HALF_PX, camera.cy + HALF_PX]
+            if camera.has_distortion:
+                lens += [*camera.distortion, 0.0, 0.0, 0.0]
+            values = " ".join(f"{value:.12g}" for value in lens)
+            kind = "FULL_OPENCV" if camera.has_distortion else "PINHOLE"
+            cameras += f"{number} {kind} {camera.width} {camera.height} {values}\n"
+        write_text(model / "cameras.txt", cameras)
     return len(views)
-
-
-def _camera_line(camera: PinholeCamera, number: int) -> str:
-    k1, k2, p1, p2, k3 = camera.distortion
-    lens = [camera.fx, camera.fy, camera.cx + HALF_PX, camera.cy + HALF_PX]
-    model = "FULL_OPENCV" if camera.has_distortion else "PINHOLE"
-    if camera.has_distortion:
-        lens += [k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]
-    numbers = " ".join(f"{value:.12g}" for value in lens)
-    return f"{number} {model} {camera.width} {camera.height} {numbers}\n"
-
-
-def _images_text(views: list[KeyframeView], numbers: dict[PinholeCamera, int]) -> str:
-    """Two lines an image: T_camera_map as quaternion (w first) and position; and the keypoints, an empty line."""
-    text = ""
-    for number, view in enumerate(views, start=1):
-        T_camera_map = se3.invert(view.T_map_camera)
-        x, y, z, w = so3.to_quaternion(T_camera_map[:3, :3]).tolist()
-        pose = " ".join(f"{value:.12g}" for value in (w, x, y, z, *T_camera_map[:3, 3]))
-        text += f"{number} {pose} {numbers[view.camera]} {view.name}\n\n"
-    return text
 
 
 # Images and poses of keyframes
@@ -226,7 +218,10 @@ def _of_recording(
     T_camera_color, camera = se3.invert(calibration.T_color_camera), calibration.cameras[0]
     found = 0
     for event in recording.events():
-        if not isinstance(event, RgbdFrame) or (number := _named(event.stamp_s, wanted)) is None:
+        if not isinstance(event, RgbdFrame):
+            continue
+        number = next((one for one, at_s in wanted.items() if abs(at_s - event.stamp_s) <= _SAME_S), None)
+        if number is None:
             continue
         del wanted[number]
         name = f"{number:06d}.png"
@@ -252,10 +247,6 @@ def _of_map(kept: MapFolder, numbers: list[KeyframeId], folder: Path, on_view: O
         fx, fy, cx, cy = keyframe.intrinsics.tolist()
         yield KeyframeView(name, name, kept.store.pose(number), PinholeCamera(width, height, fx, fy, cx, cy))
         on_view(done, len(numbers))
-
-
-def _named(stamp_s: float, wanted: Mapping[KeyframeId, float]) -> KeyframeId | None:
-    return next((number for number, at_s in wanted.items() if abs(at_s - stamp_s) <= _SAME_S), None)
 
 
 def _millimetres(depth_m: Float32Array) -> np.ndarray:

@@ -150,11 +150,7 @@ class KnownPlaces:
 
 
 class NewPlaces:
-    """Named places of a new map. They move with its keyframes, and are written with it.
-
-    Attributes:
-        named: so far.
-    """
+    """Named places of a new map. They move with its keyframes, and are written with it."""
 
     def __init__(self, store: KeyframeStore) -> None:
         self._store, self.named = store, NamedPoses()

@@ -393,11 +393,19 @@ def page_app(
         on_refusal: called from several threads with one line about each refused request.
     """
     viewers = Viewers(session, settings, on_refusal)
+
+    async def no_icon(request: Request) -> Response:
+        return Response(status_code=204)
+
+    async def stop(request: Request) -> Response:
+        session.stop("somebody pressed STOP")
+        return PlainTextResponse("stopped\n")
+
     routes = [
         *(Route(path, _file(name)) for path, name in _FILES.items()),
         *(Route(f"/{name}", _picture(session, name)) for name in _PICTURES),
-        Route("/favicon.ico", _no_icon),
-        Route("/stop", _stop(session), methods=["POST"]),
+        Route("/favicon.ico", no_icon),
+        Route("/stop", stop, methods=["POST"]),
         WebSocketRoute("/live", _Socket(viewers, settings, on_refusal).serve),
     ]
 
@@ -443,18 +451,6 @@ def _file(name: str) -> Callable[[Request], Any]:
         return Response(body, media_type=_KINDS[name.rpartition(".")[2]])
 
     return answer
-
-
-def _stop(session: Session) -> Callable[[Request], Any]:
-    async def answer(request: Request) -> Response:
-        session.stop("somebody pressed STOP")
-        return PlainTextResponse("stopped\n")
-
-    return answer
-
-
-async def _no_icon(request: Request) -> Response:
-    return Response(status_code=204)
 
 
 def _picture(session: Session, name: str) -> Callable[[Request], Any]:
@@ -535,11 +531,7 @@ GONE = "the page of the driver is gone"
 
 
 class SentAwayError(Exception):
-    """A page that must disconnect.
-
-    Attributes:
-        code: of the websocket's close.
-    """
+    """A page that must disconnect."""
 
     def __init__(self, code: int, why: str) -> None:
         super().__init__(why)
@@ -645,7 +637,7 @@ class Viewers:
     def receive(self, viewer: Viewer, message: str | bytes | None) -> None:
         """Execute a page's message. Raises SentAwayError if the page must disconnect."""
         if isinstance(message, str) and len(message) <= _MOST_BYTES and says_stop(message):
-            # Before all else, and counted after: who is in need presses often.
+            # Before all else, and counted after: a person in need presses often.
             self._session.stop("somebody pressed STOP")
             viewer.count_message()
             return

@@ -245,9 +245,6 @@ class _Rows:
 class DriveRecorder:
     """Collects each period and each event of a drive.
 
-    Args:
-        footprint: of the robot.
-
     Attributes:
         plans: stamp and poses (N, 3) of each plan so far.
         stops: so far.

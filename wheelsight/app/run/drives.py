@@ -89,9 +89,6 @@ class GoalDrive:
         navigator: of the robot.
         grid: returns the current occupancy grid of the map.
         map_name: of the map.
-
-    Attributes:
-        navigator: as given.
     """
 
     def __init__(

@@ -160,10 +160,9 @@ def judged_csv(record: CorrectionRecord) -> str:
     first_new = len(record.found.T_map_keyframe) - len(record.stamps_s)
     for one in record.found.loops.decisions:
         ends = (one.loop.first, one.loop.second)
-        stamps = (_stamp(record, number - first_new) for number in ends)
+        stamps = (
+            np.format_float_positional(record.stamps_s[number - first_new], min_digits=6) if number >= first_new else ""
+            for number in ends
+        )
         rows.writerow([*stamps, int(one.is_kept), f"{one.chi2:.3f}", f"{one.limit:.3f}", one.cluster, *ends])
     return text.getvalue()
-
-
-def _stamp(record: CorrectionRecord, row: int) -> str:
-    return "" if row < 0 else np.format_float_positional(record.stamps_s[row], min_digits=6)

@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -68,6 +67,7 @@ class RealTimeRecording:
         self.wheels = wheels
         self.settings = settings or RealTimeSettings()
         self._recording = recording
+        self.name, self.path, self.format, self.body = recording.name, recording.path, recording.format, recording.body
         self._clock = clock or MonotonicClock()
         self._playing: Playing | None = None
         self._times = AnswerTimes()
@@ -76,26 +76,6 @@ class RealTimeRecording:
     def played(self) -> Recording:
         """The recording."""
         return self._recording
-
-    @property
-    def name(self) -> str:
-        """Name of the recording."""
-        return self._recording.name
-
-    @property
-    def path(self) -> Path:
-        """Path of the recording."""
-        return self._recording.path
-
-    @property
-    def format(self) -> str:
-        """Format of the recording."""
-        return self._recording.format
-
-    @property
-    def body(self) -> str:
-        """Body of the recording's ground truth."""
-        return self._recording.body
 
     @property
     def calibration(self) -> Calibration:

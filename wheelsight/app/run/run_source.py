@@ -150,7 +150,9 @@ class LiveSource:
             self._times = AnswerTimes()
             self._at_begin = None if self._sensors.camera is None else self._sensors.camera.report()
             self._on_begin()
-            while not (is_over() or self._has_ended()):
+            camera = self._sensors.camera
+            ended = (CameraStatus.ENDED, CameraStatus.CLOSED)
+            while not (is_over() or (camera is not None and camera.report().status in ended)):
                 # All readings and the newest frame, by their stamps
                 ticks = list(self._ticks(_WAIT_S))
                 frames = [live.frame for live in self._frames(0.0 if self._sensors.link is not None else _WAIT_S)]
@@ -190,7 +192,8 @@ class LiveSource:
         counts = (frames, dropped, max(frames - self._fetched, 0), self._readings)
         camera, link = self._sensors.camera, self._sensors.link
         port, name = None if link is None else link.port, None if camera is None else camera.name
-        return RealTimeRecord(self._lasted_s, *counts, *self._times.median_and_p95_s(), port, True, name)
+        lasted_s = 0.0 if self._began_s is None else (self._ended_s or host_clock.now_s()) - self._began_s
+        return RealTimeRecord(lasted_s, *counts, *self._times.median_and_p95_s(), port, True, name)
 
     def lately(self) -> tuple[float, float] | None:
         """Frames answered a second and their median latency, seconds, in the recent window; None before two frames."""
@@ -210,12 +213,6 @@ class LiveSource:
         if self._sensors.link is None or self._began_s is None:
             return False
         return host_clock.now_s() - (self._heard_s or self._began_s) > _SILENT_S
-
-    @property
-    def _lasted_s(self) -> float:
-        if self._began_s is None:
-            return 0.0
-        return (self._ended_s or host_clock.now_s()) - self._began_s
 
     def _ticks(self, timeout_s: float = 0.0) -> Iterator[WheelTicks]:
         """All waiting readings; waits for the first."""
@@ -251,10 +248,6 @@ class LiveSource:
         if problem is not None and not self._has_lost_recorder:
             self._has_lost_recorder = True
             self._note(f"nothing more is recorded: {problem}")
-
-    def _has_ended(self) -> bool:
-        camera = self._sensors.camera
-        return camera is not None and camera.report().status in (CameraStatus.ENDED, CameraStatus.CLOSED)
 
 
 def _lost(report: CameraReport) -> int:

@@ -23,7 +23,7 @@ from wheelsight.app.run.maps import MAP_FILE, open_known
 from wheelsight.app.run.places import PlacesOfRun, looks_csv, places_of
 from wheelsight.app.run.realtime import RealTimeRecording
 from wheelsight.app.run.records import keeping_maps, kept_surfels, records_of
-from wheelsight.app.run.run_record import FrameRecord, MapRecord, RectificationRecord, RunRecord
+from wheelsight.app.run.run_record import FrameRecord, RectificationRecord, RunRecord
 from wheelsight.app.run.run_source import format_of, frame_count_of, path_of, resolved, wheel_count_of, where
 from wheelsight.app.run.track import UNITS, Passage, RunTrack, Watcher, begin_all, follow
 from wheelsight.app.run.verdict import JoinedFacts, best_alone_of, facts_of, joined_of, verdict_of, verdict_of_run
@@ -223,7 +223,7 @@ def _of_odometry(
     frames = [frame for frame in record.frames if not frame.is_repeat]
     statuses = [str(frame.status) for frame in frames]
     reasons = [str(frame.reason) for frame in frames if frame.reason is not None]
-    paired = record.association
+    paired, surfels = record.association, record.map
     return {
         "verdict": verdict_of(record, records).to_dict(),
         "frames" if record.unit == "frame" else "wheel_readings": {
@@ -244,7 +244,11 @@ def _of_odometry(
         "trajectory": {"length_m": record.estimate.length_m, "duration_s": record.estimate.duration_s},
         "evaluation": None if record.evaluation is None else record.evaluation.to_dict(),
         "evaluation_problem": record.evaluation_problem,
-        **({} if record.map is None else {"map": _map(record.map)}),
+        **(
+            {}
+            if surfels is None
+            else {"map": {"file": surfels.file, "frames_fused": surfels.fused, **asdict(surfels.status)}}
+        ),
         **({} if record.rectification is None else {"rectification": _rectification(record.rectification)}),
         **({} if record.correction is None else {"loops": record.correction.to_dict()}),
         **({} if record.known_map is None else {"known_map": record.known_map.to_dict()}),
@@ -292,11 +296,6 @@ def _rectification(found: RectificationRecord) -> dict[str, Any]:
         else {"wheels": asdict(errors.wheels), "rectified": asdict(errors.rectified)},
         "share_of_mean_error_left": None if errors is None else _finite(errors.left),
     }
-
-
-def _map(found: MapRecord) -> dict[str, Any]:
-    """Figures of the map at the end."""
-    return {"file": found.file, "frames_fused": found.fused, **asdict(found.status)}
 
 
 def _finite(value: float) -> float | None:

@@ -181,13 +181,7 @@ _FLOOR_M, _COSTMAP_M, _LINES_M = -0.02, -0.01, 0.02
 
 
 class DriveLog:
-    """Shows a drive in Rerun. It has the poses of periods with a known place in the map.
-
-    Args:
-        stream: Rerun's recording stream.
-        calibration: of the robot.
-        settings: see `ViewerSettings`.
-    """
+    """Shows a drive in Rerun. It has the poses of periods with a known place in the map."""
 
     def __init__(self, stream: Any, calibration: Calibration, settings: ViewerSettings) -> None:
         self._scene, self._settings = RerunScene(stream, calibration, settings), settings
@@ -321,13 +315,7 @@ _DEPTH_UNITS_PER_M = 5000.0
 
 
 class RerunScene:
-    """Common entities of all logs. It keeps only what was shown last.
-
-    Args:
-        stream: Rerun's recording stream.
-        calibration: of the robot.
-        settings: see `ViewerSettings`.
-    """
+    """Common entities of all logs. It keeps only what was shown last."""
 
     def __init__(self, stream: Any, calibration: Calibration, settings: ViewerSettings) -> None:
         self.rr, self._stream, self._settings = needed("rerun"), stream, settings
