@@ -118,11 +118,11 @@ def monitor_ms() -> dict[str, tuple[float, float]]:
     along, spent = np.linspace(0.9, 3.9, 1000), []
     for n in range(_TIMES + 20):
         now_s = 0.05 * n
-        monitor.hear(now_s, min(0.02 * n, 0.3), 0.0)
+        monitor.add_reading(now_s, min(0.02 * n, 0.3), 0.0)
         points = np.stack([along, 0.6 + 0.0 * along], axis=-1)
         view = DepthView.of_points(now_s, points, (0.35, 0.0), np.pi / 6, (0.5, 4.0))
         stamps = [time.thread_time()]
-        monitor.see(view)
+        monitor.add_view(view)
         stamps.append(time.thread_time())
         result = monitor.check(asked, now_s, Status.TRACKING)
         spent.append(1e3 * np.diff([*stamps, time.thread_time()]))

@@ -106,7 +106,7 @@ class StraightOn:
         """See `_Led`."""
         events, is_sound = self._robot.step(self._command), True
         try:
-            self._senses.hear(events, self._robot.now_s)
+            self._senses.update(events, self._robot.now_s)
         except WheelsightError as error:
             self.reason, is_sound = str(error), False
         goes = is_sound and self._robot.now_s > STRAIGHT_ON_FROM_S and not self._robot.stop_reason

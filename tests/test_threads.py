@@ -160,17 +160,17 @@ def test_after_its_end_nothing_is_answered() -> None:
     assert one.keyframes is None
     for kind in (LocalizerInStep, LocalizerBeside):
         other = kind(localizer())
-        other.hear(READINGS[:2])
+        other.process(READINGS[:2])
         other.close()
         other.close()
         with pytest.raises(ArgumentError, match=f"this {kind.__name__} is closed"):
-            other.hear(READINGS[2:3])
+            other.process(READINGS[2:3])
 
 
 # What a user holds: how one is made, and a call that changes it.
 HELD: dict[str, Callable[[Path], tuple[Any, Callable[[], Any]]]] = {
     "Localizer": lambda folder: with_call(localizer(), "process", READINGS[0]),
-    "LocalizerInStep": lambda folder: with_call(LocalizerInStep(localizer()), "hear", READINGS[:1]),
+    "LocalizerInStep": lambda folder: with_call(LocalizerInStep(localizer()), "process", READINGS[:1]),
     "DenseOdometry": lambda folder: with_call(DenseOdometry(CALIBRATION), "process", FRAME),
     "FeatureOdometry": lambda folder: with_call(FeatureOdometry(CALIBRATION), "process", FRAME),
     "WheelOdometry": lambda folder: with_call(WheelOdometry(WHEELS), "process", READINGS[0]),

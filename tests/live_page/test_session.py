@@ -24,7 +24,7 @@ from wheelsight.app.page.session import (
     StartMap,
     Task,
 )
-from wheelsight.app.page.snapshot import Telling
+from wheelsight.app.page.snapshot import SnapshotMaker
 from wheelsight.core.errors import DeviceError
 from wheelsight.core.messages import STOP, Event
 from wheelsight.core.robots import CONTROL_PERIOD_S
@@ -169,9 +169,9 @@ def goes_on(served: Served) -> None:
     ("owner", "name"),
     [
         (ObedientRobot, "step"),
-        (Told, "hear"),
+        (Told, "process"),
         (Navigator, "_decide"),
-        (Telling, "of"),
+        (SnapshotMaker, "of"),
         (StopSwitch, "release"),
     ],
 )
@@ -306,7 +306,7 @@ class Seen:
         self.transitions: list[Transition] = []
         self.steps: list[tuple[Feedback, Navigator]] = []
 
-    def hear(self, events: Sequence[Event]) -> None:
+    def on_events(self, events: Sequence[Event]) -> None:
         self.events += events
 
     def note(self, transition: Transition) -> None:

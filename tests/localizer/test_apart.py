@@ -120,7 +120,7 @@ def test_a_process_that_is_killed_is_told_to_who_leads_the_robot(closed: Path) -
 
     def hear() -> None:
         while time.monotonic() < until_s:
-            beside.hear([ticks(DIES)])
+            beside.process([ticks(DIES)])
             time.sleep(0.01)
 
     with pytest.raises(DeviceError, match="the localization process has ended by signal 9"):
@@ -133,14 +133,14 @@ def test_a_process_that_hangs_is_killed_at_the_end(closed: Path) -> None:
     """Nothing waits for it for ever: neither the end of the program nor the call that it does not answer."""
     subject = LocalizerApart(telling, closed)
     beside, until_s = LocalizerBeside(subject), time.monotonic() + ENDING_S
-    beside.hear([ticks(1.0)])
-    while not beside.hear([]):
+    beside.process([ticks(1.0)])
+    while not beside.process([]):
         assert time.monotonic() < until_s
         time.sleep(0.01)
     (process,) = multiprocessing.active_children()
     os.kill(not_none(process.pid), signal.SIGSTOP)
     for n in range(2, 20):
-        assert beside.hear([ticks(float(n))]) == []
+        assert beside.process([ticks(float(n))]) == []
         time.sleep(0.05)  # until the thread waits for an answer
     beside.close()
     assert not multiprocessing.active_children()

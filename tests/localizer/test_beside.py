@@ -43,7 +43,7 @@ def answers_of(subject: LocalizerBeside, count: int) -> list[float]:
     told: list[float] = []
     waiting = threading.Event()
     for _ in range(1000):
-        told += [event.stamp_s for event, _ in subject.hear([])]
+        told += [event.stamp_s for event, _ in subject.process([])]
         if len(told) >= count:
             return told
         waiting.wait(0.01)
@@ -53,11 +53,11 @@ def answers_of(subject: LocalizerBeside, count: int) -> list[float]:
 def test_a_frame_that_takes_long_keeps_nobody_waiting_and_older_frames_give_way() -> None:
     slow = Slow()
     subject = LocalizerBeside(slow)
-    told = [event.stamp_s for event, _ in subject.hear([WheelTicks(0.0, 0, 0), frame(0.1)])]
+    told = [event.stamp_s for event, _ in subject.process([WheelTicks(0.0, 0, 0), frame(0.1)])]
     assert slow.begun.wait(10)
     told += [
         event.stamp_s
-        for event, _ in subject.hear([WheelTicks(0.2, 0, 0), frame(0.3), WheelTicks(0.4, 0, 0), frame(0.5)])
+        for event, _ in subject.process([WheelTicks(0.2, 0, 0), frame(0.3), WheelTicks(0.4, 0, 0), frame(0.5)])
     ]
     slow.may_go.set()
     assert told + answers_of(subject, 5 - len(told)) == [0.0, 0.1, 0.2, 0.4, 0.5]
@@ -69,7 +69,7 @@ def test_a_frame_that_takes_long_keeps_nobody_waiting_and_older_frames_give_way(
 
 def test_what_goes_wrong_beside_is_raised_to_who_asks() -> None:
     subject = LocalizerBeside(Slow())
-    subject.hear([WheelTicks(13.0, 0, 0)])
+    subject.process([WheelTicks(13.0, 0, 0)])
     with pytest.raises(ArgumentError, match="unlucky"):
         answers_of(subject, 1)
     subject.close()
@@ -79,7 +79,7 @@ def test_in_step_each_event_has_its_answer_at_once() -> None:
     slow = Slow()
     slow.may_go.set()
     subject = LocalizerInStep(slow)
-    told = subject.hear([WheelTicks(0.0, 0, 0), frame(0.1)])
+    told = subject.process([WheelTicks(0.0, 0, 0), frame(0.1)])
     assert [event.stamp_s for event, _ in told] == [0.0, 0.1]
     assert all(estimate is not None for _, estimate in told)
     subject.close()

@@ -145,7 +145,7 @@ class Told:
     recognised: int | None = None
     closed: list[bool] = field(default_factory=list)
 
-    def hear(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
+    def process(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
         C = 1e-6 * np.eye(6)
         return [
             (event, self.says(Estimate(event.stamp_s, Status.TRACKING, self.robot.T_map_base, C, body="base")))

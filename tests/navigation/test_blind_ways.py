@@ -51,8 +51,8 @@ def sector(camera: Camera, near_m: float) -> shapely.Polygon:
 def test_hidden_is_what_lies_deep_enough_beside_all_that_was_looked_at(deep_m: float) -> None:
     """Looked at: over the floor from half a metre on, and where it stands; within 1.4 m, against plain polygons."""
     monitor, reach_m = CollisionMonitor(CHAIR), 1.4
-    monitor.hear(0.0, 0.0, 0.0)
-    monitor.see(KINECT.view(NOTHING, np.zeros(3), 0.0))
+    monitor.add_reading(0.0, 0.0, 0.0)
+    monitor.add_view(KINECT.view(NOTHING, np.zeros(3), 0.0))
     told = monitor.memory.hidden(reach_m, deep_m)
     looked = sector(KINECT, AIR_M).union(shapely.Polygon(CHAIR.corners))
     away_m = shapely.distance(looked, shapely.points(told))
@@ -76,19 +76,19 @@ def test_floor_that_it_was_led_over_is_not_hidden_and_what_is_beside_it_still_is
 
 def test_what_is_hidden_stays_so_until_somebody_looks_there() -> None:
     monitor, reach_m = CollisionMonitor(CHAIR), 1.4
-    monitor.hear(0.0, 0.0, 0.0)
-    monitor.see(KINECT.view(NOTHING, np.zeros(3), 0.0))
+    monitor.add_reading(0.0, 0.0, 0.0)
+    monitor.add_view(KINECT.view(NOTHING, np.zeros(3), 0.0))
     near = monitor.memory.hidden(reach_m, 0.1)
     aside = near[(near[:, 0] > 0.3) & (near[:, 1] > 0.6)]
     assert len(aside) > 50
     for step in range(1, 21):  # a metre straight on by the wheels, which the next frame does not show
-        monitor.hear(0.05 * step, 1.0, 0.0)
+        monitor.add_reading(0.05 * step, 1.0, 0.0)
     later = monitor.memory.hidden(3.0, 0.1)
     moved = aside - (1.0 - 0.5 * 0.05, 0.0)
     assert shapely.distance(shapely.MultiPoint(later), shapely.points(moved)).max() < MEMORY_CELL_M
     # From behind, and 1.2 m back, it looks at all of that.
     pose = np.array([-2.6, 0.0, 0.3])
-    monitor.see(replace(KINECT.view(NOTHING, pose, 1.0), camera=(-3.0, 1.0), first_rad=-0.2, step_rad=1.0 / 64))
+    monitor.add_view(replace(KINECT.view(NOTHING, pose, 1.0), camera=(-3.0, 1.0), first_rad=-0.2, step_rad=1.0 / 64))
     assert len(monitor.memory.hidden(3.0, 0.1)) < len(later)
 
 
@@ -99,7 +99,7 @@ def test_nobody_is_led_on_and_on_over_floor_that_no_camera_has_looked_at(turn_ra
     ride.monitor.trust_floor(1.0)
     shows_no_floor = replace(KINECT.view(NOTHING, np.zeros(3), 0.0), seen_m=np.full(64, 0.01))
     for _ in range(300):
-        ride.monitor.see(replace(shows_no_floor, stamp_s=ride.time_s))
+        ride.monitor.add_view(replace(shows_no_floor, stamp_s=ride.time_s))
         ride.drive(asked, 0.05, sees=False)
     assert ride.results[-1].reason is MonitorReason.NEVER_SEEN
     assert ride.base.stands
@@ -129,7 +129,7 @@ def test_plans_and_controllers_keep_away_from_what_neither_map_nor_camera_knows(
     settings = NavigationSettings(costmap=CostmapSettings(unknown=unknown))
     senses = Senses(CALIBRATION, Told(robot), floor, CollisionMonitor(CHAIR), CHAIR, settings)
     for _ in range(6):
-        senses.hear(robot.step(STOP), robot.now_s)
+        senses.update(robot.step(STOP), robot.now_s)
     beside, right, next_to, ahead, far = (3.0, 3.6), (3.0, 2.0), (3.0, 2.4), (4.5, 3.1), (3.0, 5.0)
 
     def state_at(*place: float) -> CellState:
@@ -152,11 +152,11 @@ def test_of_several_frames_in_a_period_the_monitor_sees_the_newest() -> None:
     robot, monitor = RoomRobot(Walls.of(((7.99, 0.0), (7.99, 6.0))), (3.0, 3.0, 0.0)), CollisionMonitor(CHAIR)
     seen_s: list[float] = []
     senses = Senses(CALIBRATION, Told(robot), floor, monitor, CHAIR, NavigationSettings())
-    monitor.see = lambda view: seen_s.append(view.stamp_s)  # type: ignore[method-assign]
+    monitor.add_view = lambda view: seen_s.append(view.stamp_s)  # type: ignore[method-assign]
     late = [event for _ in range(8) for event in robot.step(STOP)]
     frames_s = [event.stamp_s for event in late if isinstance(event, RgbdFrame)]
     assert len(frames_s) > 1
-    senses.hear(late, robot.now_s)
+    senses.update(late, robot.now_s)
     assert seen_s == [max(frames_s)]
 
 
@@ -169,7 +169,7 @@ def test_plans_and_controllers_keep_away_from_what_the_monitor_remembers() -> No
     monitor.trust_floor(2.0)
     senses = Senses(CALIBRATION, Told(robot), floor, monitor, CHAIR, NavigationSettings())
     while robot.base.pose[2] < 1.2:
-        senses.hear(robot.step(VelocityCommand(0.0, 0.5 if robot.now_s > 1.0 else 0.0)), robot.now_s)
+        senses.update(robot.step(VelocityCommand(0.0, 0.5 if robot.now_s > 1.0 else 0.0)), robot.now_s)
 
     def is_there() -> bool:
         local = senses.local()

@@ -48,8 +48,8 @@ def monitor_before(
 ) -> CollisionMonitor:
     """One that has heard a robot at the origin and seen points."""
     monitor = CollisionMonitor(CHAIR, settings=settings)
-    monitor.hear(0.0, speed_m_s, 0.0)
-    monitor.see(camera.view(points, np.zeros(3), 0.0))
+    monitor.add_reading(0.0, speed_m_s, 0.0)
+    monitor.add_view(camera.view(points, np.zeros(3), 0.0))
     return monitor
 
 
@@ -71,9 +71,9 @@ class Ride:
     def drive(self, asked: VelocityCommand, seconds: float, sees: bool = True, hears: bool = True) -> MonitorResult:
         for _ in range(round(seconds / 0.05)):
             if hears:
-                self.monitor.hear(self.time_s, self.base.forward_m_s, self.base.turn_rad_s)
+                self.monitor.add_reading(self.time_s, self.base.forward_m_s, self.base.turn_rad_s)
             if sees and self.period % 2 == 0:
-                self.monitor.see(self.camera.view(self.points, self.base.pose, self.time_s))
+                self.monitor.add_view(self.camera.view(self.points, self.base.pose, self.time_s))
             self.results.append(self.monitor.check(asked, self.time_s, Status.TRACKING))
             self.base.step(self.results[-1].command)
             if self.period % 5 == 0 and len(self.points):
@@ -146,8 +146,8 @@ def test_it_never_makes_a_robot_faster_nor_bends_its_way(
     status: Status,
 ) -> None:
     monitor = CollisionMonitor(CHAIR)
-    monitor.hear(0.0, *measured)
-    monitor.see(camera.view(np.array(points, float).reshape(-1, 2), np.zeros(3), 0.0))
+    monitor.add_reading(0.0, *measured)
+    monitor.add_view(camera.view(np.array(points, float).reshape(-1, 2), np.zeros(3), 0.0))
     result = monitor.check(asked, 0.0, status)
     given, driven = (asked.forward_m_s, asked.turn_rad_s), (result.command.forward_m_s, result.command.turn_rad_s)
     for before, after in zip(given, driven, strict=True):
@@ -172,18 +172,18 @@ def test_all_that_stops_whatever_is_asked() -> None:
     assert reason(monitor, 0.14) is None
     assert reason(monitor, 0.16) is MonitorReason.NO_WHEELS
     for n in range(1, 8):
-        monitor.hear(0.05 * n, 0.0, 0.0)
+        monitor.add_reading(0.05 * n, 0.0, 0.0)
         assert (reason(monitor, 0.05 * n) is None) == (n <= 5)
     assert reason(monitor, 0.35) is MonitorReason.NO_FRAME
     assert reason(monitor_before(NOTHING), -0.2) is MonitorReason.FROM_AHEAD
     assert reason(monitor_before(NOTHING), np.nan) is MonitorReason.INVALID
     monitor = monitor_before(NOTHING)
-    monitor.hear(0.05, np.nan, 0.0)
+    monitor.add_reading(0.05, np.nan, 0.0)
     assert reason(monitor, 0.05) is MonitorReason.INVALID
     monitor = monitor_before(NOTHING)
-    monitor.see(ALL_AROUND.view(np.array([[2.0, 0.0]]), np.zeros(3), 0.05))
+    monitor.add_view(ALL_AROUND.view(np.array([[2.0, 0.0]]), np.zeros(3), 0.05))
     assert reason(monitor, 0.05) is None
-    monitor.see(replace(ALL_AROUND.view(NOTHING, np.zeros(3), 0.06), points=np.array([[np.nan, 0.0]])))
+    monitor.add_view(replace(ALL_AROUND.view(NOTHING, np.zeros(3), 0.06), points=np.array([[np.nan, 0.0]])))
     assert reason(monitor, 0.06) is MonitorReason.INVALID
 
 
@@ -192,13 +192,13 @@ def test_from_what_is_too_near_for_its_camera_it_backs_up_a_little() -> None:
     ride.drive(STOP, 1.0)
     dark = replace(ALL_AROUND.view(NOTHING, np.zeros(3), 0.0), seen_m=np.zeros(64))
     for _ in range(20):
-        ride.monitor.see(replace(dark, stamp_s=ride.time_s))
+        ride.monitor.add_view(replace(dark, stamp_s=ride.time_s))
         assert ride.drive(STOP, 0.05, sees=False).command.is_stop
     for asked in (FULL, VelocityCommand(-0.1, 0.2)):
         assert ride.monitor.check(asked, ride.time_s, Status.TRACKING).reason is MonitorReason.NO_FRAME
     begin_m = ride.base.pose[0]
     for _ in range(160):
-        ride.monitor.see(replace(dark, stamp_s=ride.time_s))
+        ride.monitor.add_view(replace(dark, stamp_s=ride.time_s))
         ride.drive(VelocityCommand(-0.1, 0.0), 0.05, sees=False)
     assert ride.base.stands
     assert 0.2 < begin_m - ride.base.pose[0] < SETTINGS.blind_m + 0.05
@@ -269,7 +269,7 @@ def test_a_covered_camera_stops() -> None:
     begin_m = ride.base.pose[0]
     covered = replace(Camera().view(NOTHING, np.zeros(3), 0.0), seen_m=np.zeros(64))
     for _ in range(60):
-        ride.monitor.see(replace(covered, stamp_s=ride.time_s))
+        ride.monitor.add_view(replace(covered, stamp_s=ride.time_s))
         ride.drive(FULL, 0.05, sees=False)
     assert ride.results[-1].reason is MonitorReason.NO_FRAME
     assert ride.base.stands
@@ -309,8 +309,8 @@ def test_wheels_that_do_not_obey_stop_it_until_somebody_has_looked() -> None:
     found_s = None
     for n in range(60):
         now_s = 0.05 * n
-        monitor.hear(now_s, 0.0, 0.0)
-        monitor.see(ALL_AROUND.view(NOTHING, np.zeros(3), now_s))
+        monitor.add_reading(now_s, 0.0, 0.0)
+        monitor.add_view(ALL_AROUND.view(NOTHING, np.zeros(3), now_s))
         if monitor.check(FULL, now_s, Status.TRACKING).reason is MonitorReason.WHEELS_OFF:
             found_s = found_s or now_s
     # The slowest base has 0.15 m/s after 0.3 s of lag and 0.6 s at half its acceleration; then 0.3 s.
@@ -348,8 +348,8 @@ def test_a_base_that_does_something_else_is_found(fault: str) -> None:
     ride.drive(VelocityCommand(0.5, 0.3), 3.0)
     v, w = {"runs away": (1.0, 0.3), "one wheel hangs": (0.25, 1.0), "turns the wrong way": (0.5, -0.3)}[fault]
     for n in range(20):
-        ride.monitor.hear(ride.time_s + 0.05 * n, v, w)
-        ride.monitor.see(ALL_AROUND.view(NOTHING, np.zeros(3), ride.time_s + 0.05 * n))
+        ride.monitor.add_reading(ride.time_s + 0.05 * n, v, w)
+        ride.monitor.add_view(ALL_AROUND.view(NOTHING, np.zeros(3), ride.time_s + 0.05 * n))
         result = ride.monitor.check(VelocityCommand(0.5, 0.3), ride.time_s + 0.05 * n, Status.TRACKING)
         if result.reason is MonitorReason.WHEELS_OFF:
             break

@@ -22,9 +22,9 @@ def test_a_monitor_lets_a_controller_arrive(name: str) -> None:
     ramp, monitor, reason = VelocityRamp(), CollisionMonitor(CHAIR), None
     for n in range(800):
         now_s = 0.05 * n
-        monitor.hear(now_s, base.forward_m_s, base.turn_rad_s)
+        monitor.add_reading(now_s, base.forward_m_s, base.turn_rad_s)
         if n % 2 == 0:
-            monitor.see(camera.view(points, base.pose, now_s))
+            monitor.add_view(camera.view(points, base.pose, now_s))
         asked = controller.command(base.state, path, field, NOBODY)
         reason = asked.reason
         if reason is not None and base.stands:

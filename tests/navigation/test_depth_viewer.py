@@ -104,12 +104,12 @@ def test_who_has_left_is_forgotten_nearer_than_the_floor_is_seen_but_a_low_box_i
 ) -> None:
     """Seen once, from afar; then looked over from so near that the floor there does not show."""
     known = FloorMemory(outline_of(CHAIR), MonitorSettings().fresh_s)
-    known.hear(0.0, 0.0, 0.0)
-    known.see(VIEWER.view(depth_of([box(2.5, height_m)]), 0.0))
-    known.hear(0.2, 0.0, 0.0, rolled=(1.6, 0.0))
+    known.add_reading(0.0, 0.0, 0.0)
+    known.add_view(VIEWER.view(depth_of([box(2.5, height_m)]), 0.0))
+    known.add_reading(0.2, 0.0, 0.0, rolled=(1.6, 0.0))
     nobody = VIEWER.view(depth_of([]), 0.2)
     assert nobody.near_m > 0.9 > AIR_M
-    known.see(nobody)
+    known.add_view(nobody)
     pose = known.pose_at(0.2)
     assert pose is not None
     assert bool(len(known.points_at(pose, 0.2, 2.0))) is is_left

@@ -42,7 +42,7 @@ class Seen:
         intrinsics = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
         self.keyframes.add(Keyframe.of_images(0.0, intrinsics, depth, np.zeros_like(depth)), T_map_camera)
 
-    def hear(self, events: object) -> list[object]:
+    def process(self, events: object) -> list[object]:
         return []
 
     def close(self) -> None:

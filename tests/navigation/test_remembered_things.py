@@ -23,11 +23,11 @@ CORNER_M = float(np.hypot(0.8, 0.3))
 def standing(ride: Ride, seconds: float) -> None:
     """It stands, and sees what it sees, two times a second."""
     while seconds > 0:
-        ride.monitor.hear(ride.time_s, 0.0, 0.0)
-        ride.monitor.see(ride.camera.view(ride.points, ride.base.pose, ride.time_s))
+        ride.monitor.add_reading(ride.time_s, 0.0, 0.0)
+        ride.monitor.add_view(ride.camera.view(ride.points, ride.base.pose, ride.time_s))
         ride.time_s, seconds = ride.time_s + 0.45, seconds - 0.45
-    ride.monitor.hear(ride.time_s, 0.0, 0.0)
-    ride.monitor.see(ride.camera.view(ride.points, ride.base.pose, ride.time_s))
+    ride.monitor.add_reading(ride.time_s, 0.0, 0.0)
+    ride.monitor.add_view(ride.camera.view(ride.points, ride.base.pose, ride.time_s))
 
 
 def block(x_m: float, y_m: float) -> FloatArray:
@@ -64,9 +64,9 @@ def test_a_low_thing_that_came_too_near_to_be_seen_stays() -> None:
     monitor.trust_floor(2.3)
     for step in range(400):
         now_s, x = 0.05 * step, min(0.3 * 0.05 * step, 1.2)
-        monitor.hear(now_s, 0.3 if x < 1.2 else 0.0, 0.0)
+        monitor.add_reading(now_s, 0.3 if x < 1.2 else 0.0, 0.0)
         shown = low if 2.5 - x - KINECT.x_m > 1.4 else NOTHING
-        monitor.see(KINECT.view(shown, np.array([x, 0.0, 0.0]), now_s))
+        monitor.add_view(KINECT.view(shown, np.array([x, 0.0, 0.0]), now_s))
     assert monitor.check(AHEAD, now_s, Status.TRACKING).command.forward_m_s < AHEAD.forward_m_s
 
 
@@ -74,11 +74,11 @@ def test_a_low_thing_that_came_too_near_to_be_seen_stays() -> None:
 def test_it_is_forgotten_by_the_way_for_wheels_err_by_that(turns: int, is_known: bool) -> None:
     """Once around, a corner of the front goes 5.4 m."""
     known, box, seconds = FloorMemory(outline_of(CHAIR), 12.0), block(0.4, 0.75), turns * 2 * np.pi / 0.5
-    known.hear(0.0, 0.0, 0.5)
-    known.see(Camera(0.0, np.pi, 0.0, 5.0).view(box, np.zeros(3), 0.0))
+    known.add_reading(0.0, 0.0, 0.5)
+    known.add_view(Camera(0.0, np.pi, 0.0, 5.0).view(box, np.zeros(3), 0.0))
     for stamp_s in np.linspace(0.0, seconds, 100)[1:]:
-        known.hear(float(stamp_s), 0.0, 0.5)
-    known.see(KINECT.view(NOTHING, np.zeros(3), seconds))
+        known.add_reading(float(stamp_s), 0.0, 0.5)
+    known.add_view(KINECT.view(NOTHING, np.zeros(3), seconds))
     found = known.points_at((0.0, 0.0, 1.0, 0.0), seconds, 3.0)
     assert (len(found) > 0) == is_known == (turns * 2 * np.pi * CORNER_M < 10.0)
 
@@ -89,15 +89,15 @@ def test_a_thing_stays_where_it_is_while_the_wheels_way_carries_the_robot_on(way
     points, told, shown = np.array([[1.4, 0.1], [1.4, -0.1], [1.5, 0.6]]), [], np.zeros(3)
     for rolls in (True, False):
         monitor = CollisionMonitor(CHAIR)
-        monitor.hear(0.0, 0.0, 0.0)
+        monitor.add_reading(0.0, 0.0, 0.0)
         if rolls:
-            monitor.see(ALL_AROUND.view(points, np.zeros(3), 0.0))
+            monitor.add_view(ALL_AROUND.view(points, np.zeros(3), 0.0))
             for n in range(1, 11):
-                monitor.hear(0.01 * n, 0.0, 0.0, (way_m / 10, turn_rad / 10))
+                monitor.add_reading(0.01 * n, 0.0, 0.0, (way_m / 10, turn_rad / 10))
         else:
             shown = np.array([way_m, 0.0, turn_rad])
-            monitor.see(ALL_AROUND.view(points, shown, 0.0))
-            monitor.hear(0.1, 0.0, 0.0)
+            monitor.add_view(ALL_AROUND.view(points, shown, 0.0))
+            monitor.add_reading(0.1, 0.0, 0.0)
         told.append(monitor.check(FULL, 0.1, Status.TRACKING).command.forward_m_s)
     assert 0.0 < told[0] < 1.0
     assert told[0] == pytest.approx(told[1], abs=0.01)
@@ -105,5 +105,5 @@ def test_a_thing_stays_where_it_is_while_the_wheels_way_carries_the_robot_on(way
 
 def test_a_way_that_is_no_number_stops_it() -> None:
     monitor = monitor_before(wall(5.0))
-    monitor.hear(0.05, 0.3, 0.0, (np.nan, 0.0))
+    monitor.add_reading(0.05, 0.3, 0.0, (np.nan, 0.0))
     assert monitor.check(FULL, 0.05, Status.TRACKING).reason is MonitorReason.INVALID

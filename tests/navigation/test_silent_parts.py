@@ -67,12 +67,12 @@ class Place(ToldPlace):
         super().__init__(robot)
         self.waiting: list[list[tuple[Event, Estimate | None]]] = []
 
-    def hear(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
+    def process(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
         if self.fails:
             raise DeviceError("the localization process has ended by signal 9")
         if self.is_silent:
             return []
-        self.waiting.append(super().hear(events))
+        self.waiting.append(super().process(events))
         return self.waiting.pop(0) if len(self.waiting) > self.late else []
 
 

@@ -246,7 +246,7 @@ class Truth:
     keyframes = recognised = None
     def __init__(self, robot):
         self.robot, self.T_map_world = robot, np.linalg.inv(robot.T_world_base)
-    def hear(self, events):
+    def process(self, events):
         T = se3.nearest(self.T_map_world @ self.robot.T_world_base)
         return [(event, Estimate(event.stamp_s, Status.TRACKING, T, 1e-6 * np.eye(6), body="base")) for event in events]
     def close(self):

@@ -108,7 +108,7 @@ class Localization(Protocol):
     def recognised(self) -> int | None:
         """Number of recognitions of an earlier map so far; None if there is no recognition."""
 
-    def hear(self, events: Sequence[Event]) -> Sequence[tuple[Event, Estimate | None]]:
+    def process(self, events: Sequence[Event]) -> Sequence[tuple[Event, Estimate | None]]:
         """Process events in order; return all estimates that are ready, of this and earlier calls, in order.
 
         Raises what `Localizer.process` raises.

@@ -68,7 +68,7 @@ class LocalizerInStep(OneCaller):
         return self.localizer.recognised
 
     @one_at_a_time
-    def hear(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
+    def process(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
         """Return each event with its estimate. Raises what `Localizer.process` raises."""
         return [(event, self.localizer.process(event)) for event in events]
 
@@ -115,7 +115,7 @@ class LocalizerBeside(OneCaller):
         return self.localizer.recognised
 
     @one_at_a_time
-    def hear(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
+    def process(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
         """Add events; return the estimates since the last call. Raises an error of the thread."""
         with self._changed:
             for event in events:

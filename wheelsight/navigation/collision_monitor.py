@@ -221,7 +221,7 @@ class CollisionMonitor:
         """
         self.memory.trust(radius_m)
 
-    def hear(
+    def add_reading(
         self, stamp_s: float, forward_m_s: float, turn_rad_s: float, rolled: tuple[float, float] | None = None
     ) -> None:
         """Process the measured speeds of the base; each reading once, in order.
@@ -239,18 +239,18 @@ class CollisionMonitor:
             self._wheels.reset()
             self._frame_s = -np.inf
         self._blind_way_m += abs(forward_m_s) * min(stamp_s - self._wheels_s, _GAP_S)
-        self.memory.hear(stamp_s, forward_m_s, turn_rad_s, rolled)
+        self.memory.add_reading(stamp_s, forward_m_s, turn_rad_s, rolled)
         self._wheels_s, self._measured = stamp_s, (forward_m_s, turn_rad_s)
         self._are_wheels_off |= self._wheels.is_off(forward_m_s, turn_rad_s, stamp_s)
 
-    def see(self, view: DepthView) -> None:
+    def add_view(self, view: DepthView) -> None:
         """Process a depth frame, in order. A frame with too little depth does not count."""
         self._is_frame_sound = view.is_sound
         if view.is_sound:
             self._any_frame_s = max(self._any_frame_s, view.stamp_s)
         if not view.is_sound or view.stamp_s <= self._frame_s or view.share < _SEEN_SHARE:
             return
-        if self.memory.see(view):
+        if self.memory.add_view(view):
             self._frame_s, self._blind_way_m = view.stamp_s, 0.0
 
     def is_camera_silent(self, now_s: float) -> bool:
@@ -560,10 +560,10 @@ class FloorMemory:
         self._readings.clear()
         self._newest, self._newest_s = np.empty((0, 2)), -np.inf
 
-    def hear(
+    def add_reading(
         self, stamp_s: float, forward_m_s: float, turn_rad_s: float, rolled: tuple[float, float] | None = None
     ) -> None:
-        """Process a wheel reading; stamps must be in order. `rolled` as in `CollisionMonitor.hear`."""
+        """Process a wheel reading; stamps must be in order. `rolled` as in `CollisionMonitor.add_reading`."""
         self._hidden = None
         if not self._readings:
             pose = (0.0, 0.0, 1.0, 0.0)
@@ -613,7 +613,7 @@ class FloorMemory:
         self._hidden = None
         mark_under(self._memory, self._outline.sides, pose, stamp_s, 0.0)
 
-    def see(self, view: DepthView) -> bool:
+    def add_view(self, view: DepthView) -> bool:
         """Add a frame; return False if the pose at its time is unknown."""
         self._hidden = None
         pose = self.pose_at(view.stamp_s)

@@ -121,10 +121,10 @@ class StaticLayer:
         is_new = is_floor & (self.state == CellState.UNKNOWN)
         state = self.state.copy()
         state[is_new] = CellState.FREE
-        told = self.is_assumed
+        assumed = self.is_assumed
         if is_assumed:
-            told = is_new if told is None else told | is_new
-        return StaticLayer(state, self.speed_m_s, self.resolution_m, self.origin, told)
+            assumed = is_new if assumed is None else assumed | is_new
+        return StaticLayer(state, self.speed_m_s, self.resolution_m, self.origin, assumed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

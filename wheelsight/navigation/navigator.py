@@ -241,7 +241,7 @@ class Navigator(OneCaller):
         self._stepped_s, most_s = now_s, self.settings.navigator.held_s
         silent = None
         try:
-            self._senses.hear(events, now_s)
+            self._senses.update(events, now_s)
         except WheelsightError as error:
             silent = MonitorReason.LOCALIZATION_SILENT
             self._fail(NavigationReason.LOCALIZATION, str(error))

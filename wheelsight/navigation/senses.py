@@ -149,7 +149,7 @@ class Senses:
         """Number of recognitions of an earlier map by the localization."""
         return self._localization.recognised
 
-    def hear(self, events: Sequence[Event], now_s: float) -> None:
+    def update(self, events: Sequence[Event], now_s: float) -> None:
         """Process all events of a period that ends now. Raises what the localization raises.
 
         The monitor gets only the newest frame of a period, so that a late program does not become later.
@@ -159,13 +159,13 @@ class Senses:
             if isinstance(event, WheelTicks | WheelSpeeds):
                 speed = self.where.roll(event)
                 if speed is not None:
-                    self._monitor.hear(speed.stamp_s, speed.forward_m_s, speed.turn_rad_s, speed.rolled)
+                    self._monitor.add_reading(speed.stamp_s, speed.forward_m_s, speed.turn_rad_s, speed.rolled)
             elif event is newest and isinstance(event, RgbdFrame):
                 self._views.append(self._viewer.view(event.depth_m, event.stamp_s))
-                self._monitor.see(self._views[-1])
+                self._monitor.add_view(self._views[-1])
         for event in events:
             self.where.ask(event.stamp_s)
-        for event, estimate in self._localization.hear(events):
+        for event, estimate in self._localization.process(events):
             self.where.processed(event.stamp_s)
             if estimate is None:
                 continue

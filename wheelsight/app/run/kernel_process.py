@@ -195,7 +195,7 @@ class ToldPlace:
     def __init__(self, robot: DrawnRobot) -> None:
         self._robot = robot
 
-    def hear(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
+    def process(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
         """As `Localization` has it."""
         T, C = self._robot.T_map_base, 1e-6 * np.eye(6)
         return [(event, Estimate(event.stamp_s, Status.TRACKING, T, C, body="base")) for event in events]
