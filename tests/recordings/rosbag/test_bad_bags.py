@@ -147,8 +147,8 @@ def test_a_part_that_is_missing_is_said(tmp_path: Path) -> None:
     ("drive", "problem"),
     [
         (Drive(), "holds no messages"),
-        (camera_drive().without(DEPTH), f"for want of depth images that go with them: {COLOR}"),
-        (camera_drive().without(COLOR), f"for want of colour images that go with them: {DEPTH}"),
+        (camera_drive().without(DEPTH), f"since no depth images match them: {COLOR}"),
+        (camera_drive().without(COLOR), f"since no colour images match them: {DEPTH}"),
         (
             camera_drive().without(COLOR, DEPTH),
             "no depth images with colour, no counts or speeds of wheels, no odom → base_link in tf, no Odometry, "
@@ -166,7 +166,7 @@ def test_half_a_camera_beside_wheels_is_said_and_the_wheels_are_read(opened) -> 
     drive.messages += odometry_drive().messages
     recording = opened(drive)
     assert (recording.frame_count, recording.wheel_count, recording.body) == (0, 60, "base")
-    assert any("for want of depth images" in warning for warning in recording.warnings)
+    assert any("since no depth images match" in warning for warning in recording.warnings)
 
 
 def test_an_image_that_cannot_be_read_is_skipped_with_its_reason(opened) -> None:

@@ -58,7 +58,7 @@ def forward_and_turning(recording, speeds):
 @pytest.mark.parametrize(
     ("name", "problem"),
     [
-        ("one_image.bag", "for want of depth images that go with them: /compressedimage, /image"),
+        ("one_image.bag", "since no depth images match them: /compressedimage, /image"),
         ("rosbag2_2025_09_10-13_03_56_0.mcap", "/joint_state is not used: no two of its joints"),
         ("example-bz2.bag", "no Odometry, no JointState of wheels. Its topics: /rosout"),
         ("example-lz4.bag", "/turtle1/pose .Pose, 1,344."),

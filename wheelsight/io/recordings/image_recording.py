@@ -47,7 +47,7 @@ class FramePaths:
 class ImageRecording:
     """A `Recording` of image files.
 
-    Attributes beside the protocol's:
+    Attributes in addition to the protocol's:
         frames: the image files of each frame, in order of time.
         encoding: of the depth images.
         wheels: readings of the wheel encoders, in order of time.

@@ -59,7 +59,7 @@ from wheelsight.io.recordings.tables import (
     read_table,
     seconds,
 )
-from wheelsight.io.recordings.tum_datasets import DEPTH_FACTOR, beside, read_frames, read_truth
+from wheelsight.io.recordings.tum_datasets import DEPTH_FACTOR, by_frame_clock, read_frames, read_truth
 from wheelsight.io.recordings.wheel_recording import WheelRecording
 
 WHEELS_HEADER = "stamp_s,left,right"
@@ -113,7 +113,7 @@ class NativeReader:
             calibration,
             images,
             DepthEncoding(options.depth_factor or DEPTH_FACTOR),
-            truth or beside(read_truth(folder / "groundtruth.txt", warnings), images.frames, options),
+            truth or by_frame_clock(read_truth(folder / "groundtruth.txt", warnings), images.frames, options),
             warnings,
         )
         return replace(made, wheels=wheels, yaw_rates=tuple(yaw_rates))

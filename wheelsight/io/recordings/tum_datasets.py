@@ -100,7 +100,7 @@ def open_lists(
         calibration_of(images.frames),
         images,
         DepthEncoding(options.depth_factor or DEPTH_FACTOR),
-        beside((truth_of or read_truth)(folder / "groundtruth.txt", warnings), images.frames, options),
+        by_frame_clock((truth_of or read_truth)(folder / "groundtruth.txt", warnings), images.frames, options),
         warnings,
     )
 
@@ -123,7 +123,7 @@ def read_frames(folder: Path, options: OpenOptions) -> tuple[PairedImages, list[
     return PairedImages(frames, association), [*warnings, *pair_warnings, note]
 
 
-def beside(truth: Trajectory | None, frames: tuple[FramePaths, ...], options: OpenOptions) -> Trajectory | None:
+def by_frame_clock(truth: Trajectory | None, frames: tuple[FramePaths, ...], options: OpenOptions) -> Trajectory | None:
     """The true poses by the frames' clock.
 
     Where the frames' stamps count `rate_hz` per second, those of the poses may do so too, or be in seconds. The unit is

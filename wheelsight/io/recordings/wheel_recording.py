@@ -31,7 +31,7 @@ _FOLDER = Path(__file__).parent / "robots"
 class WheelRecording:
     """A `Recording` of wheel readings.
 
-    Attributes beside the protocol's:
+    Attributes in addition to the protocol's:
         wheels: readings of the wheels in order of time, all of one type.
         yaw_rates: readings of a gyroscope in order of time.
         matches: of places, from an external source.

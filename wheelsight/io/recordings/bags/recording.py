@@ -85,7 +85,7 @@ class BagRecording:
     The numbers of frames and pairs are exact after a complete pass. Before it they are upper bounds from the bag's
     index, since a frame takes one colour and one depth image.
 
-    Attributes beside the protocol's:
+    Attributes in addition to the protocol's:
         topics: all topics of the bag, with their use.
     """
 

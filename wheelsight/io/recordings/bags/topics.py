@@ -283,7 +283,7 @@ def _cameras(
         names = ", ".join(image.name for image in (*colors, *depths))
         if names:
             other = "depth" if colors else "colour"
-            warnings.append(f"Not used, for want of {other} images that go with them: {names}.")
+            warnings.append(f"Not used, since no {other} images match them: {names}.")
         return None, None
     (best, color, depth), others = pairs[0], pairs[1:]
     equals = [f"{c} with {d}" for unlikely, c, d in others if unlikely == best and _base(d) != _base(depth)]
