@@ -386,7 +386,7 @@ def load_config(
             name = (called or {}).get(option, option) + name.removeprefix(option).replace(".", " ")
         problem, fix = fault.message(name)
         if option is not None or path is None:
-            raise ConfigError(problem, fix=fix) from None
+            raise ConfigError(problem, fix=fix if fix != "remove the line" else "leave it out") from None
         fix = None if fix is None else fix.replace("--config FILE", f"--config {path}")
         raise ConfigError(problem, path=path, line=line_of(path, fault.location, ConfigError), fix=fix) from None
 
