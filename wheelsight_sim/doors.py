@@ -62,7 +62,7 @@ class Leaves:
         boards: the leaves.
     """
 
-    def __init__(self, boards: list[Board]) -> None:
+    def __init__(self, boards: list[DoorPanel]) -> None:
         self._boards = boards
 
     @property
@@ -157,7 +157,7 @@ class Doors(Leaves):
 
 
 @dataclass(frozen=True, eq=False)
-class Board:
+class DoorPanel:
     """A leaf with its box at rest: middle (3,), half lengths (3,), and yaw."""
 
     leaf: Leaf
@@ -192,7 +192,7 @@ class Board:
         return shapely.LineString([begin, end]).buffer(self.half_m[1], cap_style="flat")
 
 
-def swinging(world: World, count: int, seed: int) -> list[Board]:
+def swinging(world: World, count: int, seed: int) -> list[DoorPanel]:
     """`count` of a world's leaves with room to swing, chosen by seed.
 
     Raises:
@@ -200,7 +200,7 @@ def swinging(world: World, count: int, seed: int) -> list[Board]:
     """
     boards = _boards(world) if count else []
     rng = np.random.default_rng([seed, _STREAM, 0])
-    found: list[Board] = []
+    found: list[DoorPanel] = []
     for k in rng.permutation(len(boards)):
         swept = boards[k].swept()
         if all(shapely.disjoint(swept, other.swept()) for other in found):
@@ -211,7 +211,7 @@ def swinging(world: World, count: int, seed: int) -> list[Board]:
     return found[:count]
 
 
-def _boards(world: World) -> list[Board]:
+def _boards(world: World) -> list[DoorPanel]:
     """The world's leaves, but for those that would swing into something."""
     import mujoco
 
@@ -228,7 +228,7 @@ def _boards(world: World) -> list[Board]:
         g = model.geom(leaf.geom).id
         R = data.geom_xmat[g].reshape(3, 3)
         yaw_rad = math.atan2(R[1, 0], R[0, 0])
-        board = Board(leaf, data.geom_xpos[g].copy(), model.geom_size[g].copy(), yaw_rad)
+        board = DoorPanel(leaf, data.geom_xpos[g].copy(), model.geom_size[g].copy(), yaw_rad)
         top_m = board.middle_m[2] + board.half_m[2] - _OVER_FLOOR_M
         others = [
             thing.polygon

@@ -135,10 +135,14 @@ class OwnOdometry(CameraOdometry[CameraEstimate]):
                 prior = se3.nearest(se3.invert(reference.T_map_frame(self.store)) @ T_map_expected)
             with self.watch.stage("align"):
                 found = self._aligned(reference.frame, frame, prior)
-            if found.reason is None and not self._is_plausible(last, reference, found, frame.stamp_s):
+            if found.reason is None and found.T_reference_current is not None:
+                T_map_camera = reference.T_map_frame(self.store) @ found.T_reference_current
+                seconds = frame.stamp_s - last.frame.stamp_s
+                velocity = twist_between(last.T_map_frame(self.store), T_map_camera, seconds)
+                fast = np.linalg.norm(velocity[:3]) > self._settings.max_speed_m_s
+                if not (fast or np.linalg.norm(velocity[3:]) > self._settings.max_turn_rad_s):
+                    return self._succeed(frame, reference, found)
                 found = MotionEstimate.failed(Reason.IMPLAUSIBLE_MOTION, found.matches, found.inliers)
-            if found.reason is None:
-                return self._succeed(frame, reference, found)
             failure = failure or found
         assert failure is not None
         return self._fail(frame.stamp_s, failure)
@@ -176,14 +180,6 @@ class OwnOdometry(CameraOdometry[CameraEstimate]):
             raise PartError(f"{name}: the covariance is not positive definite", fix=fix)
         degenerate = hidden if len(hidden) else None
         return replace(found, T_reference_current=se3.nearest(T), covariance=(C + C.T) / 2, degenerate=degenerate)
-
-    def _is_plausible(self, last: _Reference, reference: _Reference, found: MotionEstimate, stamp_s: float) -> bool:
-        """Whether the motion since the last tracked frame is within the limits on speed."""
-        assert found.T_reference_current is not None
-        T_map_camera = reference.T_map_frame(self.store) @ found.T_reference_current
-        velocity = twist_between(last.T_map_frame(self.store), T_map_camera, stamp_s - last.frame.stamp_s)
-        fast = np.linalg.norm(velocity[:3]) > self._settings.max_speed_m_s
-        return not (fast or np.linalg.norm(velocity[3:]) > self._settings.max_turn_rad_s)
 
     def _succeed(self, frame: RgbdFrame, reference: _Reference, found: MotionEstimate) -> CameraEstimate:
         assert found.T_reference_current is not None

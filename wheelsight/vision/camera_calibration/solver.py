@@ -134,25 +134,21 @@ def _linearised(residuals: Residuals, x: FloatArray) -> _LinearSystem:
             moved = x.copy()
             moved[first + k :: _POSE] += _STEP
             by_pose[:, k] = (block(moved).ravel() - here) / _STEP
-    _by_error(residuals, x, parts[2])
+    # Derivatives of depth by its error; those by knots follow from their weights.
+    depth, error = parts[2], at["error"]
+    knots = error.start + BEFORE_KNOTS
+    for k in range(error.start, min(knots, error.stop)):
+        moved = x.copy()
+        moved[k] += _STEP
+        depth.by_cameras[:, k] = (residuals.depth(moved) - depth.r) / _STEP
+    if error.stop > knots:
+        of_sum = (residuals.depth(x, more=_STEP) - depth.r) / _STEP
+        depth.by_cameras[:, knots : error.stop] = residuals.by_knots(x, of_sum, depth.r)
     priors = residuals.priors(x)
     parts.append(
         _LinearSystem(priors, residuals.prior_rows[:, :first], np.zeros((len(priors), _POSE)), np.full(len(priors), -1))
     )
     return _LinearSystem(*(np.concatenate(items) for items in zip(*parts, strict=True)))
-
-
-def _by_error(residuals: Residuals, x: FloatArray, depth: _LinearSystem) -> None:
-    """Fill in the derivatives of depth by its error; those by knots follow from their weights."""
-    at = residuals.at["error"]
-    knots = at.start + BEFORE_KNOTS
-    for k in range(at.start, min(knots, at.stop)):
-        moved = x.copy()
-        moved[k] += _STEP
-        depth.by_cameras[:, k] = (residuals.depth(moved) - depth.r) / _STEP
-    if at.stop > knots:
-        of_sum = (residuals.depth(x, more=_STEP) - depth.r) / _STEP
-        depth.by_cameras[:, knots : at.stop] = residuals.by_knots(x, of_sum, depth.r)
 
 
 def _normal(residuals: Residuals, linear: _LinearSystem) -> _Normal:

@@ -239,9 +239,17 @@ class Aligner:
 
         It weighs like residuals, with rotations as distances at 2 m.
         """
-        T_prior, sigmas = self._rolled(T, previous), np.full(6, held_m[0])
-        if self._T_base_camera is not None:
+        T_prior, sigmas, T_base_camera = T.copy(), np.full(6, held_m[0]), self._T_base_camera
+        if T_base_camera is not None:
             sigmas[_NOT_ROLLED] = held_m[1]
+        if T_base_camera is not None and previous is not None:
+            # A base on wheels can only roll and turn since the previous frame.
+            twist = se3.log(se3.invert(previous.T_reference_previous) @ T).reshape(2, 3)
+            way, turn = twist @ T_base_camera[:3, :3].T
+            # The camera's own translation: that of the base includes what a tilt about the camera adds to it.
+            ahead_m = way[0] + turn[2] * T_base_camera[1, 3]
+            moved = se3.exp([ahead_m, 0.0, 0.0, 0.0, 0.0, turn[2]])
+            T_prior = previous.T_reference_previous @ se3.invert(T_base_camera) @ moved @ T_base_camera
         A = (DEGENERATE_SCALE / sigmas)[:, None] * (self._Ad_base_camera @ se3.adjoint(se3.invert(T_prior)))
         information = np.asarray(CORRELATION * A.T @ A)
         if keypoints is None:
@@ -274,18 +282,6 @@ class Aligner:
             if is_as_near and other.grey_sigma < _CLEARER_GREY * best.grey_sigma:
                 best = other
         return best
-
-    def _rolled(self, T_reference_frame: FloatArray, previous: PreviousPose | None) -> FloatArray:
-        """The guess (4, 4) restricted to what a base on wheels can do since the previous frame: roll and turn."""
-        if previous is None or self._T_base_camera is None:
-            return T_reference_frame.copy()
-        T_base_camera = self._T_base_camera
-        twist = se3.log(se3.invert(previous.T_reference_previous) @ T_reference_frame).reshape(2, 3)
-        way, turn = twist @ T_base_camera[:3, :3].T
-        # The camera's own translation: that of the base includes what a tilt about the camera adds to it.
-        ahead_m = way[0] + turn[2] * T_base_camera[1, 3]
-        moved = se3.exp([ahead_m, 0.0, 0.0, 0.0, 0.0, turn[2]])
-        return previous.T_reference_previous @ se3.invert(T_base_camera) @ moved @ T_base_camera
 
     def _answer(
         self, frame: GridFrame, reference: Reference, T: FloatArray, total: FloatArray, how: FloatArray

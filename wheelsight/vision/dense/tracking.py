@@ -379,22 +379,18 @@ class Verifier:
             return replace(found, keypoint_pose=pose)
         if pose is not None and pose.is_clear:
             return self._by_keypoints(grid, pose)
-        is_bridged = ahead.is_helped and found.motion.shows_all and self.faults.is_bridged(found, ahead)
-        if is_bridged or self._stands_alone(found, ahead, state):
+        if ahead.is_helped and found.motion.shows_all and self.faults.is_bridged(found, ahead):
             return found
+        is_steady = ahead.is_helped or bool(ahead.last.twist.any())
+        suspected = self.faults.suspects(found, seconds, is_alone=not ahead.is_helped, is_steady=is_steady)
+        if not suspected and (state.failures == 0 or (ahead.is_helped and not self.faults.is_off_prior(found))):
+            return found  # by surfaces alone, or by surfaces and a prior
         unseen = self.faults.is_blind and not ahead.is_helped
         if pose is not None and self._is_unambiguous(pose, ahead):
             reason = Reason.SURFACES_CONTRADICTED
         else:
             reason = Reason.DEGENERATE if unseen else Reason.NOT_RECOGNISED
         return self._fall_back(grid, MotionEstimate.failed(reason), ahead)
-
-    def _stands_alone(self, found: Tracked, ahead: Prediction, state: TrackingState) -> bool:
-        """Whether a pose by surfaces alone, or by surfaces and a prior, is accepted without a gap."""
-        is_steady = ahead.is_helped or bool(ahead.last.twist.any())
-        if self.faults.suspects(found, ahead.seconds, is_alone=not ahead.is_helped, is_steady=is_steady):
-            return False
-        return state.failures == 0 or (ahead.is_helped and not self.faults.is_off_prior(found))
 
     def _is_unambiguous(self, pose: KeypointPose, ahead: Prediction) -> bool:
         """Whether keypoints identify the place: after a gap without prior the camera may be at one that looks alike."""

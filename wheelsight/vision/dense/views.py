@@ -156,7 +156,16 @@ class ViewCache:
         for keyframe in self.keyframes[:-_IN_MEMORY]:
             keyframe.reference.known_scales = None
         if self._model is not None:
-            yield self._predicted(self._model, T_map_camera, afresh=state.failures > 0)
+            known, served = self._prediction
+            is_near = known is not None and known.distance_m(T_map_camera) < _PREDICTED_WAY_M
+            if known is None or state.failures > 0 or not is_near or served >= _PREDICTED_FRAMES:
+                with self._watch.stage("predict"):
+                    view = self._model.predict(T_map_camera, self._gridder.intrinsics, self._gridder.shape)
+                    reference = self._maker.of_view(view, T_map_camera, self._gridder.intrinsics)
+                nearest = self.nearest(T_map_camera)
+                known, served = KnownView(nearest.keyframe, reference, nearest.covariance), 0
+            self._prediction = known, served + 1
+            yield known
         yield self.keyframes[-1]
         if not state.failures:
             yield self.of_frame(last)
@@ -172,19 +181,6 @@ class ViewCache:
     def _older(self, state: TrackingState) -> Iterator[KnownView]:
         if state.is_lost:
             yield self.keyframes[-1 - state.failures % len(self.keyframes)]
-
-    def _predicted(self, model: ReferenceModel, T_map_camera: FloatArray, *, afresh: bool) -> KnownView:
-        """The model's prediction near a pose (4, 4); it is reused for some frames while the camera is near."""
-        known, served = self._prediction
-        is_near = known is not None and known.distance_m(T_map_camera) < _PREDICTED_WAY_M
-        if known is None or afresh or not is_near or served >= _PREDICTED_FRAMES:
-            with self._watch.stage("predict"):
-                view = model.predict(T_map_camera, self._gridder.intrinsics, self._gridder.shape)
-                reference = self._maker.of_view(view, T_map_camera, self._gridder.intrinsics)
-            nearest = self.nearest(T_map_camera)
-            known, served = KnownView(nearest.keyframe, reference, nearest.covariance), 0
-        self._prediction = known, served + 1
-        return known
 
 
 # A variance below this share of the trace is a rounding error.
@@ -424,17 +420,9 @@ class EvictedViews:
             return None
         apart_m = se3.view_shift_m(se3.invert(self._store.T_map_keyframe[numbers]) @ T_map_camera)
         nearest = int(np.argmin(apart_m))
-        return self._recalled(numbers[nearest]) if apart_m[nearest] < limit_m else None
-
-    def is_tied(self, number: KeyframeId) -> bool:
-        """Whether a loop closure ties a keyframe to one of another visit."""
-        return self._store.tied_over(number) >= self._room
-
-    def take(self, view: KnownView) -> None:
-        """Remove a view that is in the cache again."""
-        self._views.pop(view.keyframe, None)
-
-    def _recalled(self, number: KeyframeId) -> KnownView | None:
+        if not apart_m[nearest] < limit_m:
+            return None
+        number = numbers[nearest]
         try:
             keyframe = self._store.recalled(number, KeyframeId(len(self._store) - 1))
         except MapError:  # the file is missing or damaged; odometry continues without it
@@ -449,6 +437,14 @@ class EvictedViews:
         reference, Ad = self._maker.of_frame(grid, T_map_keyframe), se3.adjoint(T_map_keyframe)
         features = None if keyframe.features is None else self._keypoints.recalled(keyframe.stamp_s, keyframe.features)
         return KnownView(number, reference, Ad @ evicted.covariance @ Ad.T, features, evicted.turning_rad_s)
+
+    def is_tied(self, number: KeyframeId) -> bool:
+        """Whether a loop closure ties a keyframe to one of another visit."""
+        return self._store.tied_over(number) >= self._room
+
+    def take(self, view: KnownView) -> None:
+        """Remove a view that is in the cache again."""
+        self._views.pop(view.keyframe, None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

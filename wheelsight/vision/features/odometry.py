@@ -222,7 +222,15 @@ class FeatureOdometry(CameraOdometry[FeatureEstimate]):
         spread = with_frame_error(motion.covariance, motion.T_reference_current, self._of_frame)
         view = replace(view, covariance=with_frame_error(view.covariance, view.T_map_color, self._of_frame))
         with self.watch.stage("map"):
-            view = self._update(frame, view)
+            if self._settings.reference == "previous":
+                self.landmarks.keyframes[:] = [view]
+            else:
+                seen = np.flatnonzero(view.landmark >= 0)
+                self.landmarks.see_again(view.landmark[seen], view.features, seen, view.T_map_color)
+                known = np.count_nonzero(self.landmarks.keyframes[-1].landmark >= 0)
+                if len(seen) < self._settings.keyframe_share * known:  # it shows too few landmarks of the last one
+                    number = self._keep(frame, view.features, view.T_map_color)
+                    view = self.landmarks.add_keyframe(view, number)
         self._velocity = velocity_of(self._last, view) if self._last else np.zeros(6)
         self._last, self._state = view, self._state.tracked()
         # The motion of the colour camera as one of the camera frame.
@@ -231,18 +239,6 @@ class FeatureOdometry(CameraOdometry[FeatureEstimate]):
         T_reference_current = T_camera_color @ motion.T_reference_current @ self._T_color_camera
         motion = replace(motion, T_reference_current=T_reference_current, covariance=Ad @ spread @ Ad.T)
         return self._answer(view, motion, fix.matched)
-
-    def _update(self, frame: RgbdFrame, view: KeypointView) -> KeypointView:
-        """Update landmarks by a view; make it a keyframe if it shows too few landmarks of the last one."""
-        if self._settings.reference == "previous":
-            self.landmarks.keyframes[:] = [view]
-            return view
-        seen = np.flatnonzero(view.landmark >= 0)
-        self.landmarks.see_again(view.landmark[seen], view.features, seen, view.T_map_color)
-        known = np.count_nonzero(self.landmarks.keyframes[-1].landmark >= 0)
-        if len(seen) < self._settings.keyframe_share * known:
-            return self.landmarks.add_keyframe(view, self._keep(frame, view.features, view.T_map_color))
-        return view
 
     def _fail(self, stamp_s: float, failure: MotionEstimate, **more: Any) -> FeatureEstimate:
         self._velocity = np.zeros(6)
