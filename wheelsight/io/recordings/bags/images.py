@@ -91,7 +91,21 @@ def depth_of(message: Any, factor: float | None, path: Path) -> Float32Array:
         RecordingError: the encoding is unknown, there is no depth at all, or its scale is implausible.
     """
     if hasattr(message, "format"):
-        raw = _compressed_depth(bytes(message.data), message.format, path)
+        # compressedDepth has 12 bytes before its PNG: the format, and parameters a, b of the quantization of floats to
+        # integers n, z = a / (n - b), which has the resolution of disparities (image_transport_plugins).
+        data = bytes(message.data)
+        start = data.find(b"\x89PNG", 0, 64)
+        if start < 0:
+            way = "RVL" if "rvl" in message.format.lower() else repr(message.format)
+            raise RecordingError(f"depth images are compressed as {way}", path=path, fix="record them raw, or as PNG")
+        raw = decoded_units(data[start:], path)
+        if message.format.lower().startswith("32fc1"):
+            if start < 12:
+                raise RecordingError("compressed depth lacks its scale", path=path, fix="record it raw")
+            a, b = struct.unpack_from("<ff", data, start - 8)
+            above = raw.astype(np.float32) - np.float32(b)
+            out = np.zeros(raw.shape, np.float32)
+            raw = np.divide(np.float32(a), above, out=out, where=(raw > 0) & (above > 0))
     else:
         dtype = _DEPTH.get(message.encoding.lower())
         if dtype is None:
@@ -132,29 +146,6 @@ def _pixels(message: Any, dtype: type[np.generic], channels: int, path: Path) ->
     pixels = np.ascontiguousarray(rows).view(np.dtype(dtype).newbyteorder(">" if message.is_bigendian else "<"))
     native = pixels.astype(dtype) if np.dtype(dtype).itemsize > 1 else pixels
     return native.reshape((height, width) if channels == 1 else (height, width, channels))
-
-
-def _compressed_depth(data: bytes, format_: str, path: Path) -> _Pixels:
-    """Millimetres or metres of compressedDepth, or of a plain PNG. Raises RecordingError.
-
-    compressedDepth has 12 bytes before its PNG: the format, and parameters a, b of the quantization of floats to
-    integers n, z = a / (n - b), which has the resolution of disparities (image_transport_plugins).
-    """
-    start = data.find(b"\x89PNG", 0, 64)
-    if start < 0:
-        way = "RVL" if "rvl" in format_.lower() else repr(format_)
-        raise RecordingError(f"depth images are compressed as {way}", path=path, fix="record them raw, or as PNG")
-    raw = decoded_units(data[start:], path)
-    if not format_.lower().startswith("32fc1"):
-        return raw
-    if start < 12:
-        raise RecordingError("compressed depth lacks its scale", path=path, fix="record it raw")
-    a, b = struct.unpack_from("<ff", data, start - 8)
-    above = raw.astype(np.float32) - np.float32(b)
-    depth_m: Float32Array = np.divide(
-        np.float32(a), above, out=np.zeros(raw.shape, np.float32), where=(raw > 0) & (above > 0)
-    )
-    return depth_m
 
 
 _BROWN = ("plumb_bob", "radtan", "")

@@ -599,11 +599,13 @@ class Transforms:
                 if first != parent:
                     self._warn(f"tf contradicts itself: {child} has the parents {first} and {parent}; {first} is used.")
                 self._T[pair] = T
-            elif not _is_same_motion(self._T[pair], T):
-                if is_static or pair in self._static:
+            else:
+                apart = se3.compose(se3.invert(self._T[pair]), T)
+                is_moved = np.linalg.norm(apart[:3, 3]) > _TF_APART_M or so3.angle(apart[:3, :3]) > _TF_APART_RAD
+                if is_moved and (is_static or pair in self._static):
                     between = f"two static transforms lead from {parent} to {child}"
-                    self._warn(f"tf contradicts itself: {between}; the first stands.")
-                else:
+                    self._warn(f"tf contradicts itself: {between}; the first is used.")
+                elif is_moved:
                     self.moving.add(pair)
             if is_static:
                 self._static.add(pair)
@@ -628,12 +630,6 @@ class Transforms:
     def _warn(self, sentence: str) -> None:
         if sentence not in self.warnings and len(self.warnings) < _MOST_WARNINGS:
             self.warnings.append(sentence)
-
-
-def _is_same_motion(T: FloatArray, other: FloatArray) -> bool:
-    apart = se3.compose(se3.invert(T), other)
-    is_far = np.linalg.norm(apart[:3, 3]) > _TF_APART_M
-    return not (is_far or so3.angle(apart[:3, :3]) > _TF_APART_RAD)
 
 
 def motion_of(t: Any, q: Any) -> FloatArray | None:
