@@ -206,10 +206,10 @@ def test_a_keyframe_that_rests_is_read_again_and_those_asked_for_last_are_held()
 
         return read
 
-    store.hold(2)
+    store.limit_memory(2)
     for number in range(7):
         store.add(keyframe(float(number)), np.eye(4))
-        store.rest(KeyframeId(number), reader(number))
+        store.keep_on_disk(KeyframeId(number), reader(number))
     # Given up once twice as many newer ones follow.
     assert [store[number].stamp_s for number in store] == [100.0, 101.0, 102.0, 3.0, 4.0, 5.0, 6.0]
     assert reads == [0, 1, 2]
@@ -221,13 +221,13 @@ def test_a_keyframe_that_rests_is_read_again_and_those_asked_for_last_are_held()
 def test_what_is_recalled_goes_by_numbers_alone() -> None:
     """However far on another thread has driven by then."""
     store = KeyframeStore()
-    store.hold(3)
+    store.limit_memory(3)
     recalled: list[list[float]] = []
     for newest in range(8):
         store.add(keyframe(float(newest)), np.eye(4))
-        store.rest(KeyframeId(newest), lambda: keyframe(-1.0))
+        store.keep_on_disk(KeyframeId(newest), lambda: keyframe(-1.0))
         for asked in range(max(0, newest - 2), newest + 1):  # a thread that lags, or does not
-            told = [store.recalled(KeyframeId(k), KeyframeId(asked)).stamp_s for k in range(asked + 1)]
+            told = [store.as_of(KeyframeId(k), KeyframeId(asked)).stamp_s for k in range(asked + 1)]
             assert told == [-1.0] * max(asked - 2, 0) + list(map(float, range(max(asked - 2, 0), asked + 1)))
             recalled.append(told)
     assert recalled
@@ -237,8 +237,8 @@ def test_nothing_rests_unless_somebody_says() -> None:
     store, kept = KeyframeStore(), keyframe()
     for _ in range(5):
         store.add(kept, np.eye(4))
-    assert store.recalled(KeyframeId(0), KeyframeId(4)) is kept
-    store.hold(1)
-    assert store.recalled(KeyframeId(0), KeyframeId(4)) is kept  # nobody has written it
+    assert store.as_of(KeyframeId(0), KeyframeId(4)) is kept
+    store.limit_memory(1)
+    assert store.as_of(KeyframeId(0), KeyframeId(4)) is kept  # nobody has written it
     with pytest.raises(ArgumentError):
-        store.recalled(KeyframeId(5), KeyframeId(6))
+        store.as_of(KeyframeId(5), KeyframeId(6))

@@ -55,7 +55,7 @@ def test_old_keyframes_leave_memory_and_come_back_to_the_last_bit(tmp_path: Path
     assert in_memory(store, made) == list(range(COUNT - 2 * MOST, COUNT))
     for number in range(COUNT):
         assert_same(store[KeyframeId(number)], keyframe(number))
-        assert_same(store.recalled(KeyframeId(number), KeyframeId(COUNT - 1)), keyframe(number))
+        assert_same(store.as_of(KeyframeId(number), KeyframeId(COUNT - 1)), keyframe(number))
     assert not list(tmp_path.iterdir())
 
 

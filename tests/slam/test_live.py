@@ -133,7 +133,7 @@ def test_a_keyframe_goes_to_where_odometry_saw_it_from_one_that_it_had_come_back
         covariance = (1 + 100 * number) * C
         live.add(OdometryKeyframe(KeyframeId(number), float(number), T_odom, covariance, seen_from=seen_from))
     live.due(10.0)
-    assert [store.tied_over(number) for number in store] == ([3, 0, 0, 3] if is_told else [0, 0, 0, 0])
+    assert [store.loop_span(number) for number in store] == ([3, 0, 0, 3] if is_told else [0, 0, 0, 0])
     found = live.finish()
     assert len(found.loops.kept) == is_told
     assert found.T_map_keyframe[3, 0, 3] == pytest.approx(0.1 if is_told else 0.4, abs=0.01)

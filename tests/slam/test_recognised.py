@@ -76,12 +76,12 @@ def test_a_keyframe_that_cannot_be_read_is_told_and_passed_over(store: KeyframeS
         raise MapError("the disk is gone")
 
     lame = KeyframeStore()
-    lame.hold(5)
+    lame.limit_memory(5)
     watcher, loops = PlaceWatcher(lame, EXACT, 5.0), list[RelativePose]()
     for number in store:
         loops += watcher.find_loops(lame.add(store[number], np.eye(4)))
         if number == 4:
-            lame.rest(number, fail)
+            lame.keep_on_disk(number, fail)
     assert watcher.refusals["the keyframe cannot be read"] > 0
     assert loops
     assert 4 not in {loop.first for loop in loops}

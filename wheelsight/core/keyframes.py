@@ -94,7 +94,7 @@ class KeyframeStore(OneCaller):
     Compression of a keyframe's images takes as long as tracking a frame, so a thread of the store does it, one keyframe
     at a time. `add`, `close` and access to that keyframe raise its error.
 
-    Keyframes on disk may be released from memory, see `hold` and `rest`; else all stay in memory.
+    Keyframes on disk may be released from memory, see `limit_memory` and `keep_on_disk`; else all stay in memory.
 
     Attributes:
         revision: number of calls that moved keyframes; adding one moves none.
@@ -109,7 +109,7 @@ class KeyframeStore(OneCaller):
         self._making: Future[Keyframe] | None = None
         self._most: int | None = None
         self._readers: dict[int, Callable[[], Keyframe]] = {}
-        self._tied: dict[int, int] = {}
+        self._loop_spans: dict[int, int] = {}
         self._unreleased: deque[int] = deque()
         self._read: OrderedDict[int, Keyframe] = OrderedDict()
         self._lock = threading.Lock()
@@ -129,7 +129,7 @@ class KeyframeStore(OneCaller):
             keyframe = self._keyframes[number] = keyframe.result()
         return self._from_disk(number) if keyframe is None else keyframe
 
-    def recalled(self, number: KeyframeId, at: KeyframeId) -> Keyframe:
+    def as_of(self, number: KeyframeId, at: KeyframeId) -> Keyframe:
         """Return a keyframe as it is in the store when keyframe `at` is the newest: from disk if it is old enough.
 
         Only the numbers decide, not the progress of another thread, so the result is reproducible. Raises as
@@ -140,14 +140,14 @@ class KeyframeStore(OneCaller):
             return self._from_disk(number)
         return self[number]
 
-    def hold(self, keyframes: int) -> None:
+    def limit_memory(self, keyframes: int) -> None:
         """Read keyframes from disk once `keyframes` newer ones follow, with a cache of as many recently used ones.
 
         Memory is released after twice as many, so that threads that lag behind read the same images.
         """
         self._most = keyframes
 
-    def rest(self, number: KeyframeId, read: Callable[[], Keyframe]) -> None:
+    def keep_on_disk(self, number: KeyframeId, read: Callable[[], Keyframe]) -> None:
         """Register the reader of a keyframe on disk: `read` returns it, somewhat coarser, from any thread."""
         with self._lock:
             self._readers[number] = read
@@ -217,14 +217,14 @@ class KeyframeStore(OneCaller):
         for follower in self._followers:
             follower.add(rows, T_new_old, len(self))
 
-    def tie(self, first: KeyframeId, second: KeyframeId) -> None:
+    def add_loop(self, first: KeyframeId, second: KeyframeId) -> None:
         """Record a loop closure between two keyframes."""
         for number in (first, second):
-            self._tied[number] = max(self._tied.get(number, 0), abs(second - first))
+            self._loop_spans[number] = max(self._loop_spans.get(number, 0), abs(second - first))
 
-    def tied_over(self, number: KeyframeId) -> int:
+    def loop_span(self, number: KeyframeId) -> int:
         """Return the largest number of keyframes that a loop closure of this one spans; 0 without loop closure."""
-        return self._tied.get(number, 0)
+        return self._loop_spans.get(number, 0)
 
     def follow(self) -> Follower:
         """Return a new follower, for an object that holds positions relative to keyframes."""

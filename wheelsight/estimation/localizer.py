@@ -398,7 +398,7 @@ class RestingKeyframes:
 
     Args:
         store: of the odometry.
-        memory_keyframes: see `KeyframeStore.hold`.
+        memory_keyframes: see `KeyframeStore.limit_memory`.
         folder: where the file is made on first use; None for the system's temporary folder.
     """
 
@@ -425,7 +425,7 @@ class RestingKeyframes:
         if self._file is None:
             self._file = tempfile.TemporaryFile(dir=self._folder)  # noqa: SIM115 - as long as the store may read
             weakref.finalize(self._store, self._file.close)
-            self._store.hold(self._most)
+            self._store.limit_memory(self._most)
         images = [np.frombuffer(png, np.uint8) for png in (keyframe.depth_png, keyframe.grey_png)]
         features, code = keyframe.features, keyframe.code
         arrays: list[NDArray[np.generic]] = [np.array([keyframe.stamp_s]), keyframe.intrinsics, *images]
@@ -436,7 +436,7 @@ class RestingKeyframes:
             self._file.write(array.tobytes())
         self._file.flush()
         like = [(array.dtype, array.shape) for array in arrays]
-        self._store.rest(number, partial(_read, self._file, self._end, like))
+        self._store.keep_on_disk(number, partial(_read, self._file, self._end, like))
         self._end = self._file.tell()
 
 

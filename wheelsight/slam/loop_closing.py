@@ -208,7 +208,7 @@ class LiveLoops:
             self.place = found.place
             for tie in found.ties:
                 self._recognised += tie.first < self._known <= tie.second
-                self._store.tie(tie.first, tie.second)
+                self._store.add_loop(tie.first, tie.second)
         return newest
 
     def finish(self) -> ClosedLoops:

@@ -139,7 +139,7 @@ class PlaceWatcher:
             elsewhere = [one.keyframe for one in alike]
         for candidate in dict.fromkeys((*elsewhere, *self._candidates(view, but, near, named))):
             try:
-                known = self._store.recalled(candidate, number)
+                known = self._store.as_of(candidate, number)
             except MapError:  # unreadable on disk: the drive continues without it
                 self._unread += 1
                 continue

@@ -45,7 +45,7 @@ class Known:
             self.views.append(KnownView(KeyframeId(number), reference, covariance, raw, turning))
             self.gone.put(self.views[-1])
         for number in range(1, count):
-            self.store.tie(KeyframeId(0), KeyframeId(number))
+            self.store.add_loop(KeyframeId(0), KeyframeId(number))
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_what_the_disk_has_lost_or_has_in_another_size_stays_away(monkeypatch: p
     def lost(store: KeyframeStore, number: KeyframeId, at: KeyframeId) -> Keyframe:
         raise MapError("a keyframe that rests on disk is cut off", fix="")
 
-    monkeypatch.setattr(KeyframeStore, "recalled", lost)
+    monkeypatch.setattr(KeyframeStore, "as_of", lost)
     assert known.gone.nearer(at(1.0), 0.5) is None
 
 
@@ -124,7 +124,7 @@ def test_on_the_way_back_no_keyframe_is_made(settings: dict[str, Any], is_tied: 
         assert apart(not_none(answer.T_odom_body), T)[0] < 0.02
         counts.append(len(subject.store))
         for number in subject.store if is_tied else ():
-            subject.store.tie(number, KeyframeId(number + 10))
+            subject.store.add_loop(number, KeyframeId(number + 10))
     assert counts[8] >= 4
     assert (counts[-1] == counts[8]) == comes_back
 

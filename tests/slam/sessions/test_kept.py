@@ -72,7 +72,7 @@ def test_images_larger_than_the_cameras_are_not_decoded(copied: Path, is_old: bo
     folder.close()
     if is_old:
         large = MapFolder.open(copied)
-        large.store.rest(KeyframeId(COUNT), lambda: keyframe(3, size=(96, 128)))
+        large.store.keep_on_disk(KeyframeId(COUNT), lambda: keyframe(3, size=(96, 128)))
         write_old(copied, large)
     found = MapFolder.open(copied)
     assert found.store[KeyframeId(0)].depth_m.shape == (48, 64)

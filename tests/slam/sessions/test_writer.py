@@ -137,7 +137,7 @@ def test_what_is_written_rests_on_disk_and_is_read_again(tmp_path: Path) -> None
             break
         waiting.wait(0.01)
     found = store[first]
-    assert store.recalled(first, KeyframeId(1)).stamp_s == store.recalled(first, KeyframeId(2)).stamp_s == 0
+    assert store.as_of(first, KeyframeId(1)).stamp_s == store.as_of(first, KeyframeId(2)).stamp_s == 0
     assert store[KeyframeId(7)].depth_png == keyframe(7).depth_png  # as odometry made it
     writer.close()
     kept = MapFolder.open(tmp_path / "map").store[first]

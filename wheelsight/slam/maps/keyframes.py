@@ -36,7 +36,7 @@ _LOST = "use another copy of the map, or go on without this keyframe"
 class KeptKeyframes(KeyframeStore):
     """A store whose first keyframes are those of a map folder; more may be added.
 
-    The most recently used ones are held in memory, and the others are read again: see `KeyframeStore.hold`. Iteration
+    The most recently used ones are in memory, the others are read again: see `KeyframeStore.limit_memory`. Iteration
     skips keyframes lost to damage. They keep their numbers, and access to one raises MapError.
 
     Args:
@@ -55,7 +55,7 @@ class KeptKeyframes(KeyframeStore):
     ) -> None:
         super().__init__()
         count = len(T_map_keyframe)
-        self.hold(memory_keyframes)
+        self.limit_memory(memory_keyframes)
         self._lost = frozenset(range(count)) - where.keys()
         self._keyframes = [None] * count
         self._readers = {number: partial(read_keyframe, *found, camera_px) for number, found in where.items()}

@@ -104,7 +104,7 @@ class MapWriter:
         self._revision, self._sent_s = store.revision, -np.inf
         self._work: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._is_closed = False
-        store.hold(folder.settings.memory_keyframes)
+        store.limit_memory(folder.settings.memory_keyframes)
         store.is_written = True
         self._out = _FolderWriter(folder, store, self._recognizer)
         self._thread = threading.Thread(target=self._write, name=THREAD, daemon=True)
@@ -232,7 +232,7 @@ class _FolderWriter:
         def to_disk() -> None:
             self._folder.flush()
             for number, where in self._unflushed:
-                self._store.rest(number, partial(read_keyframe, *where, self._folder.header.camera.size_px))
+                self._store.keep_on_disk(number, partial(read_keyframe, *where, self._folder.header.camera.size_px))
             self._unflushed.clear()
 
         self.do(to_disk)

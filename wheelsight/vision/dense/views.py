@@ -424,7 +424,7 @@ class EvictedViews:
             return None
         number = numbers[nearest]
         try:
-            keyframe = self._store.recalled(number, KeyframeId(len(self._store) - 1))
+            keyframe = self._store.as_of(number, KeyframeId(len(self._store) - 1))
         except MapError:  # the file is missing or damaged; odometry continues without it
             return None
         evicted, T_map_keyframe = self._views[number], self._store.pose(number)
@@ -440,7 +440,7 @@ class EvictedViews:
 
     def is_tied(self, number: KeyframeId) -> bool:
         """Whether a loop closure ties a keyframe to one of another visit."""
-        return self._store.tied_over(number) >= self._room
+        return self._store.loop_span(number) >= self._room
 
     def take(self, view: KnownView) -> None:
         """Remove a view that is in the cache again."""
