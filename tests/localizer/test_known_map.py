@@ -97,7 +97,7 @@ def test_the_second_day_is_found_in_the_map_of_the_first(before: tuple[Localizer
     subject.close()
     assert closed.is_joined
     assert len(closed.stamps_s) == len(given.store) - count > 0
-    assert off(found[0].remembered_in(not_none(subject.keyframes)), SECOND_DAY[0])[0] < 0.05
+    assert off(found[0].pose_in(not_none(subject.keyframes)), SECOND_DAY[0])[0] < 0.05
     moved_m = np.linalg.norm(given.store.T_map_keyframe[:count, :3, 3] - T_before[:, :3, 3], axis=1).max()
     assert moved_m < (0.05 if extends else 1e-3)
 

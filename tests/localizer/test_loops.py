@@ -95,7 +95,7 @@ def test_odom_does_not_jump_where_the_map_does(
         has_moved = answer.stamp_s >= middle_s
         np.testing.assert_allclose(T_map, (FAR if has_moved else np.eye(4)) @ T_before, atol=5e-3)
         # Who was where is remembered by keyframes, which all have moved by now.
-        where = answer.remembered_in(not_none(subject.keyframes))
+        where = answer.pose_in(not_none(subject.keyframes))
         np.testing.assert_allclose(not_none(where), FAR @ T_before, atol=5e-3)
     np.testing.assert_allclose(subject.T_odom_map, se3.invert(found[-1].T_map_odom), atol=1e-9)
 

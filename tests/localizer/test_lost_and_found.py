@@ -75,7 +75,7 @@ def test_a_camera_that_was_carried_off_finds_back() -> None:
     subject.close()
     assert closed.pieces == 1
     for answer, truth in zip(found, TRUTH, strict=True):
-        assert off(answer.remembered_in(not_none(subject.keyframes)), truth)[0] < 0.08
+        assert off(answer.pose_in(not_none(subject.keyframes)), truth)[0] < 0.08
 
 
 def test_without_loops_it_stays_lost() -> None:

@@ -56,12 +56,12 @@ def test_a_moved_keyframe_takes_along_all_that_hangs_on_it(frames: list[RgbdFram
     moved = before[-1].keyframe
     assert moved is not None
     assert moved >= 1
-    where = [estimate.remembered_in(store) for estimate in before]
+    where = [estimate.pose_in(store) for estimate in before]
     store.move([moved], [NUDGE @ store.pose(moved)])
     for estimate, T_before in zip(before, where, strict=True):
         assert T_before is not None
         T = NUDGE @ T_before if estimate.keyframe == moved else T_before
-        np.testing.assert_allclose(not_none(estimate.remembered_in(store)), T, atol=1e-9)
+        np.testing.assert_allclose(not_none(estimate.pose_in(store)), T, atol=1e-9)
     after = answers(subject, frames[12:])
     assert all(estimate.status is Status.TRACKING for estimate in after)
     # What is in view hangs on several keyframes, so the next pose lies between where they were and where one is now.

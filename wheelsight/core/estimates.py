@@ -155,7 +155,7 @@ class Estimate:
         Ad = se3.adjoint(self.T_filter_odom)
         return np.asarray(Ad @ self.covariance @ Ad.T)
 
-    def remembered_in(self, store: KeyframeStore) -> FloatArray | None:
+    def pose_in(self, store: KeyframeStore) -> FloatArray | None:
         """Return T_map_body (4, 4) by the present pose of its keyframe, for instance after a loop closure.
 
         None if the estimate refers to no keyframe.
