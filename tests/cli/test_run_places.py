@@ -56,7 +56,7 @@ def test_bad_input_is_one_line(refusal: Callable[..., str], drive: Path, tmp_pat
     assert refusal("run", drive, *BY_PLACES, tmp_path / "no", *out).startswith(f"{tmp_path / 'no'}: cannot be read")
     save_areas(AreaMap(load_areas(drive / "areas.yaml").areas[:2]), tmp_path / "two.yaml")
     said = refusal("run", drive, *BY_PLACES, model, "--areas", tmp_path / "two.yaml", *out)
-    assert said.startswith(f"{model}: the model knows an area 'lift' that is not among those given")
+    assert said.startswith(f"{model}: the model has an area 'lift' that is not among those given")
     assert "3 numbers: X,Y,YAW_DEG" in refusal("run", drive, *BY_PLACES, model, "--start", "here", *out)
     data = model.read_bytes()
     model.write_bytes(data[: len(data) // 2])

@@ -222,7 +222,7 @@ def test_models_and_areas_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     recording = area_recording(tmp_path)
     others = AreaMap((*list(AREAS)[:2], Area("cellar", np.array([[-2.0, 10], [20, 10], [20, 13], [-2, 13]]), y_m=11.0)))
     save_areas(others, tmp_path / "others.yaml")
-    with pytest.raises(PlaceError, match=r"three.places: the model knows area 'cellar' not"):
+    with pytest.raises(PlaceError, match=r"three.places: the model has no area 'cellar'"):
         run_each(recording, by_areas(tmp_path, areas=str(tmp_path / "others.yaml")), tmp_path / "out")
     with pytest.raises(AreaError, match=r"none.yaml: cannot be read"):
         run_each(recording, by_areas(tmp_path, areas=str(tmp_path / "none.yaml")), tmp_path / "out")

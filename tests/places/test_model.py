@@ -190,9 +190,9 @@ def test_other_areas_are_refused_by_name(rng):
     model.check_areas(AreaMap(tuple(Area(name, corners + [2 * i, 0], y_m=0.5) for i, name in enumerate(NAMES))))
     model.check_areas(list(NAMES))
     for names, problem in (
-        ((*NAMES, "attic"), "the model knows area 'attic' not"),
-        (NAMES[:2], "the model knows an area 'lift' that is not among those given"),
-        (NAMES[::-1], "the model knows other areas"),
+        ((*NAMES, "attic"), "the model has no area 'attic'"),
+        (NAMES[:2], "the model has an area 'lift' that is not among those given"),
+        (NAMES[::-1], "the model has other areas"),
     ):
         with pytest.raises(PlaceError, match=problem):
             model.check_areas(names)

@@ -222,14 +222,14 @@ def _decompressed(body: memoryview, lengths: list[int]) -> Iterator[bytes]:
             if length and not decompressor.eof:  # repeated requests of 0 bytes would raise an error
                 piece, given = decompressor.decompress(given, length), b""
             if len(piece) != length:
-                raise MapError("its surfels and keyframes are fewer than it says", fix=_DAMAGED)
+                raise MapError("it has fewer surfels and keyframes than stated", fix=_DAMAGED)
             yield piece
         if not decompressor.eof and decompressor.decompress(given, 1):
-            raise MapError("its surfels and keyframes are more than it says", fix=_DAMAGED)
+            raise MapError("it has more surfels and keyframes than stated", fix=_DAMAGED)
     except lzma.LZMAError as error:
         raise MapError(f"its surfels cannot be unpacked: {error}", fix=_DAMAGED) from error
     if not decompressor.eof or decompressor.unused_data:
-        raise MapError("its surfels and keyframes are more than it says", fix=_DAMAGED)
+        raise MapError("it has more surfels and keyframes than stated", fix=_DAMAGED)
 
 
 def _old_contents(header: dict[str, Any], body: memoryview) -> tuple[Surfels, FloatArray]:

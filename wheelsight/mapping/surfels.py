@@ -626,7 +626,7 @@ def checked_frame(surface: FrameSurface, far_m: float) -> tuple[Float32Array, Fl
     for name, image in (given if surface.color is None else given | {"color": color}).items():
         expected = (*depth_m.shape, 3) if name in ("normal", "color") else depth_m.shape
         if image.shape != expected:
-            raise MapError(f"{name} is of shape {image.shape}, not {expected} as depth_m asks")
+            raise MapError(f"{name} is of shape {image.shape}, not {expected} as for depth_m")
     if wrong := why_not_metres(depth_m, far_m):
         raise MapError(f"depth_m {wrong[0]}", fix=wrong[1])
     return depth_m, given["normal"], given["grey"], color

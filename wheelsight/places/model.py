@@ -426,9 +426,9 @@ class PlaceModel:
         if names == self.area_names:
             return
         odd = [name for name in (*names, *self.area_names) if (name in names) != (name in self.area_names)]
-        problem = f"knows area {odd[0]!r} not" if odd and odd[0] in names else "knows other areas"
+        problem = f"has no area {odd[0]!r}" if odd and odd[0] in names else "has other areas, or another order"
         if odd and odd[0] not in names:
-            problem = f"knows an area {odd[0]!r} that is not among those given"
+            problem = f"has an area {odd[0]!r} that is not among those given"
         raise PlaceError(f"the model {problem}", fix="train it on these areas, in this order")
 
     def save(self, path: StrPath) -> None:
@@ -568,7 +568,7 @@ def _refuse_large_arrays(archive: zipfile.ZipFile, schema: Any, sizes: dict[str,
             shape, _, kind = read(stream)
             stated = stream.tell() + math.prod(shape) * kind.itemsize
         if kind.kind not in _NUMBERS or not kind.itemsize or min(shape, default=0) < 0 or stated != sizes[name]:
-            raise PlaceError(f"holds {name}, an array that is not what it says", fix=_DISTRUST)
+            raise PlaceError(f"holds {name}, an array of another type or size than stated", fix=_DISTRUST)
 
 
 def _nodes_in(schema: Any) -> Iterator[dict[str, Any]]:

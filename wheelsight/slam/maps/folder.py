@@ -332,7 +332,7 @@ class MapFolder:
         surfel_map = load_map(path)
         if len(surfel_map.T_map_keyframe) > len(self.store):
             fix = "rebuild it: wheelsight map rebuild"
-            raise MapError("hangs on keyframes that the map does not have", path=path, fix=fix)
+            raise MapError("is attached to keyframes that the map does not have", path=path, fix=fix)
         surfel_map.attach_to(self.store)
         return surfel_map
 

@@ -536,7 +536,7 @@ HEADER_FILE = "map.json"
 DRIVE, REBUILD, MERGE, PRUNE, REMOVAL = MAKERS = ("drive", "rebuild", "merge", "prune", "removal")
 """Long operations that write or remove a map."""
 _NO_MAP = "give a folder that `wheelsight run` left as its map"
-_FILE = Kind("what a map says of itself", most_mb=1, fix=_NO_MAP, missing="is no map: map.json is missing")
+_FILE = Kind("the header of a map", most_mb=1, fix=_NO_MAP, missing="is no map: map.json is missing")
 # Largest difference of focal lengths, and of the principal point relative to the image size, between cameras that count
 # as the same. Estimated: two calibrations of one Kinect differ by 1 %.
 _CAMERA_SHARE = 0.02

@@ -341,5 +341,5 @@ def _inflated(data: bytes, expected: int) -> bytes:
     except zlib.error as error:
         raise MapError("its keypoints cannot be read", fix=_DAMAGED) from error
     if len(flat) != expected:
-        raise MapError("its keypoints are of another number than it says", fix=_DAMAGED)
+        raise MapError("it has another number of keypoints than stated", fix=_DAMAGED)
     return flat
