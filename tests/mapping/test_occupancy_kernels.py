@@ -14,7 +14,7 @@ from wheelsight.mapping import occupancy_kernels as kernels
 
 SIDE, CHANNELS, CELL_M = 60, 12, 0.1
 BANDS = kernels.Bands(CELL_M, 0.05, 0.1, 0.015, 0.1, 1.05, 2.0, 5.0, 0.15, 0.5)
-NO_NOISE = kernels.RayNoise(0.0, 0.0, 0.0)
+NO_NOISE = kernels.OccupancyNoise(0.0, 0.0, 0.0)
 STEPS = kernels.Steps(28, -14, -64, 112)
 MIDDLE = SIDE / 2 + 0.37
 
@@ -75,7 +75,7 @@ def _is_inside(cell: tuple[int, ...], begin: np.ndarray, end: np.ndarray, until:
 def test_compiled_and_plain_kernels_say_the_same(rng: np.random.Generator, height_m: float) -> None:
     depth_m = rng.uniform(0.3, 4.0, (18, 24))
     depth_m[rng.random(depth_m.shape) < 0.1] = 0
-    noise = kernels.RayNoise(0.001, 0.0014, 3.0)
+    noise = kernels.OccupancyNoise(0.001, 0.0014, 3.0)
     results: list[Any] = []
     for module in (kernels, plain(kernels)):
         found, table = window(), np.zeros((SIDE + 5, SIDE + 3, CHANNELS), np.int8)

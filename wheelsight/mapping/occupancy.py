@@ -211,7 +211,7 @@ class OccupancyMapper:
         self._steps = kernels.Steps(*map(_log_odds, (_HIT, _PASSED, _LEAST, _MOST)))
         bands = s.resolution_m, s.floor_m, s.drop_m, _TILT_RAD, _LAYER_M, s.height_m, s.overhang_m, s.far_m
         self._bands = kernels.Bands(*map(float, (*bands, _BRIDGED_M, _HIDDEN_M)))
-        self._errs = kernels.RayNoise(n.constant_m, n.quadratic_per_m, _MARGIN_SIGMAS)
+        self._errs = kernels.OccupancyNoise(n.constant_m, n.quadratic_per_m, _MARGIN_SIGMAS)
         self._reach = math.ceil(s.far_m / s.resolution_m) + 1
         self._window = _window(2 * self._reach + 1, self._channels)
         self._low: IntArray  # row and column of cell (0, 0), relative to the map's origin

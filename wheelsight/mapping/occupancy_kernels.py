@@ -41,7 +41,7 @@ class Bands(NamedTuple):
     hidden_m: float
 
 
-class RayNoise(NamedTuple):
+class OccupancyNoise(NamedTuple):
     """Standard deviation of a depth z, constant_m + quadratic_per_m · z², and the number of them that a ray leaves."""
 
     constant_m: float
@@ -76,7 +76,7 @@ class Steps(NamedTuple):
 
 
 @kernel(error_model="numpy")
-def trace(rays: DepthRays, M: Any, bands: Bands, noise: RayNoise, window: Window) -> None:
+def trace(rays: DepthRays, M: Any, bands: Bands, noise: OccupancyNoise, window: Window) -> None:
     """Mark the observations of one keyframe in a window.
 
     Args:
