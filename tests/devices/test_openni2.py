@@ -92,7 +92,7 @@ def test_a_file_plays_once_at_its_own_rate_as_it_was_recorded(recorded: Path) ->
         assert camera.report().device_drops == numbers[-1] - numbers[0] + 1 - len(numbers)
         assert camera.name == "oni File dummy.oni"
         assert camera.calibration.is_registered
-        assert any("does not tell whether its depth is registered" in warning for warning in camera.warnings)
+        assert any("does not state whether its depth is registered" in warning for warning in camera.warnings)
 
 
 @needs_openni2
