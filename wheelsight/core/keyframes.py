@@ -157,7 +157,7 @@ class KeyframeStore(OneCaller):
     @property
     def T_map_keyframe(self) -> FloatArray:
         """Poses (N, 4, 4) of all keyframes, by number; read only."""
-        view = self._T_map_keyframe[: len(self)]
+        view = self._T_map_keyframe[: len(self._keyframes)]
         view.setflags(write=False)
         return view
 
@@ -271,7 +271,7 @@ class KeyframeStore(OneCaller):
 
     def _check(self, numbers: Sequence[KeyframeId]) -> None:
         for number in numbers:
-            if not 0 <= number < len(self):
+            if not 0 <= number < len(self._keyframes):
                 raise ArgumentError(f"there is no keyframe {number}", fix=f"numbers go from 0 to {len(self) - 1}")
 
 

@@ -124,7 +124,7 @@ class ErrorStateFilter:
         self._reading_stamps_s: deque[float] = deque(maxlen=self.parameters.rate_readings)
         # The state of the last prediction, and that prediction: the predicted frame usually follows.
         self._moved: tuple[FusionState, FusionState] | None = None
-        self._current: _Current | None = None
+        self.current: CurrentPose | None = None
 
     @property
     def state(self) -> FusionState:
@@ -342,7 +342,9 @@ class ErrorStateFilter:
 
         The time of the pose is when the image with that stamp was taken, by the estimated delay of stamps.
         """
-        belief = self._now().belief
+        if self.current is None:
+            return None
+        belief = self.current.belief
         place = belief.place_of(name)
         return belief.T[place].copy() if place else None
 
@@ -351,13 +353,6 @@ class ErrorStateFilter:
         """Estimate after the newest event."""
         newest = self._history.newest
         return self._answer(newest.reason, newest.detection.nis)
-
-    def _now(self) -> _Current:
-        """Return the belief and the pose after the newest event."""
-        current, newest = self._current, self._history.newest
-        if current is None or current.state is not newest:
-            self._current = current = _Current.of(newest, self.parameters)
-        return current
 
     def expect(self, stamp_s: float, name: str) -> tuple[FloatArray, FloatArray] | None:
         """Return the predicted T_reference_current (4, 4) of the camera, and its covariance (6, 6).
@@ -398,6 +393,7 @@ class ErrorStateFilter:
         state = self._history.take(event)
         if state is None:
             return self._refused(Reason.TOO_LATE)
+        self.current = CurrentPose.of(self._history.newest, self.parameters)
         counts = (0, 0) if motion is None else (motion.matches, motion.inliers)
         return self._answer(reason or state.reason, state.detection.nis, counts)
 
@@ -408,24 +404,23 @@ class ErrorStateFilter:
         self, reason: Reason | None, nis: tuple[float, int] | None, counts: tuple[int, int] = (0, 0)
     ) -> FusedEstimate:
         """Return the estimate after the newest event, with reason, NIS and counts of the current one."""
-        state = self._history.newest
-        if state.stamp_s is None:
+        now = self.current
+        if now is None:
             return FusedEstimate(-np.inf, Status.INITIALIZING, reason=reason, body="base")
-        now = self._now()
         if now.status is Status.LOST:
-            return FusedEstimate(state.stamp_s, Status.LOST, None, None, reason, "base", *counts, *now.flags, nis=nis)
+            return FusedEstimate(now.stamp_s, Status.LOST, None, None, reason, "base", *counts, *now.flags, nis=nis)
         pose = (now.T, now.covariance, reason, "base", *counts)
         errors = now.belief.rest[ERRORS].copy()
-        return FusedEstimate(state.stamp_s, now.status, *pose, *now.flags, *now.twist, nis=nis, wheel_errors=errors)
+        return FusedEstimate(now.stamp_s, now.status, *pose, *now.flags, *now.twist, nis=nis, wheel_errors=errors)
 
 
-class _Current(NamedTuple):
+class CurrentPose(NamedTuple):
     """Parts of the estimate after a state: pose (4, 4), covariance (6, 6), twist with its covariance, and flags.
 
     The pose is that of `belief`, which covers all hypotheses. The flags are slip, degenerate and doubtful.
     """
 
-    state: FusionState
+    stamp_s: float
     belief: PoseBelief
     status: Status
     T: FloatArray
@@ -434,7 +429,8 @@ class _Current(NamedTuple):
     flags: tuple[bool, bool, bool]
 
     @classmethod
-    def of(cls, state: FusionState, settings: FilterParameters) -> _Current:
+    def of(cls, state: FusionState, settings: FilterParameters) -> CurrentPose:
+        """Return those of a state."""
         detection, s = state.detection, settings
         belief = detection.primary if detection.alternative is None else detection.answer(s)
         T, C, *moving = answered(belief.T, belief.rest, belief.covariance, s.clock_sigma_s)
@@ -451,7 +447,7 @@ class _Current(NamedTuple):
             status = status if (of_rotation < most_rad2).all() and (of_position < most_m2).all() else Status.LOST
         status = Status.LOST if state.is_lost else status
         flags = (slips, state.is_degenerate, detection.fault is Fault.UNDECIDED)
-        return cls(state, belief, status, T, C, (moving[0], moving[1]), flags)
+        return cls(stamp_s, belief, status, T, C, (moving[0], moving[1]), flags)
 
 
 def _diverged(before: FusionState, event: FilterEvent, settings: FilterParameters) -> FusionState:
@@ -624,8 +620,9 @@ def _update_relative(
         return changed(state, reason=Reason.UNKNOWN_REFERENCE)
     is_degenerate = len(measurement.covariance) < 6
     detection, reason = faults.updated(state.detection, stamp_s, measurement, settings)
-    now = changed(state, detection=detection, reason=reason, is_degenerate=is_degenerate, measured_s=stamp_s)
-    return now if reason is not None else changed(now, vision_s=stamp_s, is_lost=False)
+    accepted = {} if reason is not None else {"vision_s": stamp_s, "is_lost": False}
+    found = {"detection": detection, "reason": reason, "is_degenerate": is_degenerate, "measured_s": stamp_s}
+    return changed(state, **found, **accepted)
 
 
 def _update_position(

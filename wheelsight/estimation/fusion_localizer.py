@@ -599,17 +599,17 @@ class FusedOdom:
 
     def frame_at(self, T_filter_body: FloatArray, fusion: ErrorStateFilter, event: Event | None) -> OdomFrame:
         """Return the frame of an estimate (4, 4) after an event; None for one with an invalid stamp."""
-        own, frame = fusion.estimate, self._frame
-        T_own, stamp_s = own.T_odom_body, own.stamp_s
-        if T_own is None:
+        own, frame = fusion.current, self._frame
+        if own is None or own.status is Status.LOST:
             return self.answered
+        T_own, stamp_s = own.T, own.stamp_s
         known = fusion.remembered(STEP_BEGIN)
         if self._begin is not None and known is not None and self._begin[2] is fusion:
             if (self._begin[1] != known).any():
                 frame.lay(known, motions.times(frame.T_odom_filter, self._begin[1]))
             self._begin = self._begin[0], known, fusion
-        elif self._last is not None and own.twist is not None:  # another filter continues at the last twist
-            vx, vy, turn = own.twist * max(stamp_s - self._last[0], 0.0)
+        elif self._last is not None:  # another filter continues at the last twist
+            vx, vy, turn = own.twist[0] * max(stamp_s - self._last[0], 0.0)
             T_before_now = motions.exp(np.array([vx, vy, 0.0, 0.0, 0.0, turn]))
             frame.lay(T_own, motions.times(self._last[1], T_before_now))
         T_odom_body = motions.times(frame.T_odom_filter, T_own)

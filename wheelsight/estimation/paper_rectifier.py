@@ -126,9 +126,11 @@ def rectify_drive(
     odometry: FloatArray, of_areas: FloatArray, weights: Weights, odometry_term: OdometryTerm = "increment"
 ) -> FloatArray:
     """Return x, y (N, 2) by eq. 5 along a drive, from the wheels (N, 2) and the areas (N, 2), NaN for none."""
-    both = (weights.with_area.as_array(), weights.without_area.as_array(), odometry_term == "increment")
-    along = [(np.ascontiguousarray(odometry[:, k], float), of_areas[:, k].copy()) for k in range(2)]
-    axes = [kernels.rectify(*axis, *both) for axis in along]
+    known, unknown = weights.with_area.as_array(), weights.without_area.as_array()
+    axes = [
+        kernels.rectify(np.ascontiguousarray(wheels, float), area.copy(), known, unknown, odometry_term == "increment")
+        for wheels, area in zip(odometry.T, of_areas.T, strict=True)
+    ]
     return np.stack(axes, axis=1)
 
 
