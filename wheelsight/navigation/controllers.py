@@ -515,17 +515,10 @@ class PathFollower:
             return self._stand(ControlReason.INVALID)
         if not state.is_finite or not np.isfinite(people).all():
             return self._stand(ControlReason.INVALID)
-        if not self._take(plan, state):
-            return self._stand(ControlReason.NO_PATH)
-        self._allow(state, field)
-        return self._follow(state, field, np.ascontiguousarray(people))
-
-    def _take(self, plan: DrivenPath, state: MotionState) -> bool:
-        """Split a new plan into segments; return whether it can be driven."""
         poses = np.asarray(plan.poses, float)
         if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses) or not np.isfinite(poses).all():
             self._poses = None
-            return False
+            return self._stand(ControlReason.NO_PATH)
         if self._poses is None or not np.array_equal(poses, self._poses):
             self._poses = poses.copy()
             self._segments = cut(poses)
@@ -534,7 +527,8 @@ class PathFollower:
             points = self._segments[0].points if self._segments else np.empty((0, 5))
             points = points[points[:, 4] <= _FIRST_LOOK_M]
             self._point = int(np.hypot(*(points[:, :2] - state.pose[:2]).T).argmin()) if len(points) else 0
-        return True
+        self._allow(state, field)
+        return self._follow(state, field, np.ascontiguousarray(people))
 
     def _allow(self, state: MotionState, field: CostField) -> None:
         """Set the least distance to obstacles for this plan. It is below the margin only if the plan begins so.

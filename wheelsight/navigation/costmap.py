@@ -519,7 +519,17 @@ class GrowingFloor:
         if pose is not None and has_moved:
             self._stood.append(pose)
             self._reach(pose[None, :2])
-        self._look(now_s)
+        store = self._localization.keyframes
+        known = self._count, self._store_revision
+        if store is not None and not self._worker.is_asked and (len(store), store.revision) != known:
+            self._count, self._store_revision, self._asked_s = len(store), store.revision, now_s
+
+            def made() -> SeenFloor:
+                self._mapper.update(store, _LEAST_SHIFT_M)
+                grid = self._mapper.grid()
+                return SeenFloor(grid, StaticLayer.of(grid))
+
+            self._worker.ask(made, now_s)
         seen = self._worker.answer(now_s)
         if seen is not None:
             self.grid, self._seen = seen.grid, seen.layer
@@ -535,22 +545,6 @@ class GrowingFloor:
     def is_silent(self, now_s: float) -> bool:
         """Return whether the worker hangs."""
         return self._worker.is_asked and now_s - self._asked_s > FLOOR_SILENT_S
-
-    def _look(self, now_s: float) -> None:
-        """Request a new grid if keyframes changed and none is requested."""
-        store = self._localization.keyframes
-        if store is None or self._worker.is_asked:
-            return
-        if len(store) == self._count and store.revision == self._store_revision:
-            return
-        self._count, self._store_revision, self._asked_s = len(store), store.revision, now_s
-
-        def made() -> SeenFloor:
-            self._mapper.update(store, _LEAST_SHIFT_M)
-            grid = self._mapper.grid()
-            return SeenFloor(grid, StaticLayer.of(grid))
-
-        self._worker.ask(made, now_s)
 
     def _reach(self, places: FloatArray) -> None:
         """Extend the bounds to include places (N, 2)."""

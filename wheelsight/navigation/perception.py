@@ -23,12 +23,12 @@ from wheelsight.core.errors import ArgumentError, MapError
 from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, IntArray, PinholeCamera, chi_square, se2
 from wheelsight.core.geometry.se2 import wrap_angle
 from wheelsight.mapping.occupancy import camera_over_floor
+from wheelsight.mapping.occupancy_kernels import RayNoise
 from wheelsight.navigation.costmap import LiveObstacles
 from wheelsight.navigation.costmap_kernels import (
     ClearingRules,
     DepthPixels,
     LayerHeights,
-    RayNoise,
     Rays,
     ViewContent,
     ViewHeights,
@@ -161,7 +161,14 @@ class DepthViewer:
         where = np.ascontiguousarray(T_base_camera[:3, 3])
         self.camera: tuple[float, float] = (float(where[0]), float(where[1]))
         self._rays = Rays(np.ascontiguousarray(ways, np.float32), columns, where)
-        self._near_m = _near_floor_m(ways, columns, float(where[2]))
+        # The distance from the camera to the nearest floor that is visible at all bearings.
+        down, along = np.where(columns >= 0, -ways[..., 2], 0), np.hypot(ways[..., 0], ways[..., 1])
+        with np.errstate(divide="ignore"):
+            way_m = np.where(down > 0, along * float(where[2]) / np.maximum(down, 1e-9), np.inf)
+        near_m = np.array([way_m[columns == number].min(initial=np.inf) for number in range(int(columns.max()) + 1)])
+        if not np.isfinite(near_m).all():
+            raise MapError("the camera sees no floor", fix="check T_base_camera in the calibration, or tilt the camera")
+        self._near_m = float(near_m.max())
         self.near_m = self._near_m + float(np.hypot(*where[:2]))
 
     def view(self, depth_m: ArrayLike, stamp_s: float) -> DepthView:
@@ -193,7 +200,13 @@ class DepthViewer:
         points, tops_m = np.asarray(points[is_other]), np.asarray(dilated_m[is_thing], float)
         thing_m = np.full(self._count, np.inf)
         reach(depth, self._rays, self._heights, shown, is_thing, thing_m)
-        floor_m = _floor_until_m(shown.floor, self._near_m)
+        # Where floor that begins at the nearest visible distance ends; 0 if it begins farther away.
+        begin = self._near_m / _VIEW_BIN_M
+        last, is_on = np.full(len(floor), begin), np.ones(len(floor), bool)
+        for at, is_seen in enumerate(floor.T.astype(bool)):
+            is_on &= ~is_seen | (at - last <= max(round(_VIEW_GAP_M / _VIEW_BIN_M), 1))
+            last = np.where(is_seen & is_on, np.maximum(last, at + 1.0), last)
+        floor_m = np.where(last > begin, last * _VIEW_BIN_M, 0.0)
         # Each bearing sees along floor without long gaps, or to an obstacle on the last visible floor, or nearer.
         reached = thing_m <= np.maximum(floor_m, self._near_m) + _VIEW_GAP_M
         seen_m = np.where(shown.measured >= _VIEW_PIXELS, np.where(reached, thing_m, np.minimum(floor_m, far_m)), 0.0)
@@ -214,28 +227,6 @@ def _bearings(ways: FloatArray, count: int) -> tuple[float, float, IntArray]:
     number = np.floor((bearing - first) / step)
     number[(number < 0) | (number >= count)] = -1
     return first + middle, step, number.astype(np.int16)
-
-
-def _near_floor_m(ways: FloatArray, columns: IntArray, height_m: float) -> float:
-    """Return the distance from the camera to the nearest floor that is visible at all bearings."""
-    down = np.where(columns >= 0, -ways[..., 2], 0)
-    along = np.hypot(ways[..., 0], ways[..., 1])
-    with np.errstate(divide="ignore"):
-        way_m = np.where(down > 0, along * height_m / np.maximum(down, 1e-9), np.inf)
-    near_m = np.array([way_m[columns == number].min(initial=np.inf) for number in range(int(columns.max()) + 1)])
-    if not np.isfinite(near_m).all():
-        raise MapError("the camera sees no floor", fix="check T_base_camera in the calibration, or tilt the camera")
-    return float(near_m.max())
-
-
-def _floor_until_m(floor: IntArray, near_m: float) -> FloatArray:
-    """Return (columns,) where floor that begins at the nearest visible distance ends; 0 if it begins farther away."""
-    begin = near_m / _VIEW_BIN_M
-    last, is_on = np.full(len(floor), begin), np.ones(len(floor), bool)
-    for at, is_seen in enumerate(floor.T.astype(bool)):
-        is_on &= ~is_seen | (at - last <= max(round(_VIEW_GAP_M / _VIEW_BIN_M), 1))
-        last = np.where(is_seen & is_on, np.maximum(last, at + 1.0), last)
-    return np.where(last > begin, last * _VIEW_BIN_M, 0.0)
 
 
 # Side of the square around the robot, farther than the camera sees, and of a cell, as Nav2's maps have it; metres.
@@ -620,8 +611,17 @@ def detections_in(view: DepthView, is_on_floor: BoolArray, far_m: float) -> list
         for which in (number == at for at in range(int(number.max()) + 1))
         if which.sum() >= _LEAST_POINTS and seen.is_whole(which, far_m)
     ]
-    camera = np.array(view.camera)
-    detections = [_detection(view.points[which] - camera, camera) for which in whole]
+    camera, detections = np.array(view.camera), []
+    for which in whole:
+        points = view.points[which] - camera
+        at = points.mean(axis=0)
+        range_m = float(np.hypot(*at))
+        along = at / max(range_m, 1e-6)
+        across = np.array([-along[1], along[0]])
+        # The centroid of a half circle's line is 2 / π of the radius in front of the circle's centre.
+        middle = camera + at + 2 / np.pi * _BODY_M * along
+        off = SIGMA_M**2 * np.eye(2) + (_SIGMA_RAD * range_m) ** 2 * np.outer(across, across)
+        detections.append(Detection(middle, off, max(_BODY_M, float(np.ptp(points @ across)) / 2)))
     return [detection for detection in detections if 2 * detection.radius_m <= _WIDEST_M]
 
 
@@ -647,19 +647,6 @@ class _Seen:
             return False
         near = ~which & (self.range_m < self.range_m[which].min())
         return not (near & (self.column >= low - _BESIDE) & (self.column <= high + _BESIDE)).any()
-
-
-def _detection(points: FloatArray, camera: FloatArray) -> Detection:
-    """Return the object of points (N, 2) relative to the camera."""
-    seen = points.mean(axis=0)
-    range_m = float(np.hypot(*seen))
-    along = seen / max(range_m, 1e-6)
-    across = np.array([-along[1], along[0]])
-    # The centroid of a half circle's line is 2 / π of the radius in front of the circle's centre.
-    middle = camera + seen + 2 / np.pi * _BODY_M * along
-    side = points @ across
-    off = SIGMA_M**2 * np.eye(2) + (_SIGMA_RAD * range_m) ** 2 * np.outer(across, across)
-    return Detection(middle, off, max(_BODY_M, float(np.ptp(side)) / 2))
 
 
 # Observation matrix: positions.

@@ -375,26 +375,16 @@ def sides_of(footprint: Footprint) -> FloatArray:
     return np.ascontiguousarray(np.concatenate([footprint.corners, ways / lengths, lengths], axis=1))
 
 
-def outline_of(footprint: Footprint) -> Outline:
-    """Return the footprint as kernels use it."""
-    corners, sides = footprint.corners, sides_of(footprint)
-    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
-    radius = float(np.linalg.norm(corners - middle, axis=1).max())
-    return Outline(sides, _cover(footprint, sides), (float(middle[0]), float(middle[1]), radius))
-
-
 def _inside_m(sides: FloatArray, at: FloatArray) -> FloatArray:
     """Return (...,) distances of points (..., 2) to the nearest side; negative outside."""
     apart = at[..., None, :] - sides[:, :2]
     return np.asarray((sides[:, 2] * apart[..., 1] - sides[:, 3] * apart[..., 0]).min(axis=-1))
 
 
-def _cover(footprint: Footprint, sides: FloatArray) -> FloatArray:
-    """Return discs (K, 3) that cover an outline, and exceed it by less than `OVERHANG_M`.
-
-    A greedy choice: each disc covers the most points that are left.
-    """
-    low, high = footprint.corners.min(axis=0), footprint.corners.max(axis=0)
+def outline_of(footprint: Footprint) -> Outline:
+    """Return the footprint as kernels use it, with discs that cover it, and exceed it by less than `OVERHANG_M`."""
+    corners, sides = footprint.corners, sides_of(footprint)
+    low, high = corners.min(axis=0), corners.max(axis=0)
     counts = np.maximum(np.ceil((high - low) / _COVER_STEP_M).astype(int) + 1, 2)
     axes = (np.linspace(*ends) for ends in zip(low, high, counts, strict=True))
     inside = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
@@ -407,8 +397,12 @@ def _cover(footprint: Footprint, sides: FloatArray) -> FloatArray:
     radii = np.maximum(_inside_m(sides, points), 0) + OVERHANG_M
     # Other points of the outline lie up to half a diagonal of the grid away.
     held = cdist(points, points) <= radii[:, None] - _COVER_STEP_M * np.sqrt(0.5)
+    # A greedy choice: each disc covers the most points that are left.
     chosen = []
     while held.shape[1]:
         chosen.append(int(held.sum(axis=1).argmax()))
         held = held[:, ~held[chosen[-1]]]
-    return np.concatenate([points[chosen], radii[chosen, None]], axis=1)
+    middle = (low + high) / 2
+    radius = float(np.linalg.norm(corners - middle, axis=1).max())
+    discs = np.concatenate([points[chosen], radii[chosen, None]], axis=1)
+    return Outline(sides, discs, (float(middle[0]), float(middle[1]), radius))
