@@ -147,28 +147,22 @@ def read_rows(path: StrPath) -> tuple[BatchRow, ...]:
     try:
         if not {*_HEAD} <= {*(reader.fieldnames or ())}:
             raise ConfigError("is no table of a batch", path=path, fix=_FILE.fix)
-        return tuple(_read(path, reader))
+        rows = []
+        for cells in reader:
+            figures = {}
+            for name in (figure.name for figure in FIGURES):
+                values = [float(cell) for of in Spread._fields if (cell := cells.get(f"{name}_{of}"))]
+                if not all(abs(value) < _LARGEST for value in values):
+                    raise ValueError(name)
+                if len(values) == len(Spread._fields):
+                    figures[name] = Spread(*values)
+            own = (cells["recording"], cells["config"], cells["odometry"], int(cells["seeds"]), cells["status"])
+            rows.append(BatchRow(*own, cells["problem"], figures))
     except csv.Error as error:
         raise ConfigError("is no table of a batch", path=path, fix=_FILE.fix) from error
-
-
-def _read(path: Path, reader: csv.DictReader[str]) -> Iterator[BatchRow]:
-    for cells in reader:
-        try:
-            figures = {figure.name: _spread_in(cells, figure.name) for figure in FIGURES}
-            known = {name: spread for name, spread in figures.items() if spread is not None}
-            own = (cells["recording"], cells["config"], cells["odometry"], int(cells["seeds"]), cells["status"])
-            yield BatchRow(*own, cells["problem"], known)
-        except (TypeError, ValueError) as error:
-            raise ConfigError("holds no numbers where they should be", path=path, line=reader.line_num) from error
-
-
-def _spread_in(cells: Mapping[str, str], name: str) -> Spread | None:
-    values = [cells.get(f"{name}_{of}") or None for of in Spread._fields]
-    known = [float(value) for value in values if value is not None]
-    if not all(abs(value) < _LARGEST for value in known):
-        raise ValueError(name)
-    return Spread(*known) if len(known) == len(values) else None
+    except (TypeError, ValueError) as error:
+        raise ConfigError("holds no numbers where they should be", path=path, line=reader.line_num) from error
+    return tuple(rows)
 
 
 # Comparison with a baseline

@@ -14,7 +14,7 @@ from wheelsight.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from wheelsight.core.geometry import FloatArray
-    from wheelsight.mapping import NamedPoses, OccupancyGrid, SurfelMap
+    from wheelsight.mapping import NamedPoses, OccupancyGrid
     from wheelsight.slam.maps import MapFolder, MapInfo
 
 
@@ -186,23 +186,31 @@ class Exports:
 
 def write_exports(folder: MapFolder, wanted: Exports, force: bool) -> None:
     """Write a map for other programs: all files, or none if one cannot be written."""
+    from wheelsight.app.cli.compiling import compile_missing
+    from wheelsight.app.cli.console import print_note
+    from wheelsight.app.cli.progress import FrameProgress
+    from wheelsight.io.ros_map import write_ros_map
+    from wheelsight.mapping import write_ply
+    from wheelsight.slam.maps import fuse_keyframes
+
     _check(wanted, force)
     if wanted.points is not None:
-        from wheelsight.mapping import write_ply
-
-        count = write_ply(folder.surfels() or _fused(folder), wanted.points, stable_only=not wanted.everything)
+        surfels = folder.surfels()
+        if not surfels:
+            print_note("the map has no surfels; they are fused of its keyframes")
+            compile_missing(["dense"])
+            with FrameProgress("fusing", None, unit="keyframes") as progress:
+                surfels = fuse_keyframes(folder, on_keyframe=progress.reach)
+        count = write_ply(surfels, wanted.points, stable_only=not wanted.everything)
         typer.echo(f"{count:,} points, {wanted.points.stat().st_size / _MB:.1f} MB: {wanted.points}")
     if wanted.occupancy is None and wanted.picture is None:
         return
     grid = grid_of(folder, wanted.resolution_m)
     if wanted.occupancy is not None:
-        from wheelsight.io.ros_map import write_ros_map
-
         about, image = write_ros_map(grid.to_ros(), wanted.occupancy)
         rows, columns = grid.kind.shape
-        size = (
-            f"{columns * grid.resolution_m:.1f} × {rows * grid.resolution_m:.1f} m in cells of {grid.resolution_m:g} m"
-        )
+        cell_m = grid.resolution_m
+        size = f"{columns * cell_m:.1f} × {rows * cell_m:.1f} m in cells of {cell_m:g} m"
         typer.echo(f"{size}, {grid.free_m2():.1f} m² free: {about}, {image.name}")
     if wanted.picture is not None:
         write_picture(grid, folder, wanted.picture)
@@ -246,18 +254,6 @@ def grid_of(folder: MapFolder, resolution_m: float | None = None) -> OccupancyGr
     mapper = OccupancyMapper(folder.calibration, settings)
     with FrameProgress("occupancy", None, unit="keyframes") as progress:
         return occupancy_of(folder, settings, progress.reach, mapper)
-
-
-def _fused(folder: MapFolder) -> SurfelMap:
-    from wheelsight.app.cli.compiling import compile_missing
-    from wheelsight.app.cli.console import print_note
-    from wheelsight.app.cli.progress import FrameProgress
-    from wheelsight.slam.maps import fuse_keyframes
-
-    print_note("the map has no surfels; they are fused of its keyframes")
-    compile_missing(["dense"])
-    with FrameProgress("fusing", None, unit="keyframes") as progress:
-        return fuse_keyframes(folder, on_keyframe=progress.reach)
 
 
 # The picture of a map

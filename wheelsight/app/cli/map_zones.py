@@ -23,7 +23,7 @@ def change_zones(source: Path, asked: AskedZone) -> None:
     from wheelsight.app.cli.compiling import compile_missing
     from wheelsight.app.cli.console import print_warning
     from wheelsight.app.cli.progress import FrameProgress
-    from wheelsight.mapping import EditKind
+    from wheelsight.mapping import EditKind, MapEdits
     from wheelsight.slam.maps import MapFolder, find_map, save_occupancy
     from wheelsight.slam.maps.contents import current_edits
     from wheelsight.slam.maps.folder import OCCUPANCY_FILE
@@ -32,7 +32,15 @@ def change_zones(source: Path, asked: AskedZone) -> None:
     folder = MapFolder.open(find_map(source), read_only=False)
     try:
         known = current_edits(folder)
-        changed = _added(folder, known, drawn) if asked.forget is None else [_forgotten(folder, known, asked.forget)]
+        if asked.forget is None:
+            changed = _added(folder, known, drawn)
+        elif 0 < asked.forget <= len(known):
+            changed = [known.edits[asked.forget - 1]]
+            folder.save_edits(MapEdits(tuple(edit for edit in known.edits if edit is not changed[0])))
+            typer.echo(f"forgotten: {_what(changed[0])}")
+        else:
+            fix = f"1 to {len(known)}; wheelsight map zone MAP lists them" if len(known) else "the map has no zones"
+            raise ConfigError(f"--forget is {asked.forget}", fix=fix)
         # An exported occupancy map changes with it: other programs must know a new zone, too.
         path = folder.path / OCCUPANCY_FILE
         if path.is_file() and {edit.kind for edit in changed} & {EditKind.KEEP_OUT, EditKind.WIPED}:
@@ -62,7 +70,7 @@ def _added(folder: MapFolder, known: MapEdits, drawn: Sequence[MapEdit]) -> Sequ
 
         size_m2 = float(shapely.Polygon(edit.polygon).area)
         typer.echo(f"{number}: {_what(edit)}: {size_m2:.2f} m², moves with {on}")
-        _warn_where_nobody_saw(_what(edit), edit.polygon, folder.store.T_map_keyframe[sure])
+        _warn_beyond_seen_floor(_what(edit), edit.polygon, folder.store.T_map_keyframe[sure])
         if edit.name in poses:
             from wheelsight.app.cli.console import print_warning
 
@@ -73,19 +81,7 @@ def _added(folder: MapFolder, known: MapEdits, drawn: Sequence[MapEdit]) -> Sequ
     return hung
 
 
-def _forgotten(folder: MapFolder, known: MapEdits, number: int) -> MapEdit:
-    from wheelsight.mapping import MapEdits
-
-    if not 0 < number <= len(known):
-        fix = f"1 to {len(known)}; wheelsight map zone MAP lists them" if len(known) else "the map has no zones"
-        raise ConfigError(f"--forget is {number}", fix=fix)
-    gone = known.edits[number - 1]
-    folder.save_edits(MapEdits(tuple(edit for edit in known.edits if edit is not gone)))
-    typer.echo(f"forgotten: {_what(gone)}")
-    return gone
-
-
-def _warn_where_nobody_saw(what: str, polygon: FloatArray, T_map_keyframe: FloatArray) -> None:
+def _warn_beyond_seen_floor(what: str, polygon: FloatArray, T_map_keyframe: FloatArray) -> None:
     """Warn of a polygon beyond the seen floor: probably mistyped, or in another frame."""
     import shapely
 

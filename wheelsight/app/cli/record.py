@@ -142,32 +142,29 @@ def opened_recording(
     """
     from wheelsight.app.cli.wheels import note_status
     from wheelsight.core.files import new_output_folder
+    from wheelsight.core.settings import LiveCameraSettings, RecorderSettings
     from wheelsight.io.devices import WheelLink, host_clock
     from wheelsight.io.devices.recorder import LiveRecorder, RecordingSession
     from wheelsight.io.recordings import RecordingWriter
-    from wheelsight.io.recordings.images import ColorFormat
 
-    if asked.camera is None and asked.wheels is None:
-        raise ConfigError("there is nothing to record", fix="--camera NAME, --wheels PORT, or both")
-    if color not in get_args(ColorFormat):
-        raise ConfigError(f"--color is {color!r}", fix=f"one of {', '.join(get_args(ColorFormat))}")
-    if force and resume:
-        raise ConfigError("--force starts over and --resume does not", fix="one of them")
-    if asked.infrared and asked.camera is None:
-        raise ConfigError("--infrared is of a camera", fix="add --camera NAME")
-    if asked.topics and not (asked.camera or "").startswith("recording:"):
-        raise ConfigError("--topic is of a bag", fix="--camera recording:BAG, or leave it out")
-    of_camera, of_recorder = _settings(asked)
+    _check(asked, color, force=force, resume=resume)
+    of_camera, of_recorder = LiveCameraSettings(), RecorderSettings()
+    if asked.config is not None:
+        from wheelsight.config import load_config  # takes seconds, which a robot that stands ready need not wait
+
+        config = load_config(asked.config)
+        of_camera, of_recorder = config.camera, config.recorder
+    infrared, topics = of_camera.infrared or asked.infrared, asked.topics or of_camera.topics
+    of_camera = of_camera.model_copy(update={"infrared": infrared, "topics": topics})
     bag = out if isinstance(out, BagPlace) else None
     folder = out.path.parent if isinstance(out, BagPlace) else out
     if bag is not None:
         bag.check(has_infrared=asked.infrared, force=force, resume=resume)
         of_recorder = bag.settings(of_recorder)
-    known = _known(asked, folder, resume)
     with ExitStack() as opened:
         # refused before a device is touched
         opened.enter_context(new_output_folder(folder, force or resume or bag is not None))
-        camera, calibration = _camera(asked, of_camera, known, opened)
+        camera, calibration = _camera(asked, of_camera, folder if resume else None, opened)
         link = None
         if asked.wheels is not None:
             link = opened.enter_context(WheelLink(asked.wheels, asked.baud, note_status(asked.wheels)))
@@ -186,24 +183,34 @@ def opened_recording(
         yield RecordingSession(recorder, folder, camera, link, note)
 
 
-def _known(asked: SensorOptions, out: Path, resume: bool) -> Calibration | None:
-    """Calibration of the resumed recording, which overrides the camera's. Raises CalibrationError, ConfigError."""
-    from wheelsight.io.recordings.native import resumed_calibration
+def _check(asked: SensorOptions, color: str, *, force: bool, resume: bool) -> None:
+    from wheelsight.io.recordings.images import ColorFormat
 
-    calibration = resumed_calibration(out) if resume else None
-    if calibration is not None and asked.calibration:
-        raise ConfigError("--resume goes by the recording's own calibration", fix="leave out --calibration")
-    return calibration
+    if asked.camera is None and asked.wheels is None:
+        raise ConfigError("there is nothing to record", fix="--camera NAME, --wheels PORT, or both")
+    if color not in get_args(ColorFormat):
+        raise ConfigError(f"--color is {color!r}", fix=f"one of {', '.join(get_args(ColorFormat))}")
+    if force and resume:
+        raise ConfigError("--force starts over and --resume does not", fix="one of them")
+    if asked.infrared and asked.camera is None:
+        raise ConfigError("--infrared is of a camera", fix="add --camera NAME")
+    if asked.topics and not (asked.camera or "").startswith("recording:"):
+        raise ConfigError("--topic is of a bag", fix="--camera recording:BAG, or leave it out")
 
 
 def _camera(
-    asked: SensorOptions, settings: LiveCameraSettings, known: Calibration | None, opened: ExitStack
+    asked: SensorOptions, settings: LiveCameraSettings, resumed: Path | None, opened: ExitStack
 ) -> tuple[LiveCamera | None, Calibration | None]:
     """The camera, if any, and the calibration of the recording. Raises DeviceError, CalibrationError."""
     from wheelsight.app.cli.console import print_warning
     from wheelsight.core.calibration import load_calibration
     from wheelsight.io.devices.cameras import open_robot_camera
+    from wheelsight.io.recordings.native import resumed_calibration
 
+    # That of the resumed recording overrides the camera's.
+    known = None if resumed is None else resumed_calibration(resumed)
+    if known is not None and asked.calibration:
+        raise ConfigError("--resume goes by the recording's own calibration", fix="leave out --calibration")
     if asked.camera is None:
         return None, known or (load_calibration(*asked.calibration) if asked.calibration else None)
     camera, calibration = open_robot_camera(asked.camera, settings, asked.calibration, known)
@@ -211,20 +218,6 @@ def _camera(
     for warning in camera.warnings:
         print_warning(warning)
     return camera, calibration
-
-
-def _settings(asked: SensorOptions) -> tuple[LiveCameraSettings, RecorderSettings]:
-    """Settings of camera and recorder. Raises ConfigError."""
-    from wheelsight.core.settings import LiveCameraSettings, RecorderSettings
-
-    camera, recorder = LiveCameraSettings(), RecorderSettings()
-    if asked.config is not None:
-        from wheelsight.config import load_config  # takes seconds, which a robot that stands ready need not wait
-
-        config = load_config(asked.config)
-        camera, recorder = config.camera, config.recorder
-    changes = {"infrared": camera.infrared or asked.infrared, "topics": asked.topics or camera.topics}
-    return camera.model_copy(update=changes), recorder
 
 
 # Outputs

@@ -10,7 +10,7 @@ import secrets
 import threading
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -27,9 +27,6 @@ from wheelsight.core.runtime import until_stopped
 
 if TYPE_CHECKING:
     from wheelsight.app.page import Access
-    from wheelsight.app.viewer import DriveLog
-    from wheelsight.config import Config
-    from wheelsight.core.calibration import Calibration
 
 
 # Options
@@ -118,6 +115,7 @@ def serve(options: ServeOptions) -> None:
     config, access = settings_of(options, {"loops.source": "keyframes"}), access_of(options)
     from wheelsight.app.page import DriveMaps, Session
     from wheelsight.app.page.server import PageServer, page_app
+    from wheelsight.app.viewer import open_drive_log
     from wheelsight.config import StartSettings
 
     start = None
@@ -127,12 +125,13 @@ def serve(options: ServeOptions) -> None:
         x_m, y_m, yaw = start_of("--known-start", options.known_start)
         start = StartSettings(x_m=x_m, y_m=y_m, yaw_deg=math.degrees(yaw))
     maps = DriveMaps(config, options.map_, start, options.out, in_step=options.is_simulated)
-    check_rerun(options.rerun)
+    rerun = options.rerun
+    check_rerun(rerun)
     compile_missing(kernels_of(options))
     with (
         CountedLines(print_warning) as lines,
         robot_of(options, config) as robot,
-        _log_of(options.rerun, robot.calibration, config) as log,
+        nullcontext() if rerun is None else open_drive_log(rerun, robot.calibration, config.viewer) as log,
     ):
         on_problem = partial(lines.add, is_problem=True)
         how: dict[str, Any] = {"paces": options.is_simulated, "on_problem": on_problem, "watch": log}
@@ -243,14 +242,6 @@ class _Line:
 
 
 _TOKEN_BYTES, _SHORTEST_TOKEN = 24, 16
-
-
-def _log_of(rerun: str | None, calibration: Calibration, config: Config) -> AbstractContextManager[DriveLog | None]:
-    if rerun is None:
-        return nullcontext()
-    from wheelsight.app.viewer import open_drive_log
-
-    return open_drive_log(rerun, calibration, config.viewer)
 
 
 def access_of(options: PageOptions) -> Access:

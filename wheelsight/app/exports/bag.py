@@ -129,7 +129,9 @@ class _Writing:
         streams = (self._poses(), self._statuses(), self._events())
         merged = heapq.merge(*streams, key=lambda sent: sent.stamp_s)
         first = next(merged, None)
-        begin_s = first.stamp_s if first is not None else self._first_keyframe_s()
+        keyframes = {} if self.source.map is None else self.source.map.contents.places
+        begin_s = min((place.stamp_s for place in keyframes.values()), default=0.0)
+        begin_s = begin_s if first is None else first.stamp_s
         yield from self.robot.mounts(begin_s)
         for topic, way in self._ways():
             path = self.make.path(begin_s, self.fixed, way.stamps_s, way.T_frame_body)
@@ -164,10 +166,6 @@ class _Writing:
             yield WAY_TOPIC, upright(express_for(self.body, way, folder.calibration))
         elif self.source.recording is not None and self.source.recording.ground_truth is not None:
             yield TRUTH_TOPIC, upright(self.source.recording.ground_truth)
-
-    def _first_keyframe_s(self) -> float:
-        places = {} if self.source.map is None else self.source.map.contents.places
-        return min((place.stamp_s for place in places.values()), default=0.0)
 
     def _poses(self) -> Iterator[Sent]:
         """/odom, and in /tf the transforms map to odom and odom to body, at each pose."""

@@ -112,13 +112,10 @@ class Exported:
         )
         if found is None:
             raise RecordingError("the run's recording is not there any more", path=given, fix="put it where it was")
-        return open_recording(found, load_config(self._settings_file, drop_removed=True).recording)
-
-    @property
-    def _settings_file(self) -> Path:
         # Of several odometries each has figures of its own, and the run's settings lie beside their folders.
         own = self.path / _SETTINGS_FILE
-        return own if is_there(own) else self.path.parent / _SETTINGS_FILE
+        settings = own if is_there(own) else self.path.parent / _SETTINGS_FILE
+        return open_recording(found, load_config(settings, drop_removed=True).recording)
 
     @cached_property
     def map(self) -> MapFolder | None:

@@ -51,12 +51,16 @@ class Access:
         """Status and reason of a refusal; None if the request may pass."""
         headers = dict(scope["headers"])
         host = headers.get(b"host", b"").decode("latin-1")
-        if self.is_loopback and not is_loopback(_without_port(host)):
+        name, _, port = host.rpartition(":")
+        without_port = (name if name and port.isdigit() else host).strip("[]")
+        if self.is_loopback and not is_loopback(without_port):
             return 403, f"the host {host[:80]!r} is not this computer"
         origin = headers.get(b"origin")
         if origin is not None and origin.decode("latin-1") not in (f"http://{host}", f"https://{host}"):
             return 403, f"the origin {origin.decode('latin-1')[:80]!r} is not this page"
-        if self.token and not self._has_token(scope, headers):
+        kind, _, given = headers.get(b"authorization", b"").decode("latin-1").partition(" ")
+        offered = [_asked(scope), given if kind.lower() == "bearer" else "", _kept(headers)]
+        if self.token and not any(_is_same(one, self.token) for one in offered):
             return 401, "no token, or a wrong one: open the address that wheelsight serve printed"
         return None
 
@@ -65,11 +69,6 @@ class Access:
         if not self.token or not _is_same(_asked(scope), self.token):
             return ""
         return f"{_COOKIE}={self.token}; HttpOnly; SameSite=Strict; Path=/"
-
-    def _has_token(self, scope: _Scope, headers: dict[bytes, bytes]) -> bool:
-        kind, _, given = headers.get(b"authorization", b"").decode("latin-1").partition(" ")
-        offered = [_asked(scope), given if kind.lower() == "bearer" else "", _kept(headers)]
-        return any(_is_same(one, self.token) for one in offered)
 
 
 class Guarded:
@@ -115,11 +114,6 @@ def _with_headers(send: _Send, cookie: str) -> _Send:
         await send(message)
 
     return sent
-
-
-def _without_port(host: str) -> str:
-    name, _, port = host.rpartition(":")
-    return (name if name and port.isdigit() else host).strip("[]")
 
 
 def _asked(scope: _Scope) -> str:

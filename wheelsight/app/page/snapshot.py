@@ -122,13 +122,17 @@ class SnapshotMaker:
             "to_go_m": None if feedback.to_go_m is None else round(feedback.to_go_m, 1),
             "goal": None if feedback.goal is None else _pose(feedback.goal),
         }
+        path = []
+        if feedback.plan is not None:
+            poses = feedback.plan.poses
+            path = _rounded(np.concatenate([poses[:: max(1, len(poses) // _PATH_POINTS), :2], poses[-1:, :2]]))
         state = {
             **facts,
             **task,
             "pose": _rounded(pose),
             "ellipse": None if pose is None else _ellipse(senses),
             "footprint": _rounded(driven.navigator.footprint.corners),
-            "path": [] if feedback.plan is None else _path(feedback.plan.poses),
+            "path": path,
             "way": _rounded(np.array(self._way).reshape(-1, 2)),
             "places": [{"name": name, "pose": _pose(at)} for name, at in driven.places.where().items()],
             "pictures": {
@@ -149,11 +153,6 @@ class SnapshotMaker:
 def _place(of: StaticLayer | Costmap) -> tuple[float, float, float, float]:
     height, width = of.state.shape
     return of.origin[0], of.origin[1], width * of.resolution_m, height * of.resolution_m
-
-
-def _path(poses: FloatArray) -> Any:
-    every = max(1, len(poses) // _PATH_POINTS)
-    return _rounded(np.concatenate([poses[::every, :2], poses[-1:, :2]]))
 
 
 def _ellipse(senses: Senses) -> list[float] | None:

@@ -177,7 +177,15 @@ def region_figure(found: CameraCalibration) -> go.Figure:
     figure = make_subplots(rows=1, cols=2, shared_yaxes=True, horizontal_spacing=0.04)
     drawing.style(figure, 360, hovermode="closest")
     depth = found.depth_residuals
-    maps = [_means(depth.px, 1e3 * off_m, camera) for off_m in (depth.before_m, depth.off_m)]
+    u = (depth.px[:, 0] * _ACROSS / camera.width).astype(int).clip(0, _ACROSS - 1)
+    v = (depth.px[:, 1] * _DOWN / camera.height).astype(int).clip(0, _DOWN - 1)
+    cell, cells = v * _ACROSS + u, _ACROSS * _DOWN
+    count = np.bincount(cell, minlength=cells)
+    with np.errstate(invalid="ignore"):
+        maps = [
+            np.where(count > 0, np.bincount(cell, 1e3 * off_m, cells) / count, np.nan).reshape(_DOWN, _ACROSS)
+            for off_m in (depth.before_m, depth.off_m)
+        ]
     limit = max(float(np.nanmax(np.abs(maps))) if np.isfinite(maps).any() else 1.0, 0.1)
     for column, values in enumerate(maps, start=1):
         figure.add_heatmap(
@@ -221,16 +229,6 @@ def correction_figure(error: DepthError, camera: PinholeCamera, near_m: float, f
     figure.update_xaxes(title_text="depth as read, m", hoverformat=".2f")
     drawing.panel_title(figure, "added to it, mm")
     return figure
-
-
-def _means(px: FloatArray, values: FloatArray, camera: PinholeCamera) -> FloatArray:
-    u = (px[:, 0] * _ACROSS / camera.width).astype(int).clip(0, _ACROSS - 1)
-    v = (px[:, 1] * _DOWN / camera.height).astype(int).clip(0, _DOWN - 1)
-    cell = v * _ACROSS + u
-    count = np.bincount(cell, minlength=_ACROSS * _DOWN)
-    total = np.bincount(cell, values, _ACROSS * _DOWN)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.where(count > 0, total / count, np.nan).reshape(_DOWN, _ACROSS))
 
 
 def _middles(length: int, count: int) -> FloatArray:
@@ -359,6 +357,11 @@ def write_base_page(found: BaseCalibration, path: StrPath) -> None:
         f"{pitch_deg:.1f}° {tipped}. The wheels' stamps are {words.duration(abs(v['delay']))} {late} by the "
         "camera's clock."
     )
+    where = "The robot drives upwards; the wedge opens to where the camera looks."
+    where += "" if found.nominal.T_base_camera is None else " Orange is where it was believed to sit."
+    plot = html.plot("mount", mount_figure(found), "From above", where, "Axle, wheels and camera from above")
+    table = html.table("Before and after", MOUNT_HEAD, mount_rows(found))
+    mount = html.section("mount", "The mount", "", table, plot)
     plot = html.plot(
         "turns",
         turning_figure(found),
@@ -408,7 +411,7 @@ def write_base_page(found: BaseCalibration, path: StrPath) -> None:
             ),
         ],
         notes=_mount_notes(found),
-        sections=(_mount(found), turns, floor_section, residual_section),
+        sections=(mount, turns, floor_section, residual_section),
         footer=_MOUNT_FOOTER,
     )
     html.save(page, path)
@@ -429,20 +432,6 @@ def _mount_notes(found: BaseCalibration) -> list[str]:
     )
     followed = [f"The camera was not followed in {words.count(lost, 'frame')}."] if lost else []
     return [*found.warnings, *followed, sizes, delay]
-
-
-def _mount(found: BaseCalibration) -> str:
-    before = found.nominal.T_base_camera is not None
-    sentence = "The robot drives upwards; the wedge opens to where the camera looks."
-    plot = html.plot(
-        "mount",
-        mount_figure(found),
-        "From above",
-        sentence + (" Orange is where it was believed to sit." if before else ""),
-        "Axle, wheels and camera from above",
-    )
-    table = html.table("Before and after", MOUNT_HEAD, mount_rows(found))
-    return html.section("mount", "The mount", "", table, plot)
 
 
 # Figures of the mount

@@ -4,7 +4,7 @@ wheels.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
 from typing import Any, Literal
@@ -67,7 +67,15 @@ def overlay_figure(paths: Overlay) -> go.Figure:
 
 def errors_figure(records: Sequence[RunRecord]) -> go.Figure:
     """Distance to the true position and RPE over a second, over time, for each evaluated record."""
-    panels = [panel for panel in _error_panels(records) if panel[2]]
+    evaluated = [(record, record.evaluation) for record in records if record.evaluation is not None]
+    steps = [(record, found.rpe_per_second) for record, found in evaluated if found.rpe_per_second is not None]
+    # Title, unit, and each record's stamps (M,) and errors (M,) of each panel
+    kinds = (
+        ("ATE", "m", [(record, found.ate.stamps_s, found.ate.errors_m) for record, found in evaluated]),
+        ("RPE a second, translation", "m", [(record, rpe.end_s, rpe.errors_m) for record, rpe in steps]),
+        ("RPE a second, rotation", "°", [(record, rpe.end_s, np.degrees(rpe.errors_rad)) for record, rpe in steps]),
+    )
+    panels = [kind for kind in kinds if kind[2]]
     figure = make_subplots(rows=len(panels), cols=1, shared_xaxes=True, vertical_spacing=0.11)
     drawing.style(figure, 80 + 170 * len(panels), hovermode="x")
     start_s, end_s = _span_s(records)
@@ -114,17 +122,6 @@ def colour_of(odometry: str) -> str:
 
 def _width_of(odometry: str) -> float:
     return 3 if odometry == JOINED else 2
-
-
-def _error_panels(
-    records: Sequence[RunRecord],
-) -> Iterator[tuple[str, str, list[tuple[RunRecord, FloatArray, FloatArray]]]]:
-    """Title, unit, and each record's stamps (M,) and errors (M,) of each panel."""
-    evaluated = [(record, record.evaluation) for record in records if record.evaluation is not None]
-    yield "ATE", "m", [(record, found.ate.stamps_s, found.ate.errors_m) for record, found in evaluated]
-    steps = [(record, found.rpe_per_second) for record, found in evaluated if found.rpe_per_second is not None]
-    yield "RPE a second, translation", "m", [(record, rpe.end_s, rpe.errors_m) for record, rpe in steps]
-    yield "RPE a second, rotation", "°", [(record, rpe.end_s, np.degrees(rpe.errors_rad)) for record, rpe in steps]
 
 
 def _span_s(records: Sequence[RunRecord]) -> tuple[float, float]:
@@ -179,7 +176,15 @@ def overlay_of(records: Sequence[RunRecord]) -> Overlay:
     evaluated = [record for record in records if record.evaluation is not None]
     if evaluated and joined_of(evaluated) is not None:
         left_out = {r.odometry: r.evaluation_problem or "" for r in records if r.evaluation is None}
-        moved = {record.odometry: _from_the_true_start(record) for record in evaluated}
+        moved = {}
+        for record in evaluated:
+            assert record.ground_truth is not None
+            assert record.evaluation is not None
+            try:
+                start = start_alignment(record.estimate, record.ground_truth)
+                moved[record.odometry] = record.estimate.moved(start)
+            except EvaluationError:  # the truth has a gap there: as for the ATE
+                moved[record.odometry] = record.evaluation.ate.aligned
         return _overlay(evaluated, moved, truth_path_m(evaluated[0]), "true start", left_out)
     if evaluated:
         left_out = {r.odometry: r.evaluation_problem or "" for r in records if r.evaluation is None}
@@ -217,16 +222,6 @@ def _overlay(
         paths_m[record.odometry] = with_gaps(stamps_s, positions_m, poseless_stamps_s(record))[1]
     stated = {name: trajectory for name, trajectory in moved.items() if trajectory.covariances is not None}
     return Overlay(paths_m, truth_m, by, left_out, stated)
-
-
-def _from_the_true_start(record: RunRecord) -> Trajectory:
-    """The estimate aligned to the truth by its first pose, or as for the ATE if the truth has a gap there."""
-    assert record.ground_truth is not None
-    assert record.evaluation is not None
-    try:
-        return record.estimate.moved(start_alignment(record.estimate, record.ground_truth))
-    except EvaluationError:
-        return record.evaluation.ate.aligned
 
 
 # Joined sensors
@@ -382,7 +377,9 @@ def area_map_figure(record: RunRecord) -> go.Figure:
         known = path[~np.isnan(path).any(axis=1)]
         drawn = np.concatenate([drawn, known])
         if len(known):
-            _add_end(figure, name, known, colour)
+            _mark(figure, known[-1], f"end, {name}", "square", colour)
+            if name == "rectified":
+                _mark(figure, known[0], "start", "circle-open", GREY)
     x_range, y_range = drawing.room_around(drawn)
     figure.update_xaxes(range=x_range, showgrid=False)
     figure.update_yaxes(range=y_range, showgrid=False)
@@ -446,28 +443,6 @@ def map_error_figure(record: RunRecord) -> go.Figure:
 def _of(record: RunRecord) -> RectificationRecord:
     assert record.rectification is not None, "the record has no rectification"
     return record.rectification
-
-
-def _add_end(figure: go.Figure, name: str, path: FloatArray, colour: str) -> None:
-    """A square at the end of a path; a labelled ring at the start of the truth, or else of the wheels."""
-    marker: dict[str, Any] = {"symbol": "square", "size": 10, "color": colour}
-    hover = f"end, {name}<extra></extra>"
-    figure.add_scatter(
-        x=path[-1:, 0], y=path[-1:, 1], mode="markers", marker=marker, name=hover, showlegend=False, hovertemplate=hover
-    )
-    if name == "rectified":
-        ring = {"symbol": "circle-open", "size": 13, "color": GREY, "line": {"width": 3}}
-        figure.add_scatter(
-            x=path[:1, 0],
-            y=path[:1, 1],
-            mode="markers+text",
-            text=["start"],
-            textposition="top center",
-            marker=ring,
-            name="start",
-            showlegend=False,
-            hovertemplate="start<extra></extra>",
-        )
 
 
 def _add_rows(

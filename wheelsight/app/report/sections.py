@@ -33,7 +33,6 @@ from wheelsight.app.run.run_record import MapPicture, MapRecord, RunRecord
 from wheelsight.app.run.verdict import Summary, cold_frames
 from wheelsight.core.geometry import ByteArray, FloatArray, se3
 from wheelsight.evaluation import Statistics
-from wheelsight.mapping.export import MapCloud
 
 # Sections of every run. With `of` a section stands on a page of several odometries, under that name and in its colour.
 
@@ -443,7 +442,11 @@ def plan_figure(record: RunRecord, colour: str = BLUE) -> go.Figure:
     hover = "%{x:.2f}, %{y:.2f} m"
     drawing.add_path(figure, path, name="halo", line={"color": "#ffffff", "width": 5}, hover=hover)
     drawing.add_path(figure, path, name="path", line={"color": colour, "width": 2.5}, hover=hover)
-    _mark_ends(figure, path[~np.isnan(path).any(axis=1)], colour)
+    known = path[~np.isnan(path).any(axis=1)]
+    marker = {"size": 11, "color": "#ffffff", "line": {"color": colour, "width": 3}}
+    for name, symbol, points in (("start", "circle", known[:1]), ("end", "square", known[-1:])):
+        at = {"x": points[:, 0], "y": points[:, 1], "hovertemplate": f"{name}: {hover}<extra></extra>"}
+        figure.add_scatter(**at, mode="markers", marker={**marker, "symbol": symbol})
     # A scale bar above the plan at its right end
     length_m = bar_length_m(right - left)
     line = {"color": drawing.GREY, "width": 4}
@@ -477,15 +480,6 @@ def view_uri(picture: MapPicture) -> str:
     return webp_uri(draw_view(picture))
 
 
-def _mark_ends(figure: go.Figure, path: np.ndarray, colour: str) -> None:
-    marker = {"size": 11, "color": "#ffffff", "line": {"color": colour, "width": 3}}
-    for name, symbol, points in (("start", "circle", path[:1]), ("end", "square", path[-1:])):
-        hover = f"{name}: %{{x:.2f}}, %{{y:.2f}} m<extra></extra>"
-        figure.add_scatter(
-            x=points[:, 0], y=points[:, 1], mode="markers", marker={**marker, "symbol": symbol}, hovertemplate=hover
-        )
-
-
 def _panel(image: ByteArray) -> ByteArray:
     size = (_PANEL_WIDTH_PX, max(1, round(image.shape[0] * _PANEL_WIDTH_PX / image.shape[1])))
     how = cv2.INTER_AREA if image.shape[1] > _PANEL_WIDTH_PX else cv2.INTER_LINEAR
@@ -512,14 +506,33 @@ def figure(record: RunRecord, key: str) -> str:
     view = OrbitView.of(position, path.reshape(-1, 3))
     still = webp_uri(draw_cloud(view, position, found.cloud, R, path, loops))
     counts = {"points": len(position), "path": len(path), "loops": len(loops)}
-    low, step_m = _box(position)
+    # The lowest corner, and the length of a level of 16 bits
+    low, step_m = np.round(position.min(axis=0), 4), max(float(np.ptp(position, axis=0).max()), 1e-3) / (_LEVELS - 1)
     data = counts | {"edge": round(found.cloud.edge_m, 5), "low": low.tolist(), "step": step_m} | view.to_dict()
     alt = f"{len(position):,} points of the map, seen aslant from above, with the path."
+    kind = "stable surfels" if found.status.stable else "surfels"
+    text = f"{len(found.cloud):,} points"
+    if found.cloud.edge_m:
+        text += f": the {found.cloud.of:,} {kind}, averaged in cubes of {words.length(found.cloud.edge_m)}"
+    else:
+        text += f", each one of the {kind}"
+    text += ". Surfaces are seen from their front alone, so that one looks into rooms. The orange line is the path"
+    text += "; green lines join places that were recognised" if len(loops) else ""
+    text += (
+        ". Drag to turn, with shift to move; two fingers zoom and move; the wheel zooms once the figure was "
+        "clicked. Keys: arrows, with shift to move; + and −; Home."
+    )
+    # Lines as float32; then x, y, z in 16 bits, red, green, blue, and normals in 8, each less the one before
+    level = np.rint((position - low) / step_m).clip(0, _LEVELS).astype("<u2")
+    normal = np.rint(_NORMAL_LEVELS * (found.cloud.normal.astype(float) @ R.T)).astype(np.int8).view(np.uint8)
+    lines = np.concatenate([path, loops]).astype("<f4").tobytes()
+    planes = (np.diff(plane.T, axis=1, prepend=plane.T[:, :1] * 0) for plane in (level, found.cloud.color, normal))
+    packed_points = packed(lines + b"".join(np.ascontiguousarray(plane).tobytes() for plane in planes))
     return (
-        f"<figure>\n<figcaption><strong>To be turned.</strong> {escape(_sentence(found, len(loops)))}</figcaption>\n"
+        f"<figure>\n<figcaption><strong>To be turned.</strong> {escape(text)}</figcaption>\n"
         f'<div class="cloud" id="{key}-cloud" data-cloud="{escape(json.dumps(data))}">'
         f'<img src="{still}" alt="{escape(alt)}"><canvas tabindex="0" role="img" aria-label="{escape(alt)}"></canvas>'
-        f'</div><script type="text/plain">{packed(_bytes(position, found.cloud, R, path, loops))}</script>\n</figure>'
+        f'</div><script type="text/plain">{packed_points}</script>\n</figure>'
     )
 
 
@@ -539,35 +552,3 @@ def loop_steps(record: RunRecord) -> FloatArray:
     found = record.correction.found
     ends = np.array([(loop.first, loop.second) for loop in found.loops.kept], np.int64).reshape(-1, 2)
     return np.asarray(found.T_map_keyframe[ends[:: max(1, -(-len(ends) // _MOST_LOOPS))], :3, 3])
-
-
-def _sentence(found: MapRecord, loops: int) -> str:
-    cloud = found.cloud
-    assert cloud is not None
-    kind = "stable surfels" if found.status.stable else "surfels"
-    text = f"{len(cloud):,} points"
-    if cloud.edge_m:
-        text += f": the {cloud.of:,} {kind}, averaged in cubes of {words.length(cloud.edge_m)}"
-    else:
-        text += f", each one of the {kind}"
-    text += ". Surfaces are seen from their front alone, so that one looks into rooms. The orange line is the path"
-    text += "; green lines join places that were recognised" if loops else ""
-    return (
-        f"{text}. Drag to turn, with shift to move; two fingers zoom and move; the wheel zooms once the figure was "
-        "clicked. Keys: arrows, with shift to move; + and −; Home."
-    )
-
-
-def _box(position: FloatArray) -> tuple[FloatArray, float]:
-    """The lowest corner, and how much a level of 16 bits is."""
-    return np.round(position.min(axis=0), 4), max(float(np.ptp(position, axis=0).max()), 1e-3) / (_LEVELS - 1)
-
-
-def _bytes(position: FloatArray, cloud: MapCloud, R: FloatArray, path: FloatArray, loops: FloatArray) -> bytes:
-    """Lines as float32; then x, y, z in 16 bits, red, green, blue, and normals in 8, each less the one before."""
-    lowest, level_m = _box(position)
-    level = np.rint((position - lowest) / level_m).clip(0, _LEVELS).astype("<u2")
-    normal = np.rint(_NORMAL_LEVELS * (cloud.normal.astype(float) @ R.T)).astype(np.int8).view(np.uint8)
-    lines = np.concatenate([path, loops]).astype("<f4").tobytes()
-    planes = (np.diff(plane.T, axis=1, prepend=plane.T[:, :1] * 0) for plane in (level, cloud.color, normal))
-    return lines + b"".join(np.ascontiguousarray(plane).tobytes() for plane in planes)

@@ -479,7 +479,15 @@ def read_way(path: StrPath, calibration: Calibration, warn: Callable[[str], None
             the map, or of a base that is tipped over.
         CalibrationError: the poses are of the camera, and the calibration has no mount.
     """
-    file = _file_of(Path(path))
+    file = Path(path)
+    if os.path.isdir(file):  # noqa: PTH112 (a name that is too long is none)
+        # The trajectory in a run's folder
+        within = [file / track / name for track in _RECORDED_WAYS_TRACKS for name in _FILES]
+        in_folder = next((one for one in within if one.is_file()), None)
+        if in_folder is None:
+            problem = f"the folder holds neither {TRAJECTORY_FILE} nor {CORRECTED_FILE}"
+            raise TrajectoryError(problem, path=file, fix="give a trajectory, or the folder of a run or a drive")
+        file = in_folder
     found = read_tum(file, "base", warn)
     if found.frame != "map":
         problem = f"the field frames says that its poses are in {found.frame}, not in the map"
@@ -496,15 +504,3 @@ def read_way(path: StrPath, calibration: Calibration, warn: Callable[[str], None
         raise TrajectoryError(tipped_problem, path=file, fix="give poses of the base in the map, whose z points up")
     T = of_base.T_frame_body
     return np.column_stack([T[:, :2, 3], np.arctan2(T[:, 1, 0], T[:, 0, 0])])
-
-
-def _file_of(given: Path) -> Path:
-    """The file itself, or the trajectory in a run's folder. Raises TrajectoryError for a folder without one."""
-    if not os.path.isdir(given):  # noqa: PTH112 (a name that is too long is none)
-        return given
-    within = [given / track / name for track in _RECORDED_WAYS_TRACKS for name in _FILES]
-    found = next((file for file in within if file.is_file()), None)
-    if found is None:
-        problem = f"the folder holds neither {TRAJECTORY_FILE} nor {CORRECTED_FILE}"
-        raise TrajectoryError(problem, path=given, fix="give a trajectory, or the folder of a run or a drive")
-    return found

@@ -70,8 +70,15 @@ def _with_correction(record: RunRecord, track: RunTrack, config: Config, matches
 
 def _record_of(track: RunTrack, passage: Passage, source: EventSource, config: Config) -> RunRecord:
     estimate = track.poses.trajectory(track.localizer.body, track.localizer.frame)
-    truth, problem = _truth(source, track.localizer.body)
-    evaluation = None
+    truth, evaluation = None, None
+    problem: str | None = "the live source has no ground truth"
+    if isinstance(source, Recording):
+        problem = "the recording has no ground truth"
+        if source.ground_truth is not None:
+            try:
+                truth = express_for(track.localizer.body, source.ground_truth, source.calibration)
+            except CalibrationError as error:
+                problem = f"ground truth: {error}"
     if truth is not None:
         evaluation, problem = _compare(estimate, truth, config, track)
     surfels, kept = _maps(track, passage, source)
@@ -183,17 +190,6 @@ def _warnings(track: RunTrack, passage: Passage, config: Config, evaluation: Eva
             f"The map had no room for all that was seen: {surfel_map.dropped:,} surfels were given up, the least "
             f"useful first. surfels.max_surfels is {config.surfels.max_surfels:,}."
         )
-
-
-def _truth(source: EventSource, body: str) -> tuple[Trajectory | None, str | None]:
-    """The ground truth of the tracked body, or the reason why there is none."""
-    if not isinstance(source, Recording) or source.ground_truth is None:
-        kind = "recording" if isinstance(source, Recording) else "live source"
-        return None, f"the {kind} has no ground truth"
-    try:
-        return express_for(body, source.ground_truth, source.calibration), None
-    except CalibrationError as error:
-        return None, f"ground truth: {error}"
 
 
 def _compare(

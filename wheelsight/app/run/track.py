@@ -463,9 +463,9 @@ def follow(
 
 def _rehearse_all(source: InRealTime, config: Config, places: Places | None) -> None:
     """Rehearse with separate localizers: those of the run must not have processed any event."""
-    if OWN in config.odometry:  # a part of a user's own has no kernels here, and must not see these frames
-        names = tuple("features" if name == OWN else name for name in config.odometry)
-        config = config.model_copy(update={"odometry": names})
+    # A part of a user's own has no kernels here, and must not see these frames.
+    names = tuple("features" if name == OWN else name for name in config.odometry)
+    config = config.model_copy(update={"odometry": names})
     for rehearsed in source.rehearsals():
         rehearse(rehearsed, [track.localizer for track in begin_all(rehearsed, config, places)])
 

@@ -234,7 +234,12 @@ class DriveLog:
         goal = feedback.goal
         if (goal is None) != (self._goal is None) or (goal is not None and (goal != self._goal).any()):
             self._goal = goal
-            self._scene.log(GOAL, self._rr.Clear(recursive=False) if goal is None else self._arrow(goal))
+            arrow = self._rr.Clear(recursive=False)
+            if goal is not None:
+                x, y, yaw = goal.tolist()
+                ahead = [0.0, 0.0, 0.5] if np.isnan(yaw) else [0.5 * np.cos(yaw), 0.5 * np.sin(yaw), 0.0]
+                arrow = self._rr.Arrows3D(origins=[[x, y, _LINES_M]], vectors=[ahead], colors=[_PURPLE])
+            self._scene.log(GOAL, arrow)
         self._show_line(PREDICTED, feedback.predicted if len(feedback.predicted) else None, _SKY)
         self._show_maps(feedback.stamp_s, navigator)
 
@@ -291,11 +296,6 @@ class DriveLog:
             vertex_texcoords=[[0, 0], [1, 0], [1, 1], [0, 1]],
             albedo_texture=colours,
         )
-
-    def _arrow(self, goal: FloatArray) -> Any:
-        x, y, yaw = goal.tolist()
-        ahead = [0.0, 0.0, 0.5] if np.isnan(yaw) else [0.5 * np.cos(yaw), 0.5 * np.sin(yaw), 0.0]
-        return self._rr.Arrows3D(origins=[[x, y, _LINES_M]], vectors=[ahead], colors=[_PURPLE])
 
     def _has_changed(self, name: str, said: str) -> bool:
         before, self._said[name] = self._said.get(name), said
