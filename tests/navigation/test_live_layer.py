@@ -14,7 +14,6 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import DepthNoise
 from wheelsight.core.errors import ArgumentError, CalibrationError, MapError
 from wheelsight.core.geometry import PinholeCamera
-from wheelsight.mapping.occupancy_kernels import RayNoise
 from wheelsight.navigation import LiveLayer, perception
 from wheelsight.navigation import costmap_kernels as kernels
 
@@ -296,7 +295,7 @@ def test_compiled_and_plain_kernels_say_the_same(rng: np.random.Generator) -> No
         is_own[28:32, 28:36] = True
         view = kernels.DepthPixels(depth, slopes, M)
         module.mark_met(view, heights, is_own, seen)
-        module.mark_passed(view, heights, RayNoise(0.001, 0.001, 3.0), seen)
+        module.mark_passed(view, heights, kernels.RayNoise(0.001, 0.001, 3.0), seen)
         marked = seen.copy()
         module.remember(seen, is_own, left, met_s, 10.0, kernels.ClearingRules(3, 1.0, 1.0))
         assert not seen.any()

@@ -8,7 +8,6 @@ import numpy as np
 
 from wheelsight.core.compiled import kernel
 from wheelsight.core.geometry.arrays import BoolArray, FloatArray, IntArray
-from wheelsight.mapping.occupancy_kernels import RayNoise
 from wheelsight.navigation.clearance_kernels import outside_m
 
 # Costs of cells, and obstacles from the cells of another grid.
@@ -116,6 +115,14 @@ class LayerHeights(NamedTuple):
     far_m: float
     measured: float
     pixels: int
+
+
+class RayNoise(NamedTuple):
+    """Standard deviation of a depth z, constant_m + quadratic_per_m · z², and how many of them end a ray early."""
+
+    constant_m: float
+    quadratic_per_m: float
+    margin_sigmas: float
 
 
 class ClearingRules(NamedTuple):

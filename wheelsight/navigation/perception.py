@@ -23,12 +23,12 @@ from wheelsight.core.errors import ArgumentError, MapError
 from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, IntArray, PinholeCamera, chi_square, se2
 from wheelsight.core.geometry.se2 import wrap_angle
 from wheelsight.mapping.occupancy import camera_over_floor
-from wheelsight.mapping.occupancy_kernels import RayNoise
 from wheelsight.navigation.costmap import LiveObstacles
 from wheelsight.navigation.costmap_kernels import (
     ClearingRules,
     DepthPixels,
     LayerHeights,
+    RayNoise,
     Rays,
     ViewContent,
     ViewHeights,
