@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 from rich.console import Console
 
 from benchmarks.exploration import FOUR_FLATS
@@ -159,21 +158,14 @@ def explored(plan: TruePlan, start: FloatArray, settings: NavigationSettings) ->
     return Found(100 * share, robot.way_m, robot.turn_rad, views)
 
 
-def _parts(text: str) -> tuple[str, str]:
-    name, _, value = text.partition("=")
-    return name, value
-
-
 def main() -> None:
     """Print what was measured."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.exploration_ideal", description=__doc__)
     parser.add_argument("--data", type=Path, default=default_data_folder(), help="folder with maps/PLAN in it")
     parser.add_argument("--flats", nargs="+", default=list(FOUR_FLATS), help="plans, or worlds: studio, flat")
     parser.add_argument("--seed", type=int, default=1, help="of worlds")
-    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="of navigation.exploration")
     asked = parser.parse_args()
-    changes = {f"navigation.exploration.{name}": yaml.safe_load(value) for name, value in map(_parts, asked.set)}
-    navigation = load_config(overrides=changes).navigation
+    navigation = load_config().navigation
     margin_m = max(navigation.planner.margin_m, navigation.follow.margin_m)
     rows = []
     for building in buildings_of(asked.flats, asked.data, 40.0):

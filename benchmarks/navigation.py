@@ -4,7 +4,7 @@ Each building is driven once by the simulator with `realism="real"`, and mapped 
 days, which have other light, and chairs and bins elsewhere, the chair starts somewhere on free floor where it may turn
 on the spot, without a given pose. It localizes itself in the map, and drives to random goals among the reachable
 poses of the map. Localization, map, planner, controller and collision monitor are those of `wheelsight drive`:
-no truth in the loop. A plan takes `navigation.navigator.planning_s` of simulated time.
+no truth in the loop. A plan takes 0.15 s of simulated time.
 
 "Arrived" is by the truth: within 0.15 m and 10° of the goal beside the map's nearest keyframe, and it says so itself.
 "Touched" is what the chair drove into; a person who walks into a standing chair is not counted. "SPL" is success
