@@ -28,9 +28,7 @@ _GYROSCOPE = "gyroscope"
 
 # Derived from rates and stalls of sensors, not tuned.
 _BACK_S = 0.1  # a stamp this far behind the sensor's last one is of a clock that was set back; less is jitter
-_PAUSE_S = (
-    0.4  # session time of a leap of all: over the delay of coasting (0.3 s), below gaps that wheels bridge (0.5 s)
-)
+_PAUSE_S = 0.4  # session time of a leap of all: over the delay of coasting (0.3 s), below bridged gaps (0.5 s)
 _ALIKE_S = 1.0  # leaps of two sensors that differ by less are one
 _STALL_S = 0.25  # by stamps of others, no reading is lost within this; smaller leaps of one clock are not noticed
 _APART_S = 2.0  # clocks whose first stamps are farther apart have different epochs

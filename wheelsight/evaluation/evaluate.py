@@ -117,14 +117,12 @@ class AbsoluteError:
 
     Attributes:
         stamps_s: (M,) of the estimate, seconds.
-        errors_m: (M,) distances between estimated and true position, after alignment.
-        errors_rad: (M,) angles between estimated and true orientation, after alignment.
+        errors_m, errors_rad: (M,) distances and angles between estimated and true poses, after alignment.
         T_truth_estimate: (4, 4) that aligns the estimate's frame with the truth's, after scaling.
         scale: factor of the estimate's positions; 1 unless fitted.
         aligned: the whole estimate, scaled, in the truth's frame.
         truth: the true poses of the pairs.
-        translation: statistics of `errors_m`.
-        rotation: statistics of `errors_rad`.
+        translation, rotation: statistics of `errors_m` and `errors_rad`.
     """
 
     stamps_s: FloatArray
@@ -207,17 +205,12 @@ _STEP_TOLERANCE = 0.1  # relative, of the length of a step over seconds or metre
 
 @dataclass(frozen=True, eq=False)
 class RelativeError:
-    """The relative pose error over M steps.
+    """The relative pose error over M steps of `delta` frames, seconds or metres.
 
     Attributes:
-        delta: length of a step, in `unit`.
-        unit: frames, seconds or metres.
-        start_s: (M,) stamps at which each step begins, seconds.
-        end_s: (M,) stamps at which it ends.
-        errors_m: (M,) translation of the error of each step.
-        errors_rad: (M,) rotation angle of the error of each step.
-        translation: statistics of `errors_m`.
-        rotation: statistics of `errors_rad`.
+        start_s, end_s: (M,) stamps at the begin and end of each step, seconds.
+        errors_m, errors_rad: (M,) translation and rotation angle of the error of each step.
+        translation, rotation: statistics of these.
     """
 
     delta: float

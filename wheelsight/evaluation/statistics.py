@@ -45,10 +45,7 @@ class Statistics:
 
     def in_degrees(self) -> Statistics:
         """Return the statistics of angles in radians in degrees."""
-        rmse, mean, median, largest, smallest, std = np.degrees(
-            (self.rmse, self.mean, self.median, self.max, self.min, self.std)
-        ).tolist()
-        return Statistics(rmse, mean, median, largest, smallest, std, self.count)
+        return Statistics(**{k: v if k == "count" else float(np.degrees(v)) for k, v in asdict(self).items()})
 
     def to_dict(self) -> dict[str, float]:
         """Return the fields by name, for metrics.json."""
