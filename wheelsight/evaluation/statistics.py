@@ -5,6 +5,7 @@ time or distance.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,7 +46,8 @@ class Statistics:
 
     def in_degrees(self) -> Statistics:
         """Return the statistics of angles in radians in degrees."""
-        return Statistics(**{k: v if k == "count" else float(np.degrees(v)) for k, v in asdict(self).items()})
+        degrees: dict[str, Any] = {name: float(np.degrees(value)) for name, value in asdict(self).items()}
+        return Statistics(**{**degrees, "count": self.count})
 
     def to_dict(self) -> dict[str, float]:
         """Return the fields by name, for metrics.json."""
