@@ -158,7 +158,8 @@ class PlayedCamera:
         turns: Sequence[AngularVelocity] = (),
         notes: Sequence[str] = (),
     ) -> None:
-        self._name, self._calibration, self._notes = name, calibration, tuple(notes)
+        self.name, self.calibration = name, calibration
+        self.warnings = (f"{name[0].upper()}{name[1:]} is played as if it were a camera.", *notes)
         self._settings = settings or LiveCameraSettings()
         self._kept: deque[LiveFrame] = deque()
         self._coming = deque(turns)
@@ -190,21 +191,6 @@ class PlayedCamera:
         frames = (event for event in recording.events() if isinstance(event, RgbdFrame | SkippedFrame))
         name = f"the recording {recording.name}"
         return cls(name, calibration or own, frames, settings, turns=turns, notes=notes)
-
-    @property
-    def name(self) -> str:
-        """As given."""
-        return self._name
-
-    @property
-    def calibration(self) -> Calibration:
-        """As given."""
-        return self._calibration
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """That the frames are recorded, and the notes."""
-        return f"{self._name[0].upper()}{self._name[1:]} is played as if it were a camera.", *self._notes
 
     def read(self, timeout_s: float) -> LiveFrame | None:
         """See `LiveCamera`."""

@@ -184,12 +184,13 @@ class StreamingCamera:
     ) -> None:
         self._driver, self._settings, self._on_status = driver, settings or LiveCameraSettings(), on_status
         self._device = driver.open()
+        self.name, self.warnings = self._device.name, self._device.warnings
         try:
-            self._calibration = _checked_calibration(calibration, self._device)
+            self.calibration = _checked_calibration(calibration, self._device)
         except CalibrationError:
             driver.close()
             raise
-        self._check = FrameCheck(self._settings, self._calibration)
+        self._check = FrameCheck(self._settings, self.calibration)
         self._ready = threading.Condition()
         self._kept: deque[LiveFrame | SkippedFrame] = deque()
         self._arrivals: deque[float] = deque()
@@ -204,21 +205,6 @@ class StreamingCamera:
         self._thread = threading.Thread(target=self._run, name=f"camera {self.name}", daemon=True)
         atexit.register(self.close)
         self._thread.start()
-
-    @property
-    def name(self) -> str:
-        """See `LiveCamera`."""
-        return self._device.name
-
-    @property
-    def calibration(self) -> Calibration:
-        """The given calibration, or that of the device."""
-        return self._calibration
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """See `LiveCamera`."""
-        return self._device.warnings
 
     def read(self, timeout_s: float) -> LiveFrame | None:
         """See `LiveCamera`. Raises DeviceError after an unexpected error of the driver."""

@@ -74,17 +74,12 @@ class LinkRobot:
         if calibration.wheels is None:
             fix = "a robot with two driven wheels, calibrated: docs/wheel-calibration.md"
             raise ArgumentError(f"the calibration {calibration.lacks_two_wheels}", fix=fix)
-        self._link, self._frames, self._calibration, self._period_s = link, frames, calibration, period_s
+        self._link, self._frames, self.calibration, self._period_s = link, frames, calibration, period_s
         self._control = VelocityControl(calibration.wheels.never_rolling_over, limits, control)
         self._restarts = link.report().restarts
         self._quickest_s: float | None = None
         self._has_driven = self._is_closed = False
         self._stepping = threading.Lock()
-
-    @property
-    def calibration(self) -> Calibration:
-        """The calibration that was given."""
-        return self._calibration
 
     @property
     def now_s(self) -> float:
@@ -147,7 +142,7 @@ class LinkRobot:
         finally:
             self._stepping.release()
         events += [] if self._frames is None else self._frames.take()
-        turns, mount = take_angular_velocities(self._frames), self._calibration.T_base_camera
+        turns, mount = take_angular_velocities(self._frames), self.calibration.T_base_camera
         events += [] if mount is None else [turn.yaw_rate(mount) for turn in turns]
         return sorted(events, key=lambda event: event.stamp_s)
 

@@ -90,6 +90,7 @@ class BagRecording:
     """
 
     format = "rosbag"
+    matches: tuple[Match, ...] = ()  # bags have no message type for them
 
     def __init__(
         self,
@@ -103,8 +104,8 @@ class BagRecording:
         ground_truth: Trajectory | None = None,
     ) -> None:
         self.path, self.calibration, self.topics = path, calibration, topics
-        self._ground_truth = ground_truth
-        self.speed_variances = speed_variances
+        self.ground_truth, self.speed_variances = ground_truth, speed_variances
+        self.wheel_faults = plan.roles.faults
         self._plan, self._ends = plan, dict(ends)
         self._counts = {topic.used_as: topic.count for topic in topics if topic.used_as}
         self._found: AssociationReport | None = None
@@ -120,16 +121,6 @@ class BagRecording:
         """The frame its trajectory describes: "base" where the calibration has T_base_camera, else "camera"."""
         has_camera = self._plan.roles.color is not None
         return "camera" if has_camera and self.calibration.T_base_camera is None else "base"
-
-    @property
-    def ground_truth(self) -> Trajectory | None:
-        """The poses of the topic that the user chose by `truth=`, else None."""
-        return self._ground_truth
-
-    @property
-    def matches(self) -> tuple[Match, ...]:
-        """Empty: bags have no message type for matches."""
-        return ()
 
     @property
     def association(self) -> AssociationReport:
@@ -148,11 +139,6 @@ class BagRecording:
     def wheel_count(self) -> int:
         """The number of messages of the wheels."""
         return self._counts.get("wheels", 0)
-
-    @property
-    def wheel_faults(self) -> tuple[str, ...]:
-        """See `HasWheelFaults`."""
-        return self._plan.roles.faults
 
     @property
     def warnings(self) -> tuple[str, ...]:
