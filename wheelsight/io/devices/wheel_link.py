@@ -98,6 +98,9 @@ class WheelLink:
         baudrate: of the line.
         on_status: called with each new status, from the link's thread.
 
+    Attributes:
+        status: the state of the line.
+
     Raises:
         DeviceError: the port is missing, denied, in use by another program, or not a serial port.
     """
@@ -107,7 +110,7 @@ class WheelLink:
     ) -> None:
         self.port, self.baudrate = str(port), baudrate
         self._on_status = on_status
-        self._status = LinkStatus.LISTENING
+        self.status = LinkStatus.LISTENING
         self._decoder, self._tracker = LineDecoder(), TickTracker()
         self._ticks: queue.Queue[WheelTicks | None] = queue.Queue(_MOST_QUEUED)
         self._last: WheelTicks | None = None
@@ -196,7 +199,7 @@ class WheelLink:
             self._commands.set_format(is_paper, is_answered=self._is_answering or not is_paper)
         except DeviceError:
             self._decoder.expect_frames(False)
-            if not (is_paper and self._decoder.format is wanted and self._status is LinkStatus.CONNECTED):
+            if not (is_paper and self._decoder.format is wanted and self.status is LinkStatus.CONNECTED):
                 raise  # else it used this format already, and had nothing to confirm
 
     def _need_commands(self) -> None:
@@ -212,16 +215,11 @@ class WheelLink:
     def _is_answering(self) -> bool:
         return self._decoder.format is not Format.PAPER
 
-    @property
-    def status(self) -> LinkStatus:
-        """The state of the line."""
-        return self._status
-
     def report(self) -> LinkReport:
         """The state of the link, with its counts."""
         tracker = self._tracker
         return LinkReport(
-            status=self._status,
+            status=self.status,
             format=self._decoder.format,
             line=replace(self._decoder.statistics),
             restarts=tracker.restarts,
@@ -349,8 +347,8 @@ class WheelLink:
 
     def _set_status(self, status: LinkStatus) -> None:
         """Change the status and call `on_status`, unless the status is the same."""
-        if status is not self._status:
-            self._status = status
+        if status is not self.status:
+            self.status = status
             if self._on_status is not None:
                 self._on_status(status)
 
