@@ -119,11 +119,11 @@ _COMMANDS: tuple[tuple[str, tuple[tuple[Any, str, str], ...]], ...] = (
     ),
 )
 for _panel, _commands in _COMMANDS:
-    for _command, _name, _told in _commands:
+    for _command, _name, _summary in _commands:
         if isinstance(_command, typer.Typer):
-            app.add_typer(_command, name=_name, short_help=_told, rich_help_panel=_panel)
+            app.add_typer(_command, name=_name, short_help=_summary, rich_help_panel=_panel)
         else:
-            app.command(_name, cls=CliCommand, short_help=_told, rich_help_panel=_panel)(_command)
+            app.command(_name, cls=CliCommand, short_help=_summary, rich_help_panel=_panel)(_command)
 
 
 def _print_version(wanted: bool) -> None:

@@ -283,7 +283,7 @@ def settings_from(given: SimulateOptions, plan: FloorPlan | None) -> SimulationS
     building: dict[str, Any] = {"world": given.world} if plan is None else {"plan": plan}
     # What it is called is checked by the settings, which name what there is.
     named: dict[str, Any] = {"realism": given.realism, "base": given.base}
-    from wheelsight_sim import Robot
+    from wheelsight_sim import RobotModel
 
     given_m = {"left_radius_m": given.left_radius, "right_radius_m": given.right_radius, "track_width_m": given.track}
     if given.base != "differential" and any(size_m is not None for size_m in given_m.values()):
@@ -310,7 +310,7 @@ def settings_from(given: SimulateOptions, plan: FloorPlan | None) -> SimulationS
         has_motion_blur=given.motion_blur,
         has_slip=not given.no_slip,
         size=size_of(given.size, given.camera),
-        robot=Robot(**sizes, has_gyro=given.gyro),
+        robot=RobotModel(**sizes, has_gyro=given.gyro),
         faults=WheelFaults(
             dropouts_s=times_of("--dropout", given.dropout),
             unplugged_s=times_of("--unplug", given.unplug),

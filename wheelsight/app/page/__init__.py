@@ -1,6 +1,6 @@
 """The live page: a robot seen and led from a browser, on this computer or, with a token, from another.
 
-A name is loaded when it is first asked for: the door (`live_page.door`), a process of its own, needs few of them.
+Each name is loaded at its first use: the door (`page.door`), a process of its own, needs few of them.
 """
 
 from __future__ import annotations
@@ -29,29 +29,16 @@ __all__ = [
     "is_loopback",
 ]
 
-_NAMES_OF = {
-    "wheelsight.app.page.access": (
-        "Access",
-        "is_loopback",
-    ),
-    "wheelsight.app.page.maps": (
-        "DriveMaps",
-        "NEW",
-    ),
-    "wheelsight.app.page.session": ("Session",),
-    "wheelsight.app.page.snapshot": (
-        "Driven",
-        "Maps",
-        "NamedPlaces",
-        "Snapshot",
-        "Watch",
-    ),
-    "wheelsight.app.page.stop_switch": ("StopSwitch",),
+_MODULE_OF = {
+    **dict.fromkeys(("Access", "is_loopback"), "access"),
+    **dict.fromkeys(("DriveMaps", "NEW"), "maps"),
+    "Session": "session",
+    **dict.fromkeys(("Driven", "Maps", "NamedPlaces", "Snapshot", "Watch"), "snapshot"),
+    "StopSwitch": "stop_switch",
 }
-_MODULE_OF = {name: module for module, names in _NAMES_OF.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'wheelsight.app.page' has no attribute {name!r}")
-    return getattr(import_module(_MODULE_OF[name]), name)
+    return getattr(import_module(f"wheelsight.app.page.{_MODULE_OF[name]}"), name)

@@ -384,7 +384,7 @@ class MappingLocalizer:
 
 @contextmanager
 def mapping_localizer(
-    calibration: Calibration, config: Config, path: Path, *, waits: bool = False
+    calibration: Calibration, config: Config, path: StrPath, *, waits: bool = False
 ) -> Iterator[MappingLocalizer]:
     """Of a map that begins, in a folder. Raises OutputError, MapError and CalibrationError."""
     localizer = Localizer(calibration, config, waits=waits)

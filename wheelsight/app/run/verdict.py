@@ -326,8 +326,8 @@ def _findings(e: Evidence) -> Iterator[Finding]:
         tone = _graded(share, _DROPPED)
         causes = "; ".join(f"{count:,} of {of:,}: {why}" for why, (count, of) in e.left_out.items())
         total = sum(count for count, _ in e.left_out.values())
-        remedy = "" if tone is Tone.GREEN else "see the notes: repair the stamps, or record again"
-        yield Finding("left out", tone, f"{total:,} readings were left out", f"Left out were {causes}.", remedy)
+        remedy = "see the notes: repair the stamps, or record again"
+        yield _finding("left out", tone, f"{total:,} readings were left out", f"Left out were {causes}.", remedy)
     if e.is_joined:
         yield _coasting(e)
         if e.slip is not None:
@@ -374,7 +374,7 @@ def _poses(e: Evidence) -> Finding:
     short = without if e.posed else "no pose was found"
     short = f"it was lost {words.times(e.lost_episodes)}" if e.posed and e.lost_episodes and share > 0.5 else short
     why = _chief_failures(e) if tone is not Tone.GREEN else ""
-    return Finding("poses", tone, short, f"{sentence}{why}.", "" if tone is Tone.GREEN else _remedy(e))
+    return _finding("poses", tone, short, f"{sentence}{why}.", _remedy(e))
 
 
 def _drops(e: Evidence) -> Iterator[Finding]:
@@ -393,7 +393,7 @@ def _drops(e: Evidence) -> Iterator[Finding]:
     else:
         remedy = "record again, or copy the recording again: the notes say what is wrong with the images"
     short = f"{words.percent(drops.share)} of frames were dropped"
-    yield Finding("drops", tone, short, f"{drops.sentence}.", "" if tone is Tone.GREEN else remedy)
+    yield _finding("drops", tone, short, f"{drops.sentence}.", remedy)
 
 
 def _coasting(e: Evidence) -> Finding:
@@ -415,9 +415,9 @@ def _accuracy(e: Evidence) -> Iterator[Finding]:
         within = words.percent(1 - e.beyond_3_sigma)
         tone = _graded(e.beyond_3_sigma, _BEYOND_3_SIGMA)
         sentence = f"The position is within its stated 3σ in {within} of the time."
-        remedy = "" if tone is Tone.GREEN else f"do not rely on its covariances; {_CALIBRATE}"
+        remedy = f"do not rely on its covariances; {_CALIBRATE}"
         only = "" if tone is Tone.GREEN else " of the time only"
-        yield Finding("3σ", tone, f"within the stated 3σ {within}{only}", sentence, remedy)
+        yield _finding("3σ", tone, f"within the stated 3σ {within}{only}", sentence, remedy)
     if e.off_m is not None and e.way_m > 0:
         tone = _graded(e.off_m / e.way_m, _OFF_THE_WAY, e.off_m, _LEAST_OFF_M)
         share = words.percent(e.off_m / e.way_m)
@@ -428,19 +428,19 @@ def _accuracy(e: Evidence) -> Iterator[Finding]:
         elif e.unit == "reading":
             remedy = "calibrate the wheels (wheelsight calibrate wheels), or join a camera"
         short = f"{words.length(e.off_m)} off on {words.length(e.way_m)}"
-        yield Finding("error", tone, short, sentence, "" if tone is Tone.GREEN else remedy)
+        yield _finding("error", tone, short, sentence, remedy)
     if e.off_m is not None and e.alone is not None and e.alone[1] > 0:
         name, alone_m = e.alone
         ratio = e.off_m / alone_m
         tone = _graded(ratio, _WORSE_THAN_ALONE, e.off_m - alone_m, _WORSE_M)
         sentence = f"Joined, the error is {words.number(ratio, 2)} times that of {name} alone."
-        remedy = "" if tone is Tone.GREEN else _CALIBRATE
-        yield Finding("joining", tone, f"{words.number(ratio, 2)} times the error of {name} alone", sentence, remedy)
+        short = f"{words.number(ratio, 2)} times the error of {name} alone"
+        yield _finding("joining", tone, short, sentence, _CALIBRATE)
     if e.areas_left is not None and np.isfinite(e.areas_left):
         tone = Tone.AMBER if e.areas_left > 1 else Tone.GREEN
         sentence = f"Areas leave {words.percent(e.areas_left)} of the wheels' error."
-        remedy = "" if tone is Tone.GREEN else "train the areas on drives of this building (wheelsight places train)"
-        yield Finding("areas", tone, f"areas leave {words.percent(e.areas_left)} of the error", sentence, remedy)
+        remedy = "train the areas on drives of this building (wheelsight places train)"
+        yield _finding("areas", tone, f"areas leave {words.percent(e.areas_left)} of the error", sentence, remedy)
 
 
 def _loops(kept: int, refused: int, is_joined: bool, *, is_drift_long: bool) -> Finding:
@@ -454,8 +454,8 @@ def _loops(kept: int, refused: int, is_joined: bool, *, is_drift_long: bool) -> 
     if not kept + refused:
         return Finding("loops", Tone.GREEN, "no loop was closed", f"{sentence}.")
     tone = _graded(refused / (kept + refused), _REFUSED_LOOPS)
-    remedy = "" if tone is Tone.GREEN else "see the plan of the loops: places look alike, or the path is wrong"
-    return Finding("loops", tone, f"{refused:,} of {kept + refused:,} loops were refused", f"{sentence}.", remedy)
+    remedy = "see the plan of the loops: places look alike, or the path is wrong"
+    return _finding("loops", tone, f"{refused:,} of {kept + refused:,} loops were refused", f"{sentence}.", remedy)
 
 
 def _in_map(found: KnownMapRecord) -> Finding:
@@ -473,7 +473,12 @@ def _in_map(found: KnownMapRecord) -> Finding:
     more = ""
     if unplaced and found.is_recognised:
         more = f"; where {unplaced:,} of {found.keyframes:,} keyframes lie in it is not known"
-    return Finding("map", tone, short, f"{found.sentence}{more}.", "" if tone is Tone.GREEN else _IN_MAP)
+    return _finding("map", tone, short, f"{found.sentence}{more}.", _IN_MAP)
+
+
+def _finding(about: str, tone: Tone, short: str, sentence: str, remedy: str) -> Finding:
+    """A finding, whose remedy is left out if it is green."""
+    return Finding(about, tone, short, sentence, "" if tone is Tone.GREEN else remedy)
 
 
 def _share_finding(about: str, share: float, limits: tuple[float, float], sentence: str, remedy: str) -> Finding:
