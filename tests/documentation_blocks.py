@@ -19,6 +19,7 @@ GIVEN = {
     "T_map_odom": ("FloatArray", "wheelsight.core.geometry"),
     "T_odom_body": ("FloatArray", "wheelsight.core.geometry"),
     "T_prev_now": ("FloatArray", "wheelsight.core.geometry"),
+    "Keypoints": ("type[VisualOdometry]", "wheelsight"),
     "DrawnRobot": ("type[Robot]", "wheelsight.core.robots"),
     "begin_s": ("float", ""),
     "camera": ("PinholeCamera", "wheelsight"),
@@ -37,6 +38,7 @@ GIVEN = {
     "layer": ("LiveLayer", "wheelsight.navigation"),
     "localization": ("Localization", "wheelsight.navigation"),
     "localizer": ("Localizer", "wheelsight"),
+    "looked": ("_Callable[..., RgbdFrame]", "wheelsight"),
     "loops": ("list[RelativePose]", "wheelsight.slam"),
     "motion": ("MotionEstimate", "wheelsight"),
     "my_robot": ("EventSource", "wheelsight"),
@@ -101,12 +103,18 @@ def declared(block: str) -> str:
 
 def unmade(block: str) -> list[str]:
     """Names that are read, and that nothing in the block makes."""
-    nodes = list(ast.walk(ast.parse(block)))
+    tree = ast.parse(block)
+    nodes = list(ast.walk(tree))
     names = [node for node in nodes if isinstance(node, ast.Name)]
-    made = {node.id for node in names if isinstance(node.ctx, ast.Store)} | set(dir(builtins)) | {"__name__"}
-    made |= {node.arg for node in nodes if isinstance(node, ast.arg)}
-    made |= {node.name for node in ast.parse(block).body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    members = [child for node in nodes if isinstance(node, ast.ClassDef) for child in node.body]
+    of_classes = {id(node) for child in members if isinstance(child, ast.Assign) for node in ast.walk(child)}
+    made = {node.id for node in names if isinstance(node.ctx, ast.Store) and id(node) not in of_classes}
+    made |= set(dir(builtins)) | {"__name__"} | {node.arg for node in nodes if isinstance(node, ast.arg)}
+    made |= {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
     for node in nodes:
         if isinstance(node, ast.Import | ast.ImportFrom):
             made |= {(alias.asname or alias.name).split(".")[0] for alias in node.names}
-    return sorted({node.id for node in names} - made)
+    methods = {child.name for child in members if isinstance(child, ast.FunctionDef)}
+    loads = (node for node in names if isinstance(node.ctx, ast.Load))
+    read = {node.id for node in loads if not (id(node) in of_classes and node.id in methods)}
+    return sorted(read - made)
