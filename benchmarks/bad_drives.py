@@ -15,7 +15,7 @@ from wheelsight_sim import (
     ManualVelocities,
     RealismName,
     Renderer,
-    Robot,
+    RobotModel,
     SimulatedRecording,
     SimulationSettings,
     build_world,
@@ -210,7 +210,7 @@ def _driven(
     settings = SimulationSettings(
         world_name, camera, size=size, seed=seed, duration_s=duration_s, passersby=people, realism=realism
     )
-    world, robot, as_real = build_world(world_name, seed), Robot(), realism_of(realism)
+    world, robot, as_real = build_world(world_name, seed), RobotModel(), realism_of(realism)
     drive = simulate_drive(world, robot, driver(world.route), seed=seed, realism=as_real, time_limit_s=duration_s)
     return SimulatedRecording(settings, world, drive, Renderer(world, drive, settings, camera_model(camera, size)))
 

@@ -15,7 +15,7 @@ from wheelsight_sim import (
     FloorPlan,
     Patch,
     Renderer,
-    Robot,
+    RobotModel,
     SimulatedRecording,
     SimulationSettings,
     WheelFaults,
@@ -152,7 +152,7 @@ def fault_begin_s(duration_s: float) -> float:
     return duration_s / 3
 
 
-def robot_of(seed: int) -> Robot:
+def robot_of(seed: int) -> RobotModel:
     """A robot as robots are: nothing of it is quite what its owner believes.
 
     Wheels' size and track width are each 0.5 to 1 % off the data sheet, radii differ by 0.1 to 0.25 %, and the camera
@@ -163,7 +163,7 @@ def robot_of(seed: int) -> Robot:
     size, track, unequal = (signs * [*rng.uniform(*_WHEEL_ERROR, 2), rng.uniform(*_UNEQUAL)]).tolist()
     forward, left, height = (_MOUNT_M * rng.standard_normal(3)).tolist()
     pitch, yaw, roll = (_MOUNT_RAD * rng.standard_normal(3)).tolist()
-    nominal = Robot()
+    nominal = RobotModel()
     return replace(
         nominal,
         left_radius_m=NOMINAL_RADIUS_M * (1 + size - unequal / 2),

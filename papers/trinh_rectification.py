@@ -22,7 +22,7 @@ from _trinh_trial import ODOMETRY_TERMS, Trial, run_trial
 
 from wheelsight.core.errors import InputError, WheelsightError
 from wheelsight.core.files import make_output_folder, write_text
-from wheelsight_sim import Robot, SimulationSettings, World, build_world
+from wheelsight_sim import RobotModel, SimulationSettings, World, build_world
 
 EXAMPLES = """examples:
   python papers/trinh_rectification.py
@@ -40,7 +40,7 @@ HEAD = ("method", "trees", "mean distance", "of the wheels'", "true RMS", "areas
 
 # Tyres of a wheelchair pumped unevenly, and wheels that touch the ground a little wider apart than the data sheet says.
 # Chosen on the training drives of the first set: they leave the wheels alone an error of the paper's size there.
-ROBOT = Robot(left_radius_m=0.16924, right_radius_m=0.17076, track_width_m=0.525)
+ROBOT = RobotModel(left_radius_m=0.16924, right_radius_m=0.17076, track_width_m=0.525)
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Plan:
     both_ways: bool = False
     trees: int = 6
     full_trees: int = 64
-    robot: Robot = field(default=ROBOT)
+    robot: RobotModel = field(default=ROBOT)
 
     def training_drives(self, seed: int) -> list[DriveSettings]:
         """Of one set; what is left over of the frames goes to the first drives."""

@@ -15,12 +15,12 @@ from wheelsight.core.geometry import FloatArray, PinholeCamera, se3
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.vision.extrinsics import FloorDepths, Sightings
 from wheelsight.wheels import drive_from_ticks
-from wheelsight_sim import Robot
+from wheelsight_sim import RobotModel
 
 CAMERA = PinholeCamera(320, 240, 262.5, 262.5, 159.5, 119.5)
 NOISE = DepthNoise()
 NOMINAL = Wheels(0.17, 0.17, 0.58, 3200)
-MOUNT = Robot(
+MOUNT = RobotModel(
     camera_forward_m=0.28,
     camera_left_m=0.08,
     camera_height_m=0.8,

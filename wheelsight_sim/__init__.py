@@ -8,7 +8,7 @@ from wheelsight_sim.cameras import CameraModel, CameraUnit, Carriage, camera_mod
 from wheelsight_sim.drivers import ManualVelocities, StopAndTurn, follow_route, read_manual_velocities
 from wheelsight_sim.frames import Renderer
 from wheelsight_sim.physics import simulate_drive
-from wheelsight_sim.robot import Drive, Patch, Robot, WheelFaults
+from wheelsight_sim.robot import Drive, Patch, RobotModel, WheelFaults
 from wheelsight_sim.scene import Geoms, Scene, View
 from wheelsight_sim.settings import Realism, RealismName, SimulationSettings, realism_names, realism_of, stream
 from wheelsight_sim.simulate import simulate, write_simulation
@@ -29,7 +29,7 @@ __all__ = [
     "Realism",
     "RealismName",
     "Renderer",
-    "Robot",
+    "RobotModel",
     "Scene",
     "SimulatedRecording",
     "SimulationSettings",

@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray, se3
 from wheelsight.core.trajectory import Trajectory
-from wheelsight_sim.robot import Robot
+from wheelsight_sim.robot import RobotModel
 from wheelsight_sim.world import World
 
 # How a body moves on its tyres and springs: it pitches, leans, jolts and trembles, and the camera with it.
@@ -70,7 +70,12 @@ class BodyMotion:
     """
 
     def __init__(
-        self, truth: Trajectory, robot: Robot, floor: Floor, settings: BodySettings, rng: np.random.Generator
+        self,
+        truth: Trajectory,
+        robot: RobotModel,
+        floor: FloorSurface,
+        settings: BodySettings,
+        rng: np.random.Generator,
     ) -> None:
         self._stamps_s = truth.stamps_s
         period_s = float(np.median(np.diff(self._stamps_s)))
@@ -109,7 +114,9 @@ def _speeds(truth: Trajectory, period_s: float) -> tuple[FloatArray, FloatArray]
     return gaussian_filter1d(forward, sigma), gaussian_filter1d(np.gradient(yaw_rad, period_s), sigma)
 
 
-def jolts(T_world_base: FloatArray, robot: Robot, floor: Floor) -> tuple[FloatArray, FloatArray, FloatArray]:
+def jolts(
+    T_world_base: FloatArray, robot: RobotModel, floor: FloorSurface
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Pitch, roll (N,) in radians and rise (N,) in metres of a stiff body whose wheels stand on the floor as it is."""
     half_m = robot.track_width_m / 2
     contacts = np.array(
@@ -179,7 +186,7 @@ class LiveBodyMotion:
     """
 
     def __init__(
-        self, period_s: float, robot: Robot, floor: Floor, settings: BodySettings, rng: np.random.Generator
+        self, period_s: float, robot: RobotModel, floor: FloorSurface, settings: BodySettings, rng: np.random.Generator
     ) -> None:
         self._period_s, self._robot, self._floor, self._settings = period_s, robot, floor, settings
         rates = settings.roll_rad_s, settings.pitch_rad_s, settings.yaw_rad_s
@@ -301,7 +308,7 @@ class FloorSettings:
     carpet_drag: float = 0.015
 
 
-class Floor:
+class FloorSurface:
     """Of one world, as a grid of heights.
 
     Args:

@@ -28,7 +28,7 @@ from wheelsight_sim.depth_sensor import (
     StructuredLight,
     TimeOfFlight,
 )
-from wheelsight_sim.robot import Robot
+from wheelsight_sim.robot import RobotModel
 from wheelsight_sim.scene import View
 from wheelsight_sim.settings import Realism, stream
 from wheelsight_sim.world import World
@@ -258,7 +258,7 @@ class Carriage:
         return np.asarray(se3.log(se3.compose(se3.invert(before), after)) / (ends_s[1] - ends_s[0]))
 
 
-def carriage_of(truth: Trajectory, world: World, robot: Robot, realism: Realism | None, seed: int) -> Carriage:
+def carriage_of(truth: Trajectory, world: World, robot: RobotModel, realism: Realism | None, seed: int) -> Carriage:
     """How a robot carries its camera along a drive."""
     if realism is None:
         return Carriage(truth, robot.T_base_camera)

@@ -28,9 +28,6 @@ from wheelsight.core.files import write_bytes
 from wheelsight.core.geometry import FloatArray
 from wheelsight_sim.world import Surface, World
 
-# Where a wheelchair can drive: the footprints of what stands in a world, and whether a route keeps clear of them.
-
-
 LOWEST_M = 0.05  # what is lower, a wheelchair rolls over
 HIGHEST_M = 1.0  # what is higher, it passes under
 _CIRCLE_SEGMENTS = 16  # in a quarter
@@ -41,7 +38,7 @@ _SPHERE, _CYLINDER, _ELLIPSOID = (
 
 
 @dataclass(frozen=True, eq=False)
-class Footprint:
+class GeomOutline:
     """A geom seen from above.
 
     Attributes:
@@ -87,7 +84,7 @@ class Collision:
         return f"leg {self.leg}, from ({ax:g}, {ay:g}) to ({bx:g}, {by:g}), {what}"
 
 
-def footprints(world: World) -> tuple[Footprint, ...]:
+def footprints(world: World) -> tuple[GeomOutline, ...]:
     """All geoms but planes, in the MJCF's order."""
     model = mujoco.MjModel.from_xml_string(world.mjcf)
     data = mujoco.MjData(model)
@@ -154,7 +151,7 @@ def _pair(xy: FloatArray) -> tuple[float, float]:
     return float(xy[0]), float(xy[1])
 
 
-def _footprints(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Footprint]:
+def _footprints(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[GeomOutline]:
     for k in range(model.ngeom):
         if model.geom_type[k] == mujoco.mjtGeom.mjGEOM_PLANE:
             continue
@@ -166,7 +163,7 @@ def _footprints(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Footprin
             polygon = shapely.Point(middle[:2]).buffer(max(half[:2]), _CIRCLE_SEGMENTS)
         else:
             polygon = shapely.MultiPoint(corners[:, :2]).convex_hull
-        yield Footprint(
+        yield GeomOutline(
             name=model.geom(k).name,
             material=model.mat(int(model.geom_matid[k])).name,
             polygon=polygon,
@@ -264,7 +261,7 @@ def _ticks(low_m: float, high_m: float) -> FloatArray:
     return np.arange(np.ceil(low_m / step_m) * step_m, high_m, step_m)
 
 
-def _draw_things(axes: Axes, world: World, seen: Iterable[Footprint]) -> None:
+def _draw_things(axes: Axes, world: World, seen: Iterable[GeomOutline]) -> None:
     layers: dict[int, list[tuple[FloatArray, _Pen]]] = {}
     for footprint in sorted(seen, key=lambda footprint: footprint.top_m):
         pen = _pen_for(footprint, world.surfaces[footprint.material])
@@ -285,7 +282,7 @@ class _Pen:
     layer: int
 
 
-def _pen_for(footprint: Footprint, surface: Surface) -> _Pen:
+def _pen_for(footprint: GeomOutline, surface: Surface) -> _Pen:
     """How to draw a thing: walls, windows and what hangs on walls by what they are, the rest in its own colour."""
     own = np.array(surface.rgb)
     if footprint.name.startswith("wall_"):
@@ -303,7 +300,7 @@ def _pen_for(footprint: Footprint, surface: Surface) -> _Pen:
     return _Pen(to_rgba(_PAPER), to_rgba(_PAPER), 1.4, 6)
 
 
-def _crowd(seen: Iterable[Footprint], waypoints: FloatArray) -> shapely.Geometry:
+def _crowd(seen: Iterable[GeomOutline], waypoints: FloatArray) -> shapely.Geometry:
     """What names of areas should not be written over."""
     return shapely.union_all([*[thing.polygon for thing in seen if thing.is_solid], shapely.LineString(waypoints)])
 

@@ -32,7 +32,7 @@ _METERED_AT_MOST = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Exposure:
+class ExposureSetting:
     """What the camera's control has set for one frame: how long the shutter is open, and the gain."""
 
     time_s: float
@@ -66,7 +66,7 @@ class ColorSensor:
         motion_blur: whether things smear while the shutter is open.
     """
 
-    fixed: Exposure | None = None
+    fixed: ExposureSetting | None = None
     longest_s: float = 1 / 50
     highest_gain: float = 8.0
     target: float = 0.26
@@ -86,7 +86,7 @@ class ColorSensor:
         if not (0 <= self.inertia < 1 and 0 <= self.vignetting <= 1 and self.target < 1):
             raise ConfigError("a colour sensor's inertia, vignetting and target lie between 0 and 1")
 
-    def meter(self, radiance: Float32Array, last: Exposure | None = None) -> Exposure:
+    def meter(self, radiance: Float32Array, last: ExposureSetting | None = None) -> ExposureSetting:
         """The exposure of a frame (H, W, 3), which goes from the last frame's towards what this one asks for."""
         if self.fixed is not None:
             return self.fixed
@@ -96,13 +96,13 @@ class ColorSensor:
         if last is not None:
             wanted = last.product_s**self.inertia * wanted ** (1 - self.inertia)
         time_s = min(wanted, self.longest_s)
-        return Exposure(time_s, wanted / time_s)
+        return ExposureSetting(time_s, wanted / time_s)
 
     def expose(
         self,
         radiance: Float32Array,
         view: View,
-        exposure: Exposure,
+        exposure: ExposureSetting,
         rng: np.random.Generator,
         twist_camera: ArrayLike | None = None,
     ) -> ByteArray:
@@ -136,7 +136,7 @@ class ColorSensor:
         )
         return out
 
-    def _exposed(self, exposure: Exposure) -> Exposed:
+    def _exposed(self, exposure: ExposureSetting) -> Exposed:
         electrons, gain = self.electrons_per_s * exposure.time_s, exposure.gain / self.full_well
         return Exposed(electrons, self.full_well, self.read_noise, gain)
 
@@ -232,7 +232,9 @@ def response(settings: ControlSettings, period_s: float, frames: int) -> FloatAr
     return np.asarray(weights / weights.sum())
 
 
-def exposure_of(settings: ControlSettings, wanted_s: ArrayLike, weights: ArrayLike, highest_gain: float) -> Exposure:
+def exposure_of(
+    settings: ControlSettings, wanted_s: ArrayLike, weights: ArrayLike, highest_gain: float
+) -> ExposureSetting:
     """The exposure whose product the last frames asked for: time in steps and without flicker, gain for the rest.
 
     Args:
@@ -248,7 +250,7 @@ def exposure_of(settings: ControlSettings, wanted_s: ArrayLike, weights: ArrayLi
     time_s = min(product_s, settings.longest_s)
     if time_s > settings.flicker_s:
         time_s = settings.flicker_s * np.floor(time_s / settings.flicker_s + 1e-9)
-    return Exposure(time_s, min(product_s / time_s, highest_gain))
+    return ExposureSetting(time_s, min(product_s / time_s, highest_gain))
 
 
 def balance_of(settings: ControlSettings, colors: FloatArray, period_s: float) -> FloatArray:

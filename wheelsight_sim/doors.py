@@ -13,7 +13,7 @@ import shapely
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import BoolArray, FloatArray
 from wheelsight_sim.people import RADIUS_M, Passersby
-from wheelsight_sim.robot import Drive, Robot, outline_at
+from wheelsight_sim.robot import Drive, RobotModel, outline_at
 from wheelsight_sim.world import Leaf, World
 
 _STREAM = 0xD00
@@ -120,7 +120,7 @@ class Doors(Leaves):
         drive: Drive,
         count: int,
         seed: int,
-        robot: Robot | None = None,
+        robot: RobotModel | None = None,
         passersby: Passersby | None = None,
         settings: DoorSettings | None = None,
     ) -> None:
@@ -128,7 +128,7 @@ class Doors(Leaves):
         super().__init__(swinging(world, count, seed))
         start_s, end_s = (float(stamp_s) for stamp_s in drive.truth.stamps_s[[0, -1]])
         times_s = np.minimum(start_s + _STEP_S * np.arange(math.ceil((end_s - start_s) / _STEP_S) + 1), end_s)
-        outlines, people = _outlines(drive, times_s, robot or Robot()), _people(passersby, times_s)
+        outlines, people = _outlines(drive, times_s, robot or RobotModel()), _people(passersby, times_s)
         rng = np.random.default_rng([seed, _STREAM, 1])
         self.starts, self.swings = [], []
         for board in self._boards:
@@ -240,7 +240,7 @@ def _boards(world: World) -> list[DoorPanel]:
     return boards
 
 
-def _outlines(drive: Drive, times_s: FloatArray, robot: Robot) -> list[shapely.Polygon]:
+def _outlines(drive: Drive, times_s: FloatArray, robot: RobotModel) -> list[shapely.Polygon]:
     """The robot's outline from above at these times."""
     return [outline_at(robot, T) for T in drive.truth.at(times_s)]
 

@@ -19,7 +19,7 @@ from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera
 from wheelsight.core.messages import RgbdFrame
 from wheelsight_sim.appearance import Lights, Painter, Shadows, Sunlight
 from wheelsight_sim.cameras import CameraModel, CameraUnit, Carriage, carriage_of, unit_of
-from wheelsight_sim.color_sensor import ColorSensor, Exposure, balance_of, exposure_of, response
+from wheelsight_sim.color_sensor import ColorSensor, ExposureSetting, balance_of, exposure_of, response
 from wheelsight_sim.doors import Doors
 from wheelsight_sim.people import Passersby
 from wheelsight_sim.readings import FrameTimes, exact_times, frame_times
@@ -123,7 +123,7 @@ class FrameMaker:
         color = unit.delivered(self._sensor.expose(radiance, view, exposure, color_rng, twist))
         return RgbdFrame(float(self.times.told_s[index]), color, depth_m, index)
 
-    def _exposure(self, index: int, eye: _Eye) -> tuple[Exposure, FloatArray | None]:
+    def _exposure(self, index: int, eye: _Eye) -> tuple[ExposureSetting, FloatArray | None]:
         """What the camera's control sets for a frame, after what it metered in this one and the ones before.
 
         The sensor's control follows with inertia, so each frame's exposure would depend on all before. Here it sees the
@@ -141,7 +141,7 @@ class FrameMaker:
         aged = self._sensor.inertia**ages
         product_s = float(np.exp(np.average(np.log(products_s), weights=aged)))
         time_s = min(product_s, self._sensor.longest_s)
-        return Exposure(time_s, product_s / time_s), None
+        return ExposureSetting(time_s, product_s / time_s), None
 
     def _meter_of(self, index: int, eye: _Eye) -> tuple[float, FloatArray]:
         """Time times gain that a frame alone would ask for, and its mean colour; remembered for the next frames."""

@@ -1,4 +1,4 @@
-"""Walking people. `Ground` is the grid they walk on, `Passersby` walk along a finished drive, and `LivePassersby` react
+"""Walking people. `WalkableGrid` is their grid; `Passersby` walk along a finished drive, and `LivePassersby` react
 to a commanded robot.
 """
 
@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import BoolArray, ByteArray, FloatArray, IntArray
 from wheelsight_sim import walking_kernels as kernels
-from wheelsight_sim.robot import Drive, Robot, outline_m
+from wheelsight_sim.robot import Drive, RobotModel, outline_m
 from wheelsight_sim.world import Surface, World
 
 RADIUS_M = 0.25
@@ -42,7 +42,7 @@ _KEEPS_RIGHT_M = (0.2, 0.6)
 _CLOTHES = ((0.15, 0.17, 0.3), (0.45, 0.1, 0.12), (0.2, 0.35, 0.2), (0.5, 0.5, 0.48), (0.1, 0.1, 0.1), (0.6, 0.5, 0.3))
 
 
-class Ground:
+class WalkableGrid:
     """A grid of cells 10 cm wide over the ground, and the route on it.
 
     Attributes:
@@ -131,7 +131,7 @@ class Walkers:
         rng: of who they are.
     """
 
-    def __init__(self, ground: Ground, cells: NDArray[np.int64], rng: np.random.Generator) -> None:
+    def __init__(self, ground: WalkableGrid, cells: NDArray[np.int64], rng: np.random.Generator) -> None:
         count = len(cells)
         self.cells = cells
         self._rng, self._now = rng, 0
@@ -141,7 +141,7 @@ class Walkers:
         self._turns_at_s = rng.uniform(*_TURNS_AFTER_S, count)
         self._stuck_s = np.zeros(count)
         self._steps = steps_within_reach()
-        self._route = kernels.Route(ground.along_m, ground.left_m, ground.lap_m)
+        self._route = kernels.RouteGrid(ground.along_m, ground.left_m, ground.lap_m)
 
     def step(self, safe: Sequence[Sequence[ByteArray]]) -> NDArray[np.int64]:
         """Where they stand a step of `STEP_S` later (count, 2).
@@ -219,7 +219,7 @@ def steps_within_reach() -> NDArray[np.int64]:
 
 
 def starts(
-    ground: Ground, safe: ByteArray, xy_robot_m: FloatArray, count: int, rng: np.random.Generator
+    ground: WalkableGrid, safe: ByteArray, xy_robot_m: FloatArray, count: int, rng: np.random.Generator
 ) -> NDArray[np.int64]:
     """(count, 2) random safe cells, some metres from the robot if possible."""
     cells = np.argwhere(safe)
@@ -258,16 +258,16 @@ class Passersby(Cylinders):
         ConfigError: a negative count, or a world without room for people.
     """
 
-    def __init__(self, world: World, drive: Drive, count: int, seed: int, robot: Robot | None = None) -> None:
+    def __init__(self, world: World, drive: Drive, count: int, seed: int, robot: RobotModel | None = None) -> None:
         if count < 0:
             raise ConfigError(f"{count} passers-by", fix="0 or more")
         self._start_s = float(drive.truth.stamps_s[0])
         self._xy_m = np.zeros((1, 0, 2))
         if count:
-            robot = robot or Robot()
+            robot = robot or RobotModel()
             times_s = np.arange(math.ceil(drive.duration_s / STEP_S) + 1) * STEP_S + self._start_s
             T = drive.truth.at(times_s.clip(None, drive.truth.stamps_s[-1]))
-            ground = Ground(world)
+            ground = WalkableGrid(world)
             safe = _safe_cells(ground, T, outline_m(robot), world.name)
             self._xy_m = _walk(ground, safe, T[0, :2, 3], count, np.random.default_rng((seed, _STREAM)))
         super().__init__(self._xy_m[0])
@@ -299,7 +299,7 @@ class _SafeCells:
         return np.unpackbits(bits, count=self._is_free.size).reshape(self._is_free.shape) ^ self._is_free
 
 
-def _safe_cells(ground: Ground, T_world_robot: FloatArray, reach_m: FloatArray, world: str) -> _SafeCells:
+def _safe_cells(ground: WalkableGrid, T_world_robot: FloatArray, reach_m: FloatArray, world: str) -> _SafeCells:
     """Cells from which the robot at poses (N, 4, 4), a step apart, can be avoided until the last of them."""
     reach = np.zeros((2 * reach_cells() + 1,) * 2, np.uint8)
     reach[tuple((steps_within_reach() + reach_cells()).T)] = 1
@@ -315,7 +315,9 @@ def _safe_cells(ground: Ground, T_world_robot: FloatArray, reach_m: FloatArray, 
     return cells
 
 
-def _walk(ground: Ground, safe: _SafeCells, xy_robot_m: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
+def _walk(
+    ground: WalkableGrid, safe: _SafeCells, xy_robot_m: FloatArray, count: int, rng: np.random.Generator
+) -> FloatArray:
     """(N, count, 2) positions, a step apart."""
     walkers = Walkers(ground, starts(ground, safe.at(0), xy_robot_m, count, rng), rng)
     cells = [walkers.cells]
@@ -367,11 +369,11 @@ class LivePassersby(Cylinders):
         T_world_base: FloatArray,
         count: int,
         seed: int,
-        robot: Robot,
+        robot: RobotModel,
         settings: LivePeopleSettings | None = None,
     ) -> None:
         self._settings = settings or LivePeopleSettings()
-        self._ground, self._outline_m = Ground(world), outline_m(robot)
+        self._ground, self._outline_m = WalkableGrid(world), outline_m(robot)
         rng = np.random.default_rng((seed, _LIVE_PASSERSBY_STREAM))
         clear = self._clear_of([T_world_base], self._settings.clearance_m)
         if not clear.any():

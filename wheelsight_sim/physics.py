@@ -31,7 +31,7 @@ from wheelsight_sim.drivers import (
     smooth_path,
 )
 from wheelsight_sim.readings import GYRO_PERIOD_S, Encoders, Gyroscope, Reckoning, is_during
-from wheelsight_sim.robot import TICK_PERIOD_S, Drive, Robot, WheelFaults, WheelSizeSettings
+from wheelsight_sim.robot import TICK_PERIOD_S, Drive, RobotModel, WheelFaults, WheelSizeSettings
 from wheelsight_sim.settings import Realism, SimulationSettings, realism_of, stream
 from wheelsight_sim.wheelchair import TIMESTEP_S, Chair, Underfoot
 from wheelsight_sim.world import World
@@ -87,7 +87,7 @@ class SteppedRobot:
     def __init__(
         self,
         world: World,
-        robot: Robot,
+        robot: RobotModel,
         T_world_start: FloatArray,
         *,
         faults: WheelFaults = NO_FAULTS,
@@ -164,7 +164,7 @@ _STUCK_M, _STUCK_RAD = 0.05, 0.05
 
 def simulate_drive(
     world: World,
-    robot: Robot,
+    robot: RobotModel,
     driver: Driver,
     *,
     faults: WheelFaults = NO_FAULTS,

@@ -12,7 +12,7 @@ import numpy as np
 from wheelsight.core.calibration_parts import Gyro, Wheels
 from wheelsight.core.geometry import FloatArray, IntArray, se3
 from wheelsight.core.messages import WheelReading, WheelTicks, YawRate
-from wheelsight_sim.robot import Robot, WheelFaults
+from wheelsight_sim.robot import RobotModel, WheelFaults
 
 GYRO_PERIOD_S = 0.01
 _SAME_MOMENT_S = 1e-6
@@ -25,7 +25,7 @@ class Encoders:
     chance. While a cable is out the pulses of its time are lost for good; while readings drop out counting goes on.
     """
 
-    def __init__(self, robot: Robot, faults: WheelFaults, rng: np.random.Generator) -> None:
+    def __init__(self, robot: RobotModel, faults: WheelFaults, rng: np.random.Generator) -> None:
         self._counts_per_rad = robot.gear_ratio * robot.counts_per_turn / (2 * math.pi)
         self._faults = faults
         self._phase = rng.random(2)

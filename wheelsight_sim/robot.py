@@ -1,5 +1,6 @@
-"""`Robot` holds the true and the nominal dimensions of the simulated wheelchair. Its outline and motors follow, and
-`Drive`, the result of the physics.
+"""`RobotModel` holds the true and the nominal dimensions of the simulated wheelchair, with its outline and motors.
+
+`Drive` is the result of the physics.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ _POSSIBLE = {
 
 
 @dataclass(frozen=True, slots=True)
-class Robot:
+class RobotModel:
     """A powered wheelchair with the dimensions of Trinh et al., section II; errors make truth differ from them.
 
     Attributes:
@@ -185,12 +186,12 @@ class Drive:
 TAIL_M = 0.3  # how far a wheelchair reaches behind its axle
 
 
-def outline_m(robot: Robot) -> FloatArray:
+def outline_m(robot: RobotModel) -> FloatArray:
     """(3,) how far it reaches along x, from and to, and half its width, in the frame of the base."""
     return np.array([-TAIL_M, robot.length_m - TAIL_M, robot.width_m / 2])
 
 
-def outline_at(robot: Robot, T_world_base: FloatArray) -> shapely.Polygon:
+def outline_at(robot: RobotModel, T_world_base: FloatArray) -> shapely.Polygon:
     """The rectangle on the floor of a robot at a pose (4, 4)."""
     back_m, front_m, half_m = outline_m(robot)
     corners = np.array([(back_m, -half_m), (front_m, -half_m), (front_m, half_m), (back_m, half_m)])

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, Int32Array, IntArray, PinholeCamera
-from wheelsight_sim.view_kernels import Bodies, Boxes, Hits, Image, Places, aim, choose, find, gather, put, spread
+from wheelsight_sim.view_kernels import Bodies, Boxes, Hits, Image, ModelGeoms, aim, choose, find, gather, put, spread
 from wheelsight_sim.world import Surface, World
 
 # A world as the camera's rays meet it: MuJoCo casts them, many at a time, at the few geoms they can hit.
@@ -217,7 +217,7 @@ class _Targets:
     """
 
     def __init__(self) -> None:
-        self._models: dict[int, tuple[Any, Any, Places]] = {}
+        self._models: dict[int, tuple[Any, Any, ModelGeoms]] = {}
 
     def cast(self, geoms: Geoms, chosen: Int32Array, origin: FloatArray, rays: FloatArray) -> Hits:
         """Which of `chosen` (K,) each ray (N, 3) hits first, or -1; how many ray lengths away; outward normals."""
@@ -232,7 +232,7 @@ class _Targets:
         mujoco.mj_multiRay(model, data, origin, rays.reshape(-1), _FIRST_GROUP, True, -1, *out, n, _NO_LIMIT)
         return Hits(hit, distance, normal)
 
-    def _of_size(self, count: int) -> tuple[Any, Any, Places]:
+    def _of_size(self, count: int) -> tuple[Any, Any, ModelGeoms]:
         import mujoco
 
         size = _FEWEST_TARGETS
@@ -245,7 +245,7 @@ class _Targets:
             model = spec.compile()
             model.body_bvhadr[:] = _NO_TREE
             data = mujoco.MjData(model)
-            places = Places(model.geom_type, model.geom_size, data.geom_xpos, data.geom_xmat, model.geom_group)
+            places = ModelGeoms(model.geom_type, model.geom_size, data.geom_xpos, data.geom_xmat, model.geom_group)
             self._models[size] = model, data, places
         return self._models[size]
 

@@ -17,12 +17,12 @@ import numpy as np
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.files import StrPath
 from wheelsight_sim.appearance import LightSettings, ShadowSettings, SunlightSettings
-from wheelsight_sim.body_motion import BodySettings, Floor, FloorSettings, MountSettings, TyreSettings
+from wheelsight_sim.body_motion import BodySettings, FloorSettings, FloorSurface, MountSettings, TyreSettings
 from wheelsight_sim.color_sensor import ControlSettings, LensSettings, PixelSettings
 from wheelsight_sim.depth_sensor import RegistrationSettings
 from wheelsight_sim.drivers import MAX_SPEED_M_S
 from wheelsight_sim.readings import StampSettings
-from wheelsight_sim.robot import Robot, WheelFaults, WheelSizeSettings
+from wheelsight_sim.robot import RobotModel, WheelFaults, WheelSizeSettings
 from wheelsight_sim.world import World
 
 # Which floor plan a world is made of, and how far the robot is to drive in it.
@@ -95,9 +95,9 @@ class Realism:
     lights: LightSettings = field(default_factory=LightSettings)
     shadows: ShadowSettings = field(default_factory=ShadowSettings)
 
-    def floor_of(self, world: World, seed: int) -> Floor:
+    def floor_of(self, world: World, seed: int) -> FloorSurface:
         """The floor of a world."""
-        return Floor(world, self.floor, stream(seed, "floor"))
+        return FloorSurface(world, self.floor, stream(seed, "floor"))
 
 
 def realism_names() -> tuple[str, ...]:
@@ -154,7 +154,7 @@ class SimulationSettings:
         realism: one of `realism_names()`: "ideal" has nothing but the sensors' noise, "real" all that real sensors
             and robots do beside it, motion blur included.
         has_slip: whether wheels slip on the floor.
-        robot: as it truly is; its owner believes in `Robot()`.
+        robot: as it truly is; its owner believes in `RobotModel()`.
         faults: of the wheels.
         covered_s: (from, to) times in which something lies on the camera.
         plan: a floor plan that a world is made of, in place of a built-in one.
@@ -179,7 +179,7 @@ class SimulationSettings:
     doors: int = 0
     has_motion_blur: bool = False
     has_slip: bool = True
-    robot: Robot = field(default_factory=Robot)
+    robot: RobotModel = field(default_factory=RobotModel)
     faults: WheelFaults = field(default_factory=WheelFaults)
     covered_s: tuple[tuple[float, float], ...] = ()
     realism: RealismName = "ideal"

@@ -25,7 +25,7 @@ from wheelsight_sim.faults import CameraFault, events_with
 from wheelsight_sim.frames import Renderer
 from wheelsight_sim.physics import nominal_wheels, owned_wheels
 from wheelsight_sim.readings import as_stamped
-from wheelsight_sim.robot import Drive, Robot, as_calibrated
+from wheelsight_sim.robot import Drive, RobotModel, as_calibrated
 from wheelsight_sim.settings import SimulationSettings, realism_of, stream
 from wheelsight_sim.world import World
 from wheelsight_sim.worlds import build_world
@@ -154,8 +154,8 @@ def as_owned(settings: SimulationSettings, camera: Calibration) -> Calibration:
         holonomic = nominal_wheels(settings)
         if realism is not None:
             holonomic = owned_wheels(settings, realism.wheel_sizes, stream(settings.seed, "wheel sizes"))
-        return calibration_of(holonomic, Robot().T_base_camera, camera, "nominal")
-    wheels, T_base_camera = robot.nominal, Robot().T_base_camera
+        return calibration_of(holonomic, RobotModel().T_base_camera, camera, "nominal")
+    wheels, T_base_camera = robot.nominal, RobotModel().T_base_camera
     if realism is not None and robot.wheels == wheels:
         wheels = as_calibrated(wheels, realism.wheel_sizes, stream(settings.seed, "wheel sizes"))
     return calibration_of(wheels, T_base_camera, camera, "nominal")

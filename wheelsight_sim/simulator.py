@@ -1,5 +1,5 @@
 """`Simulator` is a simulated `Robot` in a world with people and doors. `LiveWorld` steps that world and lists contacts;
-`LiveCamera` renders frames as soon as they are exposed.
+`SimulatedCamera` renders frames as soon as they are exposed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from wheelsight_sim.frames import FrameMaker, Surroundings, camera_calibration, 
 from wheelsight_sim.people import RADIUS_M, STEP_S, LivePassersby, LivePeopleSettings
 from wheelsight_sim.physics import TRUTH_PERIOD_S, Reading, SteppedRobot, floor_of, poses_of, start_of, ticks_of
 from wheelsight_sim.readings import Delays
-from wheelsight_sim.robot import Motors, Robot, outline_at
+from wheelsight_sim.robot import Motors, RobotModel, outline_at
 from wheelsight_sim.settings import SimulationSettings, realism_of, stream
 from wheelsight_sim.simulate import world_of
 from wheelsight_sim.simulated_recording import as_owned
@@ -100,7 +100,7 @@ class Simulator(OneCaller):
             floor=floor_of(self._live.world, realism_of(settings.realism), settings.seed),
             doors=self._live.doors,
         )
-        self._camera = LiveCamera(self._live.surroundings, settings, LONGEST_S, threads)
+        self._camera = SimulatedCamera(self._live.surroundings, settings, LONGEST_S, threads)
         self._calibration = as_owned(settings, self._camera.calibration)
         self._drive = _WheelDrive(settings, self._calibration, limits, control)
         realism, seed = realism_of(settings.realism), settings.day_seed
@@ -358,7 +358,7 @@ _KEPT_S = 0.25
 _AFTER_S = 0.005
 
 
-class LiveCamera:
+class SimulatedCamera:
     """Renders the frames of a drive while it goes on, each as soon as all of its rows are exposed.
 
     Args:
@@ -483,7 +483,7 @@ class Bystanders:
     """
 
     def __init__(
-        self, world: World, robot: Robot, people: LivePassersby | None = None, doors: LiveDoors | None = None
+        self, world: World, robot: RobotModel, people: LivePassersby | None = None, doors: LiveDoors | None = None
     ) -> None:
         from wheelsight_sim.clearance import footprints
 

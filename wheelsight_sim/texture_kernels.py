@@ -26,7 +26,7 @@ _VEIN_M = 0.025
 _CHIPPED_FROM_M = 0.25
 
 
-class Footprint(NamedTuple):
+class PixelFootprint(NamedTuple):
     """Where a pixel's ray meets a face, and how wide the pixel is there; metres along s and t."""
 
     s: float
@@ -183,7 +183,7 @@ def blot(s: float, t: float, cell: float, ws: float, wt: float, seed: int, share
 
 
 @kernel(error_model="numpy")
-def carpet(at: Footprint, look: Look) -> Any:
+def carpet(at: PixelFootprint, look: Look) -> Any:
     """Mottled loops of two yarns in squares laid by quarter turns, with lint and stains; large scales have figures."""
     s, t, ws, wt = at
     rgb, accent, scale_m, contrast, seed = look
@@ -213,7 +213,7 @@ def carpet(at: Footprint, look: Look) -> Any:
 
 
 @kernel(error_model="numpy")
-def tiles(at: Footprint, look: Look) -> Any:
+def tiles(at: PixelFootprint, look: Look) -> Any:
     """Square tiles of slightly different shade, veined and speckled; large ones of terrazzo, with chips of stone."""
     s, t, ws, wt = at
     rgb, accent, scale_m, contrast, seed = look
@@ -238,7 +238,7 @@ def tiles(at: Footprint, look: Look) -> Any:
 
 
 @kernel(error_model="numpy")
-def wood(at: Footprint, look: Look) -> Any:
+def wood(at: PixelFootprint, look: Look) -> Any:
     """Planks along s, as wide as the scale and seven times as long, each with its own grain and shade."""
     s, t, ws, wt = at
     rgb, accent, scale_m, contrast, seed = look
@@ -247,12 +247,12 @@ def wood(at: Footprint, look: Look) -> Any:
     along = s + length * hash_unit(row, 3, seed)
     plank = cells(along, t, length, width, ws, wt, seed + 1, 0.0) - 0.5
     joint = 1 - (1 - stripes(t, width, 0.002, wt)) * (1 - stripes(along, length, 0.002, ws))
-    fibres = grain(Footprint(along + 3 * row, t, ws, wt), rgb, accent, contrast, seed + 2, 0.3 * plank)
+    fibres = grain(PixelFootprint(along + 3 * row, t, ws, wt), rgb, accent, contrast, seed + 2, 0.3 * plank)
     return scaled(fibres, 1 - 0.65 * joint)
 
 
 @kernel(error_model="numpy")
-def grain(at: Footprint, rgb: Any, accent: Any, contrast: float, seed: int, shade: float) -> Any:
+def grain(at: PixelFootprint, rgb: Any, accent: Any, contrast: float, seed: int, shade: float) -> Any:
     """Wood whose fibres run along s."""
     s, t, ws, wt = at
     bent = t + 0.02 * noise(s, t, 0.5, 0.08, ws, wt, seed)
@@ -263,7 +263,7 @@ def grain(at: Footprint, rgb: Any, accent: Any, contrast: float, seed: int, shad
 
 
 @kernel(error_model="numpy")
-def ceiling(at: Footprint, look: Look) -> Any:
+def ceiling(at: PixelFootprint, look: Look) -> Any:
     """Mineral-fibre panels in a metal grid: small holes and fissures."""
     s, t, ws, wt = at
     rgb, accent, scale_m, contrast, seed = look
@@ -276,7 +276,7 @@ def ceiling(at: Footprint, look: Look) -> Any:
 
 
 @kernel(error_model="numpy")
-def fabric(at: Footprint, look: Look) -> Any:
+def fabric(at: PixelFootprint, look: Look) -> Any:
     """A weave with broad folds and stripes as far apart as the scale."""
     s, t, ws, wt = at
     rgb, accent, scale_m, contrast, seed = look
@@ -482,13 +482,13 @@ def pick_colour(key: int, seed: int, strength: float) -> Any:
 
 
 @kernel(error_model="numpy")
-def door(at: Footprint, hs: float, ht: float, look: Look) -> Any:
+def door(at: PixelFootprint, hs: float, ht: float, look: Look) -> Any:
     """Frame, leaf with grain, two panels or a slit of glass, handle, kick plate, dents, and a number at eye height."""
     s, t, ws, wt = at
     rgb, accent, _, contrast, seed = look
     side = 1.0 if hash_unit(1, 1, seed) < 0.5 else -1.0
     up, x = t + ht, s * side
-    leaf = grain(Footprint(t, s, wt, ws), rgb, scaled(rgb, 0.45), contrast, seed, 0.0)
+    leaf = grain(PixelFootprint(t, s, wt, ws), rgb, scaled(rgb, 0.45), contrast, seed, 0.0)
     if hash_unit(2, 1, seed) < 0.45:
         glass = rectangle(x, up, 0.25 * hs, 0.25 * hs + 0.14, 0.55, 2 * ht - 0.3, ws, wt)
         rim = rectangle(x, up, 0.25 * hs - 0.02, 0.25 * hs + 0.16, 0.53, 2 * ht - 0.28, ws, wt)
@@ -502,14 +502,14 @@ def door(at: Footprint, hs: float, ht: float, look: Look) -> Any:
             leaf = scaled(leaf, 1 - 0.4 * (outer - inner) + 0.05 * inner)
     knocked = blot(s, up, 0.19, ws, wt, seed + 7, 0.5, 0.011)
     leaf = scaled(mix(leaf, _STEEL, rectangle(s, up, -hs + 0.08, hs - 0.08, 0.01, 0.2, ws, wt)), 1 - 0.5 * knocked)
-    leaf = _handle_and_number(leaf, Footprint(s, up, ws, wt), side, hs, accent, seed)
+    leaf = _handle_and_number(leaf, PixelFootprint(s, up, ws, wt), side, hs, accent, seed)
     frame = 1 - rectangle(s, up, -hs + 0.06, hs - 0.06, -1.0, 2 * ht - 0.06, ws, wt)
     gap = 1 - rectangle(s, up, -hs + 0.068, hs - 0.068, 0.006, 2 * ht - 0.068, ws, wt)
     return mix(scaled(leaf, 1 - 0.8 * gap), accent, frame)
 
 
 @kernel(error_model="numpy")
-def _handle_and_number(leaf: Any, at: Footprint, side: float, hs: float, accent: Any, seed: int) -> Any:
+def _handle_and_number(leaf: Any, at: PixelFootprint, side: float, hs: float, accent: Any, seed: int) -> Any:
     """A leaf's colour with lever and plate at hand's height, and the room's number with lines of print.
 
     Here t runs up from the leaf's foot; the lever is on the `side` of negative s, or with -1 on the other.
@@ -552,7 +552,7 @@ def picture(s: float, t: float, w_m: float, ws: float, wt: float, strength: floa
 
 
 @kernel(error_model="numpy")
-def poster(at: Footprint, hs: float, ht: float, look: Look) -> Any:
+def poster(at: PixelFootprint, hs: float, ht: float, look: Look) -> Any:
     """A frame, a headline, a picture, a chart, and columns of print, laid out by the seed."""
     s, t, ws, wt = at
     rgb, accent, _, contrast, seed = look
@@ -583,7 +583,7 @@ def poster(at: Footprint, hs: float, ht: float, look: Look) -> Any:
 
 
 @kernel(error_model="numpy")
-def notice_board(at: Footprint, hs: float, ht: float, look: Look) -> Any:
+def notice_board(at: PixelFootprint, hs: float, ht: float, look: Look) -> Any:
     """Cork in a frame, covered with notes: large sheets below, smaller ones over them, each with its own print."""
     s, t, ws, wt = at
     rgb, accent, scale_m, contrast, seed = look
@@ -601,7 +601,7 @@ def notice_board(at: Footprint, hs: float, ht: float, look: Look) -> Any:
 
 @kernel(error_model="numpy")
 def _note(
-    under: Any, at: Footprint, hs: float, ht: float, size: float, likely: float, contrast: float, seed: int
+    under: Any, at: PixelFootprint, hs: float, ht: float, size: float, likely: float, contrast: float, seed: int
 ) -> Any:
     """What is under, or the note pinned over it: one in a cell of a grid, somewhere in the cell and of some size."""
     s, t, ws, wt = at
@@ -621,12 +621,12 @@ def _note(
     if shadow + sheet <= 0:
         return under
     key = int(hash_unit(i, j, seed + 5) * 65536)
-    paper = _sheet(Footprint(a, b, ws, wt), half_w, half_h, contrast, seed, key)
+    paper = _sheet(PixelFootprint(a, b, ws, wt), half_w, half_h, contrast, seed, key)
     return mix(scaled(under, 1 - 0.5 * shadow), paper, sheet)
 
 
 @kernel(error_model="numpy")
-def _sheet(at: Footprint, half_w: float, half_h: float, contrast: float, seed: int, key: int) -> Any:
+def _sheet(at: PixelFootprint, half_w: float, half_h: float, contrast: float, seed: int, key: int) -> Any:
     """A note's colour at a place seen from its middle: paper, headline or picture, lines of print, a pin."""
     a, b, ws, wt = at
     paper = _PAPER if hash_unit(key, 6, seed) < 0.55 else mix(_PAPER, pick_colour(key, seed, 1.0), 0.75 * contrast)
@@ -648,7 +648,7 @@ def _sheet(at: Footprint, half_w: float, half_h: float, contrast: float, seed: i
 
 
 @kernel(error_model="numpy")
-def books(at: Footprint, hs: float, ht: float, look: Look) -> Any:
+def books(at: PixelFootprint, hs: float, ht: float, look: Look) -> Any:
     """Spines about as wide as the scale, of many heights and colours, in rows with boards between where it is tall."""
     s, t, ws, wt = at
     rgb, _, scale_m, contrast, seed = look
@@ -662,7 +662,7 @@ def books(at: Footprint, hs: float, ht: float, look: Look) -> Any:
     blurred = min(max(0.7 * ws / scale_m - 1, 0.0), 1.0)
     inside = mix(back, _MEAN_SPINE, cover(above, 0.0, 0.77 * clear, max(wt, 0.3 * clear)))
     if blurred < 1:
-        spines = _two_spines(Footprint(s, above, ws, wt), row, clear, back, scale_m, contrast, seed)
+        spines = _two_spines(PixelFootprint(s, above, ws, wt), row, clear, back, scale_m, contrast, seed)
         inside = mix(spines, inside, blurred)
     if thick == 0:
         return inside
@@ -672,7 +672,9 @@ def books(at: Footprint, hs: float, ht: float, look: Look) -> Any:
 
 
 @kernel(error_model="numpy")
-def _two_spines(at: Footprint, row: int, clear: float, back: Any, scale_m: float, contrast: float, seed: int) -> Any:
+def _two_spines(
+    at: PixelFootprint, row: int, clear: float, back: Any, scale_m: float, contrast: float, seed: int
+) -> Any:
     """The book at s, and the next where the footprint reaches over to it; t runs up from the board they stand on."""
     s, _, ws, _ = at
     column = math.floor(s / scale_m)
@@ -688,7 +690,7 @@ def _two_spines(at: Footprint, row: int, clear: float, back: Any, scale_m: float
 
 
 @kernel(error_model="numpy")
-def _spine(book: int, row: int, at: Footprint, clear: float, back: Any, contrast: float, seed: int) -> Any:
+def _spine(book: int, row: int, at: PixelFootprint, clear: float, back: Any, contrast: float, seed: int) -> Any:
     """A book's spine with label and band, and the shelf's back above it; some books are missing."""
     s, above, ws, wt = at
     if hash_unit(book, row, seed + 2) < 0.07:

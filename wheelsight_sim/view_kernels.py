@@ -11,8 +11,8 @@ from wheelsight.core.compiled import kernel
 from wheelsight.core.geometry.arrays import Float32Array, FloatArray, Int32Array, IntArray
 from wheelsight_sim.light_kernels import Light, Views, lamp_at, light_at, light_row, nine, tinted, turned
 from wheelsight_sim.texture_kernels import (
-    Footprint,
     Look,
+    PixelFootprint,
     books,
     carpet,
     ceiling,
@@ -68,7 +68,7 @@ class Bodies(NamedTuple):
     R_world_geom: FloatArray
 
 
-class Places(NamedTuple):
+class ModelGeoms(NamedTuple):
     """A small model's arrays for its M geoms: kinds, sizes, positions, orientations (M, 9) and groups."""
 
     kind: Int32Array
@@ -234,7 +234,7 @@ def _cover(kind: int, size: Any, start: Any, R_geom: Any, R: Any, bounds: Any) -
 
 
 @kernel
-def put(chosen: Int32Array, bodies: Bodies, places: Places) -> None:
+def put(chosen: Int32Array, bodies: Bodies, places: ModelGeoms) -> None:
     """Copy the `chosen` (K,) geoms into the first places of a small model, group 0; the others go to group 1."""
     kind, size_m, position, R_world_geom = bodies
     to_kind, to_size, to_position, to_R, to_group = places
@@ -442,7 +442,7 @@ def pixel_step(n: Any, ray: Any, to_next: Any, depth_m: float) -> Any:
 
 
 @kernel(error_model="numpy")
-def albedo_at(kind: int, at: Footprint, hs: float, ht: float, look: Look) -> Any:
+def albedo_at(kind: int, at: PixelFootprint, hs: float, ht: float, look: Look) -> Any:
     """Reflectances of one texture at a point of a face of half size `hs` by `ht`."""
     if kind == PLASTER:
         return plaster(at.s, at.t, at.ws, at.wt, look.rgb, look.contrast, look.seed)
@@ -589,7 +589,7 @@ def albedo_on_geom(g: int, p: Any, n: Any, step_u: Any, step_v: Any, things: Thi
     s, t = on_face(face, normal, (local[0] + origin[g, 0], local[1] + origin[g, 1], local[2] + origin[g, 2]))
     hs, ht = size_m[g, 1 if face == 0 else 0], size_m[g, 1 if face == 2 else 2]
     look = Look(rgb, accent, numbers[g, 0], numbers[g, 1], int(looks[g, 1]))
-    colour = albedo_at(kind, Footprint(s, t, ws, wt), hs, ht, look)
+    colour = albedo_at(kind, PixelFootprint(s, t, ws, wt), hs, ht, look)
     if kind == PLASTER and abs(n[2]) < 0.3:
         height_w = max(abs(step_u[2]) + abs(step_v[2]), _LEAST_FOOTPRINT_M)
         colour = used_wall(colour, s, p[2], 2 * ht if face != _CURVED else 0.0, ws, height_w, int(looks[g, 1]))

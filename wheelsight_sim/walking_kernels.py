@@ -10,7 +10,7 @@ from wheelsight.core.compiled import kernel
 from wheelsight.core.geometry.arrays import FloatArray
 
 
-class Route(NamedTuple):
+class RouteGrid(NamedTuple):
     """How far along a route each cell lies (R, C), and how far left of it (R, C); along starts anew after a lap."""
 
     along_m: FloatArray
@@ -51,7 +51,7 @@ def keep_clear(
 
 @kernel
 def best_step(
-    safe: Any, route: Route, steps: Any, row: int, column: int, wish: Wish, taken: Any, apart: float
+    safe: Any, route: RouteGrid, steps: Any, row: int, column: int, wish: Wish, taken: Any, apart: float
 ) -> tuple[int, int]:
     """The cell (row, column) to step to, of those that are `safe` (R, C) and one of `steps` (K, 2) away.
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import FloatArray, se3, so3
-from wheelsight_sim.body_motion import Floor, LoadedRadii, TyreSettings
+from wheelsight_sim.body_motion import FloorSurface, LoadedRadii, TyreSettings
 from wheelsight_sim.doors import Leaves
 from wheelsight_sim.drivers import COMMAND_PERIOD_S
 from wheelsight_sim.readings import is_during
-from wheelsight_sim.robot import Patch, Robot, WheelFaults
+from wheelsight_sim.robot import Patch, RobotModel, WheelFaults
 from wheelsight_sim.world import World
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ _WEIGHT_KG = 130.0
 _WHEELS_KG = 2 * (4 + 0.5 + 0.8)
 
 
-def wheelchair_mjcf(robot: Robot) -> str:
+def wheelchair_mjcf(robot: RobotModel) -> str:
     """The wheelchair alone; its body `base` is free and starts with the base frame in the world's origin."""
     half_height = (robot.height_m - _CLEARANCE_M) / 2
     half_y = robot.track_width_m / 2
@@ -134,7 +134,7 @@ def wheelchair_mjcf(robot: Robot) -> str:
     )
 
 
-def scene(world: World, robot: Robot, *, slip: bool = True, doors: Leaves | None = None) -> mujoco.MjModel:
+def scene(world: World, robot: RobotModel, *, slip: bool = True, doors: Leaves | None = None) -> mujoco.MjModel:
     """The world's walls and furniture, a floor, and the wheelchair on it, ready to be stepped.
 
     Only the wheels and the floor touch (each as a pair with its own friction), and the wheelchair's hull and what
@@ -213,7 +213,7 @@ class Chair:
     def __init__(
         self,
         world: World,
-        robot: Robot,
+        robot: RobotModel,
         faults: WheelFaults,
         T_world_base: FloatArray,
         *,
@@ -374,7 +374,7 @@ _SLOPE, _WAVES, _WAVE_LENGTH_M = 0.002, 12, (0.5, 4.0)
 class Underfoot:
     """A floor with thresholds and carpets, and tyres that give way."""
 
-    floor: Floor
+    floor: FloorSurface
     tyres: TyreSettings
 
 
@@ -446,7 +446,7 @@ class Tyres:
                 x, y = data.geom_xpos[geom, :2].tolist()
                 self._model.pair_friction[pair, :2] = self._friction_at(x, y)
 
-    def _rates_on(self, floor: Floor, data: mujoco.MjData) -> list[float]:
+    def _rates_on(self, floor: FloorSurface, data: mujoco.MjData) -> list[float]:
         """Of creep, by what each wheel stands on."""
         softer = np.where(floor.is_carpet(self.places(data)), floor.settings.carpet_creep, 1.0)
         return [rate * share for rate, share in zip(self._rates, softer.tolist(), strict=True)]
@@ -476,7 +476,7 @@ class UnevenFloor:
         return np.asarray(_SLOPE * 2 / math.sqrt(_WAVES) * (heights @ self._units))
 
 
-def drag_n(floor: Floor, places: FloatArray, loads_n: FloatArray, ahead: FloatArray, speed_m_s: float) -> float:
+def drag_n(floor: FloorSurface, places: FloatArray, loads_n: FloatArray, ahead: FloatArray, speed_m_s: float) -> float:
     """Force in newton along `ahead` (2,) on wheels at places (W, 2) that climb thresholds or roll on carpet.
 
     A wheel that carries a load up a slope is pushed back by the load's share along it.

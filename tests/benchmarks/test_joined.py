@@ -25,7 +25,7 @@ from wheelsight.core.geometry import se3, so3
 from wheelsight.core.messages import WheelTicks
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.estimation import FusedEstimate
-from wheelsight_sim import Drive, Robot
+from wheelsight_sim import Drive, RobotModel
 
 SECONDS = 10.0
 STAMPS_S = np.arange(0, SECONDS + 1e-9, 0.02)
@@ -155,7 +155,7 @@ def test_a_base_that_slides_sideways_slips() -> None:
 
 def test_robots_differ_as_told() -> None:
     for seed in range(1, 11):
-        robot, nominal = robot_of(seed), Robot()
+        robot, nominal = robot_of(seed), RobotModel()
         size = (robot.left_radius_m + robot.right_radius_m) / 2 / nominal.left_radius_m - 1
         assert 0.005 <= abs(size) <= 0.01
         assert 0.001 <= abs(robot.right_radius_m - robot.left_radius_m) / nominal.left_radius_m <= 0.0025

@@ -20,12 +20,12 @@ from wheelsight.core.calibration import Calibration, load_calibration, read_laye
 from wheelsight.io.recordings import OpenOptions, Recording, open_recording
 from wheelsight.vision import extrinsics
 from wheelsight.vision.extrinsics import BaseCalibration, ExtrinsicsSettings, base_from, mount_values
-from wheelsight_sim import Robot, SimulationSettings, simulate, write_simulation
+from wheelsight_sim import RobotModel, SimulationSettings, simulate, write_simulation
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]
 
-BELIEVED = Robot().T_base_camera
+BELIEVED = RobotModel().T_base_camera
 LEGS = (
     *((1.0, 0.5, 0.0), (4.0, 0.5, 0.0), (4.0, 0.35, 0.8), (3.0, 0.5, 0.0), (2.0, 0.0, 0.8), (1.0, 0.0, 0.0)),
     *((4.0, 0.35, -0.8), (3.0, 0.6, 0.0), (3.0, 0.0, -0.9), (2.0, 0.4, 0.2), (4.0, 0.4, 0.7), (1.0, 0.0, 0.0)),
@@ -163,7 +163,7 @@ def test_a_simulated_drive_from_end_to_end(wheelsight: Command, tmp_path: Path) 
     begins = np.cumsum([0.0, *(leg[0] for leg in LEGS)])
     table += [f"{begin},{v},{w}" for begin, (_, v, w) in zip(begins, (*LEGS, (0.0, 0.0, 0.0)), strict=True)]
     (tmp_path / "legs.csv").write_text("\n".join(table) + "\n")
-    robot = Robot(camera_yaw_rad=-0.2, camera_left_m=-0.15)
+    robot = RobotModel(camera_yaw_rad=-0.2, camera_left_m=-0.15)
     how: dict[str, Any] = {"world": "square", "size": (320, 240), "rate_hz": 5, "seed": 5}
     settings = SimulationSettings(velocities=tmp_path / "legs.csv", robot=robot, **how)
     write_simulation(simulate(settings), tmp_path / "drive")

@@ -18,7 +18,7 @@ from wheelsight.core.estimates import Estimate
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.messages import Event, WheelTicks, YawRate
 from wheelsight.estimation import Localizer
-from wheelsight_sim import Drive, Robot, SimulationSettings, simulate
+from wheelsight_sim import Drive, RobotModel, SimulationSettings, simulate
 
 CALIBRATION = Calibration(wheels=Wheels(0.17, 0.17, 0.52, 3200.0), source="tape measure")
 Change = Callable[[YawRate], YawRate | None]
@@ -27,7 +27,7 @@ Change = Callable[[YawRate], YawRate | None]
 @cache
 def driven(seed: int, **robot: float) -> Drive:
     """25 s through a flat, without a rest; the gyroscope's bias is one of many."""
-    true = Robot(has_gyro=True, **robot)  # type: ignore[arg-type]
+    true = RobotModel(has_gyro=True, **robot)  # type: ignore[arg-type]
     return simulate(SimulationSettings(world="flat", duration_s=25.0, seed=seed, robot=true)).drive
 
 

@@ -20,12 +20,12 @@ from wheelsight.core.estimates import Estimate, Status
 from wheelsight.core.messages import Event, WheelTicks
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.estimation import FusedEstimate, Localizer, choose_odometry
-from wheelsight_sim import Patch, Robot, SimulationSettings, WheelFaults
+from wheelsight_sim import Patch, RobotModel, SimulationSettings, WheelFaults
 from wheelsight_sim.physics import nominal_wheels, simulate_holonomic_drive
 from wheelsight_sim.robot import Drive
 from wheelsight_sim.simulate import world_of
 
-SETTINGS = SimulationSettings(world="flat", base="mecanum", duration_s=15.0, robot=Robot(has_gyro=True))
+SETTINGS = SimulationSettings(world="flat", base="mecanum", duration_s=15.0, robot=RobotModel(has_gyro=True))
 CALIBRATION = Calibration(holonomic=nominal_wheels(SETTINGS), source="data sheet")
 
 

@@ -16,7 +16,7 @@ from wheelsight.io.recordings import express_for
 from wheelsight_sim import (
     ManualVelocities,
     Renderer,
-    Robot,
+    RobotModel,
     SimulatedRecording,
     SimulationSettings,
     build_world,
@@ -33,7 +33,7 @@ def spin(seed: int) -> SimulatedRecording:
     settings = SimulationSettings("flat", size=SIZE, seed=seed, duration_s=SECONDS, rate_hz=5)
     world = build_world("flat", seed)
     drive = simulate_drive(
-        world, Robot(), ManualVelocities(STAMPS_S, np.zeros(5), YAW_RATES), seed=seed, time_limit_s=SECONDS
+        world, RobotModel(), ManualVelocities(STAMPS_S, np.zeros(5), YAW_RATES), seed=seed, time_limit_s=SECONDS
     )
     return SimulatedRecording(settings, world, drive, Renderer(world, drive, settings, camera_model("kinect-v1", SIZE)))
 

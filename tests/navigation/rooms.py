@@ -19,7 +19,7 @@ from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand, WheelSpe
 from wheelsight.core.robots import STOPPED
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import KnownFloor, NavigationSettings, Navigator, Planned, Transition, Worker
-from wheelsight_sim.robot import Robot
+from wheelsight_sim.robot import RobotModel
 
 CELL_M = 0.05
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
@@ -28,7 +28,7 @@ CAMERA = PinholeCamera(64, 48, 52.0, 52.0, 31.5, 23.5)
 HEIGHT_M, AHEAD_M, PITCH_RAD, SENSES_M = 0.9, 0.35, 0.4, (0.4, 6.0)
 
 
-MOUNT = Robot(camera_height_m=HEIGHT_M, camera_forward_m=AHEAD_M, camera_pitch_rad=PITCH_RAD).T_base_camera
+MOUNT = RobotModel(camera_height_m=HEIGHT_M, camera_forward_m=AHEAD_M, camera_pitch_rad=PITCH_RAD).T_base_camera
 CALIBRATION = Calibration.registered_camera(CAMERA, T_base_camera=MOUNT, wheels=WHEELS)
 
 

@@ -9,10 +9,10 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.camera_errors import errors_of, motion_errors, place_errors, typical_motion_errors, with_error
 from wheelsight.core.depth_errors import NOMINAL_ERRORS, PointErrors, mode_of
 from wheelsight.core.geometry import FloatArray, PinholeCamera, se2, se3
-from wheelsight_sim import Robot
+from wheelsight_sim import RobotModel
 
 CAMERA = PinholeCamera(320, 240, 262.5, 262.5, 159.5, 119.5)
-MOUNT = Robot(camera_pitch_rad=0.3, camera_yaw_rad=0.2, camera_forward_m=0.25).T_base_camera
+MOUNT = RobotModel(camera_pitch_rad=0.3, camera_yaw_rad=0.2, camera_forward_m=0.25).T_base_camera
 
 
 @pytest.fixture

@@ -15,13 +15,13 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, se3
 from wheelsight_sim import sensor_kernels as _blur_kernels
 from wheelsight_sim import texture_kernels as _texture_kernels
-from wheelsight_sim.color_sensor import ColorSensor, Exposure, image_flow
+from wheelsight_sim.color_sensor import ColorSensor, ExposureSetting, image_flow
 from wheelsight_sim.scene import View
 
 WALL = boxes(("wall", "blank", (2.0, 0, 1), (0.5, 9, 9)))
 # So many electrons that noise is far below a byte; radiance 1 fills the sensor.
 QUIET = ColorSensor(
-    fixed=Exposure(1.0), electrons_per_s=1e12, full_well=1e12, read_noise=0, vignetting=0, lens_sigma_px=0
+    fixed=ExposureSetting(1.0), electrons_per_s=1e12, full_well=1e12, read_noise=0, vignetting=0, lens_sigma_px=0
 )
 
 
@@ -56,7 +56,7 @@ def test_what_is_brighter_than_the_sensor_holds_is_white() -> None:
 @pytest.mark.parametrize("gain", [1.0, 3.0])
 def test_variance_grows_with_the_mean_as_shot_noise_does(gain: float) -> None:
     full_well, read_noise = 1000.0, 12.0
-    sensor = ColorSensor(Exposure(1.0, gain), electrons_per_s=1000, full_well=full_well, read_noise=read_noise)
+    sensor = ColorSensor(ExposureSetting(1.0, gain), electrons_per_s=1000, full_well=full_well, read_noise=read_noise)
     sensor = replace(sensor, vignetting=0, lens_sigma_px=0)
     means, variances = [], []
     for level in (0.15, 0.25, 0.35, 0.45, 0.55):
@@ -117,9 +117,9 @@ def test_metering_approaches_its_target_step_by_step() -> None:
 
 def test_metering_ends_at_the_longest_time_and_the_highest_gain() -> None:
     sensor = ColorSensor()
-    assert sensor.meter(grey(0.0)) == Exposure(sensor.longest_s, sensor.highest_gain)
+    assert sensor.meter(grey(0.0)) == ExposureSetting(sensor.longest_s, sensor.highest_gain)
     assert sensor.meter(grey(1.0)).gain == 1
-    assert replace(sensor, fixed=Exposure(0.01, 2.0)).meter(grey(0.0)) == Exposure(0.01, 2.0)
+    assert replace(sensor, fixed=ExposureSetting(0.01, 2.0)).meter(grey(0.0)) == ExposureSetting(0.01, 2.0)
 
 
 def test_image_flow_is_the_difference_of_projections() -> None:
@@ -135,7 +135,7 @@ def test_image_flow_is_the_difference_of_projections() -> None:
 
 
 def test_motion_blur_smears_along_the_motion_only() -> None:
-    sensor = replace(QUIET, motion_blur=True, fixed=Exposure(0.1), electrons_per_s=1e13)
+    sensor = replace(QUIET, motion_blur=True, fixed=ExposureSetting(0.1), electrons_per_s=1e13)
     upright = grey(np.arange(64) // 4 % 2 * 0.8)
     lying = grey((np.arange(48) // 4 % 2 * 0.8)[:, None])
     sideways = np.array([0.04 * 1.5 / 0.05, 0, 0, 0, 0, 0])  # 4 px in 0.1 s at 1.5 m

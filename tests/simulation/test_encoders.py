@@ -13,9 +13,9 @@ from wheelsight.wheels import integrate_log
 from wheelsight_sim.drivers import ManualVelocities
 from wheelsight_sim.physics import simulate_drive
 from wheelsight_sim.readings import Encoders, Gyroscope, Reckoning, is_during
-from wheelsight_sim.robot import Robot, WheelFaults
+from wheelsight_sim.robot import RobotModel, WheelFaults
 
-ROBOT = Robot()
+ROBOT = RobotModel()
 COUNTS_PER_RAD = 3200 / (2 * math.pi)
 
 
@@ -71,7 +71,7 @@ def test_pulses_are_lost_while_unplugged(rng: np.random.Generator) -> None:
 
 
 def test_another_gear_and_encoder_count_otherwise(rng: np.random.Generator) -> None:
-    reading = turned(Encoders(Robot(gear_ratio=20.0, counts_per_turn=500), WheelFaults(), rng), 2.0)[-1]
+    reading = turned(Encoders(RobotModel(gear_ratio=20.0, counts_per_turn=500), WheelFaults(), rng), 2.0)[-1]
     assert reading is not None
     assert reading.left == pytest.approx(6.0 * 10000 / (2 * math.pi), abs=1)
 
@@ -100,7 +100,7 @@ def test_a_gyroscopes_bias_wanders() -> None:
 
 def test_the_gyroscope_of_a_drive_feels_its_turns() -> None:
     driver = ManualVelocities([0.0, 1.0, 5.0, 6.0], [0.0, 0.3, 0.0, 0.0], [0.0, 0.5, 0.0, 0.0])
-    drive = simulate_drive(plane(), Robot(has_gyro=True), driver)
+    drive = simulate_drive(plane(), RobotModel(has_gyro=True), driver)
     rates = np.array([reading.yaw_rate_rad_s for reading in drive.yaw_rates])
     stamps_s = [reading.stamp_s for reading in drive.yaw_rates]
     np.testing.assert_allclose(np.diff(stamps_s), 0.01, atol=1e-9)

@@ -15,7 +15,7 @@ from floor_plans import DOORWAYS_M, UNKNOWN, rooms_in_colours, two_rooms, write_
 from grids import mostly_slow
 
 from wheelsight.core.errors import AreaError, ConfigError, MapError
-from wheelsight_sim import FloorPlan, Robot, SimulationSettings, World, simulate
+from wheelsight_sim import FloorPlan, RobotModel, SimulationSettings, World, simulate
 from wheelsight_sim.clearance import find_collision, footprints
 from wheelsight_sim.worlds import build_floor_plan
 
@@ -31,8 +31,8 @@ REAL = {
 }
 
 
-def built(path: Path, seed: int = 0, robot: Robot | None = None, **plan: object) -> World:
-    return build_floor_plan(FloorPlan(path, **plan), seed, robot or Robot())  # type: ignore[arg-type]
+def built(path: Path, seed: int = 0, robot: RobotModel | None = None, **plan: object) -> World:
+    return build_floor_plan(FloorPlan(path, **plan), seed, robot or RobotModel())  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -97,14 +97,14 @@ def test_a_rotated_origin_turns_the_world(tmp_path: Path, yaw_rad: float) -> Non
     x, y = 5 + c * 4 - s * 7, 3 + s * 4 + c * 7
     far = hits(turned, (x, y), yaw_rad + np.radians([0, 90, 180, 270]))
     np.testing.assert_allclose(far, [3.0, 2.0, 2.8, 3.6], atol=0.03)
-    assert find_collision(turned, turned.route, Robot().width_m / 2 + 0.1) is None
+    assert find_collision(turned, turned.route, RobotModel().width_m / 2 + 0.1) is None
 
 
 @pytest.mark.parametrize("seed", mostly_slow(range(4), quick=[0, 1]))
 def test_the_route_is_a_loop_that_keeps_clear_of_everything(house: Path, world: World, seed: int) -> None:
     world = built(house, seed) if seed else world
     assert world.is_loop
-    assert find_collision(world, world.route, Robot().width_m / 2 + 0.1) is None
+    assert find_collision(world, world.route, RobotModel().width_m / 2 + 0.1) is None
     line = shapely.LineString([*world.route, world.route[0]])
     crossed = [line.intersects(shapely.box(*doorway)) for doorway in DOORWAYS_M]
     assert any(crossed)
@@ -254,7 +254,7 @@ def test_rooms_of_real_buildings_become_areas(data_folder: Path, name: str, room
 @pytest.mark.slow
 def test_furniture_keeps_clear_of_a_robot_that_begins_beside_the_route(house: Path, world: World) -> None:
     """Wherever a thing would stand a robot that turns there touches none, and all else is where it was."""
-    robot = Robot()
+    robot = RobotModel()
     turning_m = math.hypot(robot.length_m - 0.3, robot.width_m / 2)
     usual = {thing.name: thing for thing in footprints(world) if thing.is_in_the_way}
     things = [

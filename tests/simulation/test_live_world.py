@@ -14,7 +14,7 @@ from small_rooms import corridor, room
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.messages import STOP, VelocityCommand
-from wheelsight_sim import Robot, SimulationSettings, Simulator
+from wheelsight_sim import RobotModel, SimulationSettings, Simulator
 from wheelsight_sim.doors import DoorSettings, LiveDoors
 from wheelsight_sim.people import RADIUS_M, STEP_S, LivePassersby, LivePeopleSettings
 from wheelsight_sim.robot import outline_at
@@ -101,7 +101,7 @@ def test_driven_at_people_the_robot_has_done_it() -> None:
 
 def test_people_are_where_they_were_at_times_between_steps() -> None:
     T = se3.from_plane(12.0, 0.0, 0.0)
-    people = LivePassersby(corridor(), T, 3, 5, Robot(), MINDING)
+    people = LivePassersby(corridor(), T, 3, 5, RobotModel(), MINDING)
     places = [people.positions_at(0.0)]
     for step in range(40):
         people.step(T, T)
@@ -116,7 +116,7 @@ def test_people_are_where_they_were_at_times_between_steps() -> None:
 def test_a_world_without_room_for_people_is_refused() -> None:
     closet = corridor(0.7, ((3.0, 0.0), (3.5, 0.0)), ends_m=(2.2, 4.4))
     with pytest.raises(ConfigError, match="no room for passers-by"):
-        LivePassersby(closet, se3.from_plane(3.0, 0.0, 0.0), 1, 0, Robot())
+        LivePassersby(closet, se3.from_plane(3.0, 0.0, 0.0), 1, 0, RobotModel())
 
 
 SHUT = '<geom name="leaf" type="box" pos="3 0 1" size="0.0225 0.5 1"/>'
@@ -129,7 +129,7 @@ def gap(turn_rad: float = math.pi / 2) -> World:
 
 def swung(doors: LiveDoors, T: FloatArray, seconds: float, begin_s: float = 0.0) -> FloatArray:
     """(N,) turns of the leaf while the robot stands at a pose."""
-    outline = outline_at(Robot(), T)
+    outline = outline_at(RobotModel(), T)
     turns = []
     for stamp_s in begin_s + 0.05 * np.arange(round(seconds / 0.05)):
         doors.step(float(stamp_s), outline, np.zeros((0, 2)))
@@ -140,18 +140,18 @@ def swung(doors: LiveDoors, T: FloatArray, seconds: float, begin_s: float = 0.0)
 def test_doors_swing_while_nobody_is_near_and_not_else() -> None:
     far, near = se3.from_plane(-5.0, 0.0, 0.0), se3.from_plane(2.4, 0.0, math.pi)
     quick = DoorSettings(rests_s=(1.0, 2.0))
-    outline = outline_at(Robot(), far)
+    outline = outline_at(RobotModel(), far)
     turns = swung(LiveDoors(gap(), outline, 1, 4, quick), far, 60.0)
     assert turns.min() == pytest.approx(0.0, abs=1e-9)
     assert turns.max() == pytest.approx(math.pi / 2)
     assert (np.diff(turns) != 0).mean() > 0.2
-    assert not swung(LiveDoors(gap(), outline_at(Robot(), near), 1, 4, quick), near, 60.0).any()
+    assert not swung(LiveDoors(gap(), outline_at(RobotModel(), near), 1, 4, quick), near, 60.0).any()
 
 
 def test_a_leaf_is_held_when_somebody_comes_and_goes_on_once_they_are_gone() -> None:
     far, near = se3.from_plane(-5.0, 0.0, 0.0), se3.from_plane(2.4, 0.0, math.pi)
     slow = DoorSettings(swing_s=(2.0, 2.0), rests_s=(1.0, 1.0))
-    doors = LiveDoors(gap(), outline_at(Robot(), near), 1, 4, slow)
+    doors = LiveDoors(gap(), outline_at(RobotModel(), near), 1, 4, slow)
     turns = swung(doors, far, 2.0)
     assert 0 < turns[-1] < math.pi / 2
     held = swung(doors, near, 5.0, 2.0)
@@ -175,7 +175,7 @@ def test_a_leaf_is_solid_and_touching_it_is_told() -> None:
 
 
 def test_a_leaf_that_swings_is_told_with_its_speed() -> None:
-    doors = LiveDoors(gap(), outline_at(Robot(), se3.from_plane(-5, 0, 0)), 1, 4, DoorSettings(rests_s=(1.0, 1.0)))
+    doors = LiveDoors(gap(), outline_at(RobotModel(), se3.from_plane(-5, 0, 0)), 1, 4, DoorSettings(rests_s=(1.0, 1.0)))
     swung(doors, se3.from_plane(-5, 0, 0), 1.5)
     place_m, step_s = np.array([3.0, -0.4]), 1e-4
     before, after = (shapely.get_coordinates(doors.places_at(1.3 + s)[0]) for s in (0.0, step_s))

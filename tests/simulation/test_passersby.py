@@ -151,7 +151,7 @@ def test_kernels_do_as_they_are_written(rng: np.random.Generator) -> None:
     along, left = np.meshgrid(np.arange(80) * 0.1, np.arange(60) * 0.1 - 3)
     steps = np.argwhere(np.ones((5, 5))) - 2
     others = np.array([[22, 30]])
-    route = kernels.Route(along, left, 8.0)
+    route = kernels.RouteGrid(along, left, 8.0)
     for _ in range(20):
         row, column = rng.integers(0, (60, 80))
         step = (clear, route, steps, row, column, kernels.Wish(0.2, 0.4), others, 8.0)

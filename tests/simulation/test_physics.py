@@ -15,16 +15,16 @@ from wheelsight.wheels.umbmark import SquareRun, corrected, umbmark_from_runs
 from wheelsight_sim import Realism
 from wheelsight_sim.drivers import ManualVelocities, StopAndTurn, follow_route
 from wheelsight_sim.physics import simulate_drive
-from wheelsight_sim.robot import Drive, Patch, Robot, WheelFaults
+from wheelsight_sim.robot import Drive, Patch, RobotModel, WheelFaults
 from wheelsight_sim.wheelchair import Chair
 
-ROBOT = Robot()
+ROBOT = RobotModel()
 WORLD = plane()
 SQUARE = np.array([(0, 0), (4, 0), (4, 4), (0, 4), (0, 0)], float)
 
 
-def robot_with(wheels: Wheels) -> Robot:
-    return Robot(wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m)
+def robot_with(wheels: Wheels) -> RobotModel:
+    return RobotModel(wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m)
 
 
 def straight(seconds: float = 6.0, v_m_s: float = 0.5) -> ManualVelocities:
@@ -34,7 +34,7 @@ def straight(seconds: float = 6.0, v_m_s: float = 0.5) -> ManualVelocities:
 @pytest.mark.parametrize(
     "robot", [ROBOT, robot_with(corrected(ROBOT.wheels, 1.01, 0.97))], ids=["nominal", "odd wheels"]
 )
-def test_without_slip_true_wheels_close_to_a_thousandth(robot: Robot) -> None:
+def test_without_slip_true_wheels_close_to_a_thousandth(robot: RobotModel) -> None:
     drive = simulate_drive(WORLD, robot, follow_route(WORLD.route, is_loop=True, laps=2, speed_m_s=1.2), slip=False)
     path, truth = by_wheels(drive, robot.wheels)
     errors_m = np.linalg.norm(path.positions_m - truth[:, :3, 3], axis=1)
@@ -92,7 +92,7 @@ def test_the_way_on_the_spot_is_no_way_and_its_error_is_of_heading() -> None:
     assert np.linalg.norm(truth[-1, :2, 3]) < 0.02
 
 
-def square_run(robot: Robot, sense: int, seed: int, *, slip: bool = True) -> SquareRun:
+def square_run(robot: RobotModel, sense: int, seed: int, *, slip: bool = True) -> SquareRun:
     driver = StopAndTurn(SQUARE * (1, sense), is_blind=True)
     drive = simulate_drive(WORLD, robot, driver, seed=seed, slip=slip)
     assert drive.is_complete
@@ -177,7 +177,7 @@ def same(a: Drive, b: Drive) -> bool:
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others() -> None:
-    first, again, other = (simulate_drive(WORLD, Robot(has_gyro=True), straight(2.0), seed=s) for s in (7, 7, 8))
+    first, again, other = (simulate_drive(WORLD, RobotModel(has_gyro=True), straight(2.0), seed=s) for s in (7, 7, 8))
     assert same(first, again)
     assert not same(first, other)
 

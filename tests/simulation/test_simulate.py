@@ -23,11 +23,11 @@ from wheelsight.core.geometry import se3
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.trajectory import read_tum
 from wheelsight.io.recordings import open_recording
-from wheelsight_sim import Patch, Robot, SimulationSettings, WheelFaults, simulate, write_simulation
+from wheelsight_sim import Patch, RobotModel, SimulationSettings, WheelFaults, simulate, write_simulation
 from wheelsight_sim.physics import driver_of, refuse_walls
 from wheelsight_sim.worlds import build_world
 
-ROBOT = Robot(right_radius_m=0.172, camera_height_m=0.93, has_gyro=True)
+ROBOT = RobotModel(right_radius_m=0.172, camera_height_m=0.93, has_gyro=True)
 SETTINGS = SimulationSettings(world="floor4", size=(64, 48), rate_hz=10.0, duration_s=1.0, seed=2, robot=ROBOT)
 
 
@@ -94,7 +94,7 @@ def test_a_real_drive_is_repeated_to_the_byte_and_tells_where_the_camera_was(tmp
     np.testing.assert_allclose(camera.T_frame_body, expected, atol=1e-8)
     true = load_calibration(tmp_path / "one" / "truth" / "calibration.yaml")
     off = se3.log(se3.invert(not_none(read.calibration.T_base_camera)) @ not_none(true.T_base_camera))
-    off -= se3.log(se3.invert(Robot().T_base_camera) @ ROBOT.T_base_camera)
+    off -= se3.log(se3.invert(RobotModel().T_base_camera) @ ROBOT.T_base_camera)
     assert 1e-4 < np.linalg.norm(off[:3]) < 0.02
     assert 1e-4 < np.linalg.norm(off[3:]) < 0.02
     assert true.color != read.calibration.color
@@ -115,7 +115,7 @@ def test_each_frame_has_its_area(recording, folder):
 def test_all_that_is_needed_to_repeat_it_is_there(folder):
     told = yaml.safe_load((folder / "truth" / "settings.yaml").read_text())
     given = told["settings"]
-    robot, faults, size = Robot(**given.pop("robot")), WheelFaults(**given.pop("faults")), tuple(given.pop("size"))
+    robot, faults, size = RobotModel(**given.pop("robot")), WheelFaults(**given.pop("faults")), tuple(given.pop("size"))
     assert robot == ROBOT
     assert not any((faults.dropouts_s, faults.patches, given.pop("covered_s")))
     assert SimulationSettings(**given, size=size, robot=robot) == SETTINGS
@@ -208,7 +208,7 @@ def test_a_route_can_be_driven_the_other_way_round():
 
 @pytest.mark.parametrize(("track_width_m", "least_m", "most_m"), [(0.52, 0.0, 0.02), (0.54, 0.03, 0.3)])
 def test_stopping_to_turn_drives_the_square_as_the_wheels_have_it(track_width_m, least_m, most_m):
-    robot = Robot(track_width_m=track_width_m)
+    robot = RobotModel(track_width_m=track_width_m)
     settings = replace(SETTINGS, world="square", robot=robot, stops_to_turn=True, has_slip=False, duration_s=12.0)
     recording = simulate(settings)
     first, second, third = recording.world.route[:3]
@@ -222,7 +222,7 @@ def test_a_way_too_near_to_a_wall_to_turn_is_refused():
     for gap_m, is_refused in ((0.45, False), (0.35, True)):
         y = -2.5 + gap_m
         beside = replace(world, route=np.array([(-0.5, y), (0.5, y)]), is_loop=False)
-        settings = replace(SETTINGS, world="square", robot=Robot())
+        settings = replace(SETTINGS, world="square", robot=RobotModel())
         with pytest.raises(ConfigError, match="runs into wall_south") if is_refused else nullcontext():
             refuse_walls(settings, beside, driver_of(settings, beside), None)
 

@@ -12,9 +12,9 @@ from wheelsight import Config, run
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.messages import RgbdFrame, WheelTicks, YawRate
 from wheelsight.io.recordings import Recording, express_for
-from wheelsight_sim import Robot, SimulationSettings, simulate
+from wheelsight_sim import RobotModel, SimulationSettings, simulate
 
-ROBOT = Robot(left_radius_m=0.168, right_radius_m=0.171, track_width_m=0.53, has_gyro=True)
+ROBOT = RobotModel(left_radius_m=0.168, right_radius_m=0.171, track_width_m=0.53, has_gyro=True)
 SETTINGS = SimulationSettings(world="floor4", size=(64, 48), rate_hz=10.0, duration_s=1.5, seed=2, robot=ROBOT)
 
 
@@ -57,11 +57,11 @@ def test_leaving_the_events_stops_the_threads(recording):
 
 def test_calibration_is_what_a_user_would_measure_and_truth_what_is(recording):
     nominal, true = recording.calibration, recording.true_calibration
-    assert nominal.wheels == Robot().wheels
+    assert nominal.wheels == RobotModel().wheels
     assert true.wheels == ROBOT.wheels
     assert nominal.color == true.color
     assert (nominal.color.width, nominal.color.height) == (64, 48)
-    np.testing.assert_array_equal(nominal.T_base_camera, Robot().T_base_camera)
+    np.testing.assert_array_equal(nominal.T_base_camera, RobotModel().T_base_camera)
 
 
 def test_truth_of_the_camera_follows_from_that_of_the_base(recording):

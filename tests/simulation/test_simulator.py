@@ -21,7 +21,7 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight_sim import (
     Drive,
     Renderer,
-    Robot,
+    RobotModel,
     SimulationSettings,
     Simulator,
     WheelFaults,
@@ -31,7 +31,7 @@ from wheelsight_sim import (
 )
 from wheelsight_sim.body_motion import mounted
 
-SETTINGS = SimulationSettings(world="square", size=(64, 48), rate_hz=10.0, seed=3, robot=Robot(has_gyro=True))
+SETTINGS = SimulationSettings(world="square", size=(64, 48), rate_hz=10.0, seed=3, robot=RobotModel(has_gyro=True))
 REAL = replace(SETTINGS, world="flat", realism="real", passersby=2, doors=1)
 AHEAD, LEFT = VelocityCommand(0.5), VelocityCommand(0.0, 0.6)
 

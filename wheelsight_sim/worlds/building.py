@@ -76,7 +76,7 @@ class Face:
 
 
 @dataclass(frozen=True, slots=True)
-class _Piece:
+class _WallPart:
     """A part of a wall between two places along it; of a window's material where `pane` names one."""
 
     kind: str
@@ -87,35 +87,35 @@ class _Piece:
     pane: str | None = None
 
 
-def _pieces(openings: Sequence[Opening], begin_m: float, end_m: float) -> Iterator[_Piece]:
+def _pieces(openings: Sequence[Opening], begin_m: float, end_m: float) -> Iterator[_WallPart]:
     """Piers between the openings; below and above these sills and lintels; windows in a row share theirs."""
     heights = {(opening.sill_m, opening.head_m, opening.pane) for opening in openings}
     is_row = len(heights) == 1 and openings[0].sill_m > 0
     bottom_m, top_m = (openings[0].sill_m, openings[0].head_m) if is_row else (0.0, CEILING_M)
     if is_row:
-        yield _Piece("sill", begin_m, end_m, 0.0, bottom_m)
-        yield _Piece("lintel", begin_m, end_m, top_m, CEILING_M)
+        yield _WallPart("sill", begin_m, end_m, 0.0, bottom_m)
+        yield _WallPart("lintel", begin_m, end_m, top_m, CEILING_M)
         yield from _panes(openings[0], openings[-1])
     at_m = begin_m
     for opening in openings:
         left_m, right_m = opening.at_m - opening.width_m / 2, opening.at_m + opening.width_m / 2
-        yield _Piece("wall", at_m, left_m, bottom_m, top_m)
+        yield _WallPart("wall", at_m, left_m, bottom_m, top_m)
         at_m = right_m
         if is_row:
             continue
         if opening.sill_m > 0:
-            yield _Piece("sill", left_m, right_m, 0.0, opening.sill_m)
+            yield _WallPart("sill", left_m, right_m, 0.0, opening.sill_m)
         if opening.head_m < CEILING_M:
-            yield _Piece("lintel", left_m, right_m, opening.head_m, CEILING_M)
+            yield _WallPart("lintel", left_m, right_m, opening.head_m, CEILING_M)
         yield from _panes(opening, opening)
-    yield _Piece("wall", at_m, end_m, bottom_m, top_m)
+    yield _WallPart("wall", at_m, end_m, bottom_m, top_m)
 
 
-def _panes(first: Opening, last: Opening) -> Iterator[_Piece]:
+def _panes(first: Opening, last: Opening) -> Iterator[_WallPart]:
     """What closes the openings from the first to the last, if anything."""
     if first.pane is not None:
         begin_m, end_m = first.at_m - first.width_m / 2, last.at_m + last.width_m / 2
-        yield _Piece("pane", begin_m, end_m, first.sill_m, first.head_m, first.pane)
+        yield _WallPart("pane", begin_m, end_m, first.sill_m, first.head_m, first.pane)
 
 
 @dataclass(frozen=True, slots=True)

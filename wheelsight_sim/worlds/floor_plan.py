@@ -14,7 +14,7 @@ import shapely
 from shapely.geometry.polygon import orient
 
 from wheelsight.io.ros_map import read_ros_map
-from wheelsight_sim.robot import Robot
+from wheelsight_sim.robot import RobotModel
 from wheelsight_sim.settings import FloorPlan
 from wheelsight_sim.world import World
 from wheelsight_sim.worlds.building import (
@@ -51,7 +51,7 @@ _FURNISHED_M = 10.0  # from the route: a depth camera sees no farther
 def build_floor_plan(
     plan: FloorPlan,
     seed: int,
-    robot: Robot,
+    robot: RobotModel,
     least_m: float = 0.0,
     *,
     day: int = 0,
@@ -94,7 +94,7 @@ def _furnish(
     space: FreeSpace,
     rooms: Rooms,
     route: Route,
-    robot: Robot,
+    robot: RobotModel,
     seed: int,
     begin: tuple[float, float, float] | None,
 ) -> None:
@@ -245,7 +245,7 @@ MATERIALS = ("door_oak", "door_white", "door_blue", "door_fire")
 
 
 @dataclass(frozen=True, slots=True)
-class Door:
+class PlanDoor:
     """How a doorway is furnished.
 
     Attributes:
@@ -274,7 +274,7 @@ class Door:
         return line.buffer(LEAF_M / 2, cap_style="flat")
 
 
-def choose_door(doorway: Doorway, way: shapely.Geometry, floor: shapely.Geometry, rng: np.random.Generator) -> Door:
+def choose_door(doorway: Doorway, way: shapely.Geometry, floor: shapely.Geometry, rng: np.random.Generator) -> PlanDoor:
     """A door by seed: closed only where nobody drives through, else open to where its leaf is in nobody's way.
 
     Args:
@@ -294,10 +294,10 @@ def choose_door(doorway: Doorway, way: shapely.Geometry, floor: shapely.Geometry
         is_clear = not shapely.intersects(door.footprint, way)
         if is_clear and shapely.covers(floor, door.footprint):
             return door
-    return Door(doorway, None, is_closed=False)
+    return PlanDoor(doorway, None, is_closed=False)
 
 
-def _open(doorway: Doorway, is_left: bool, side: int, angle_rad: float) -> Door:
+def _open(doorway: Doorway, is_left: bool, side: int, angle_rad: float) -> PlanDoor:
     """A door whose leaf hangs on a jamb and is open to a side of the wall."""
     jamb = doorway.left if is_left else doorway.right
     yaw_rad = doorway.yaw_rad if is_left else doorway.yaw_rad + math.pi
@@ -306,10 +306,10 @@ def _open(doorway: Doorway, is_left: bool, side: int, angle_rad: float) -> Door:
     half = doorway.width_m / 2
     hinge = jamb[0] + side * out_m * float(doorway.onward[0]), jamb[1] + side * out_m * float(doorway.onward[1])
     x_m, y_m = hinge[0] + half * math.cos(yaw_rad + turn), hinge[1] + half * math.sin(yaw_rad + turn)
-    return Door(doorway, (x_m, y_m, yaw_rad + turn), False, hinge, -turn)
+    return PlanDoor(doorway, (x_m, y_m, yaw_rad + turn), False, hinge, -turn)
 
 
-def _closed(doorway: Doorway, floor: shapely.Geometry) -> Door:
+def _closed(doorway: Doorway, floor: shapely.Geometry) -> PlanDoor:
     """A shut door; it swings to where its leaf stands on free floor, if there is such a side."""
     leaf = (*doorway.middle, doorway.yaw_rad)
     for is_left, side in ((True, 1), (False, 1), (True, -1), (False, -1)):
@@ -317,11 +317,11 @@ def _closed(doorway: Doorway, floor: shapely.Geometry) -> Door:
         if shapely.covers(floor, opened.footprint):
             jamb, out_m = doorway.left if is_left else doorway.right, side * doorway.thickness_m / 2
             hinge = jamb[0] + out_m * float(doorway.onward[0]), jamb[1] + out_m * float(doorway.onward[1])
-            return Door(doorway, leaf, True, hinge, -opened.turn_rad)
-    return Door(doorway, leaf, is_closed=True)
+            return PlanDoor(doorway, leaf, True, hinge, -opened.turn_rad)
+    return PlanDoor(doorway, leaf, is_closed=True)
 
 
-def build_door(building: Building, name: str, door: Door, wall: str, material: str) -> None:
+def build_door(building: Building, name: str, door: PlanDoor, wall: str, material: str) -> None:
     """Put a door into its gap: what is over it of the material `wall`, the rest of `material`."""
     doorway = door.doorway
     middle = Spot(*doorway.middle, doorway.yaw_rad)
@@ -355,7 +355,7 @@ _SHEETS_M = ((0.30, 0.42), (0.42, 0.30), (0.42, 0.59), (0.59, 0.84), (0.84, 1.19
 
 
 @dataclass(frozen=True, slots=True)
-class _Piece:
+class _Furniture:
     """A kind of furniture that stands at a wall.
 
     Attributes:
@@ -407,19 +407,19 @@ def _machine(building: Building, name: str, wall: Spot) -> None:
 
 
 _KINDS = {
-    "shelf": _Piece(1.4, 0.34, 1.95, (0.14, 0.04), lambda b, n, s: shelf(b, n, s, 1.3, rows=3)),
-    "desk": _Piece(1.6, 1.35, 1.2, (0.18, 0.0), desk),
-    "cupboard": _Piece(1.2, 0.48, 1.95, (0.16, 0.14), _cupboard),
-    "radiator": _Piece(1.3, 0.14, 0.8, (0.10, 0.18), _radiator),
-    "bin": _Piece(0.4, 0.4, 0.6, (0.08, 0.14), _bin),
-    "chair": _Piece(0.6, 0.7, 0.9, (0.10, 0.14), _chair),
-    "plant": _Piece(0.7, 0.7, 1.6, (0.08, 0.10), _plant),
-    "sofa": _Piece(2.1, 0.95, 0.9, (0.06, 0.02), sofa),
-    "bed": _Piece(1.7, 2.15, 1.05, (0.02, 0.0), bed),
-    "bench": _Piece(1.6, 0.46, 0.5, (0.02, 0.12), bench),
-    "table": _Piece(1.5, 0.8, 0.8, (0.06, 0.02), lambda b, n, s: table(b, n, s.offset(0, 0.42), (1.4, 0.7))),
-    "copier": _Piece(1.2, 0.75, 1.15, (0.0, 0.06), _copier),
-    "machine": _Piece(1.05, 0.85, 1.9, (0.0, 0.04), _machine),
+    "shelf": _Furniture(1.4, 0.34, 1.95, (0.14, 0.04), lambda b, n, s: shelf(b, n, s, 1.3, rows=3)),
+    "desk": _Furniture(1.6, 1.35, 1.2, (0.18, 0.0), desk),
+    "cupboard": _Furniture(1.2, 0.48, 1.95, (0.16, 0.14), _cupboard),
+    "radiator": _Furniture(1.3, 0.14, 0.8, (0.10, 0.18), _radiator),
+    "bin": _Furniture(0.4, 0.4, 0.6, (0.08, 0.14), _bin),
+    "chair": _Furniture(0.6, 0.7, 0.9, (0.10, 0.14), _chair),
+    "plant": _Furniture(0.7, 0.7, 1.6, (0.08, 0.10), _plant),
+    "sofa": _Furniture(2.1, 0.95, 0.9, (0.06, 0.02), sofa),
+    "bed": _Furniture(1.7, 2.15, 1.05, (0.02, 0.0), bed),
+    "bench": _Furniture(1.6, 0.46, 0.5, (0.02, 0.12), bench),
+    "table": _Furniture(1.5, 0.8, 0.8, (0.06, 0.02), lambda b, n, s: table(b, n, s.offset(0, 0.42), (1.4, 0.7))),
+    "copier": _Furniture(1.2, 0.75, 1.15, (0.0, 0.06), _copier),
+    "machine": _Furniture(1.05, 0.85, 1.9, (0.0, 0.04), _machine),
 }
 
 

@@ -19,7 +19,7 @@ from shapely.ops import substring
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, IntArray
 from wheelsight_sim.drivers import Path2d, laps_of, smooth_path
-from wheelsight_sim.robot import Robot
+from wheelsight_sim.robot import RobotModel
 from wheelsight_sim.worlds.floor_plan_rooms import Doorway, FreeSpace, drawn
 
 # A tour through a building that a wheelchair can drive: from room to room, by shortest ways, and back.
@@ -97,7 +97,7 @@ class Body:
     half_width_m: float
 
     @classmethod
-    def of(cls, robot: Robot) -> Body:
+    def of(cls, robot: RobotModel) -> Body:
         """The wheelchair's."""
         return cls(robot.length_m - _TAIL_M, _TAIL_M, robot.width_m / 2)
 
@@ -119,7 +119,7 @@ class Body:
 def plan_route(
     space: FreeSpace,
     doorways: Sequence[Doorway],
-    robot: Robot,
+    robot: RobotModel,
     seed: int,
     wishes: Wishes,
 ) -> Route:
@@ -137,7 +137,7 @@ def plan_route(
     """
     rng, start = np.random.default_rng([seed, _STREAM]), wishes.start
     body = Body.of(robot)
-    ground = Ground.of(space, body.half_width_m + SIDE_MARGIN_M, None if start is None else start[:2])
+    ground = DrivableGrid.of(space, body.half_width_m + SIDE_MARGIN_M, None if start is None else start[:2])
     wanted_m = USUAL_WAY_M if wishes.way_m is None else wishes.way_m
     planners = [_Planner(ground, body, tuple(doorways), first, start) for first in _starts(ground, body, rng, start)]
     route: Route | None = None
@@ -157,7 +157,7 @@ def plan_route(
 
 
 def _starts(
-    ground: Ground, body: Body, rng: np.random.Generator, start: tuple[float, float, float] | None
+    ground: DrivableGrid, body: Body, rng: np.random.Generator, start: tuple[float, float, float] | None
 ) -> list[tuple[int, int]]:
     """Rows and columns where the robot may begin, the best first. Raises ConfigError where it does not fit there."""
     if start is not None:
@@ -177,7 +177,7 @@ def _starts(
     return [(int(row), int(column)) for row, column in [*best, *goals[_ROOMY_STARTS:_MOST_STARTS]]]
 
 
-def _goals(ground: Ground, room_m: float) -> IntArray:
+def _goals(ground: DrivableGrid, room_m: float) -> IntArray:
     """Cells (N, 2) that are `room_m` from walls, the roomiest first, some metres from each other."""
     space = ground.space
     cells = np.argwhere((ground.is_open > 0) & (ground.away_m >= room_m))
@@ -196,7 +196,7 @@ class _Planner:
 
     def __init__(
         self,
-        ground: Ground,
+        ground: DrivableGrid,
         body: Body,
         doorways: Sequence[Doorway],
         first: tuple[int, int],
@@ -412,7 +412,7 @@ _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class DrivableGrid:
     """Cells on which the middle of a robot's axle can be.
 
     Attributes:
@@ -428,7 +428,7 @@ class Ground:
     cost: Float32Array
 
     @classmethod
-    def of(cls, space: FreeSpace, half_width_m: float, start: tuple[float, float] | None = None) -> Ground:
+    def of(cls, space: FreeSpace, half_width_m: float, start: tuple[float, float] | None = None) -> DrivableGrid:
         """The part that is `half_width_m` from every wall and joined to a place, else the largest; may be empty."""
         is_open = drawn(space.shape.buffer(-half_width_m), space.plan, space.grid.shape, is_generous=True)
         away_m = space.distance_m()
@@ -490,7 +490,7 @@ class Ways:
         limit: no way costs more.
     """
 
-    ground: Ground
+    ground: DrivableGrid
     index: IntArray
     cells: IntArray
     graph: Any

@@ -18,7 +18,7 @@ from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.vision.dense.tracking import FaultDetector
 from wheelsight.vision.dense.views import KeypointPose, KeypointTracker, KnownView
-from wheelsight_sim import Robot
+from wheelsight_sim import RobotModel
 
 TRUTH = wobbling_trajectory(24)
 IN_WORLD = from_start(np.array(TRUTH.T_frame_body))
@@ -234,7 +234,7 @@ def test_a_turn_too_wide_to_follow_is_no_wrong_pose(degrees: float) -> None:
     """On a slow camera: surfaces slide to where something fits, and only how badly it does tells."""
     start = np.array(TRUTH.T_frame_body[0])
     turned = start @ se3.exp([0, 0, 0, 0, np.deg2rad(degrees), 0])
-    calibration = replace(Calibration.registered_camera(CAMERA), T_base_camera=Robot().T_base_camera)
+    calibration = replace(Calibration.registered_camera(CAMERA), T_base_camera=RobotModel().T_base_camera)
     subject = dense(calibration)
     run(subject, [room_frame(start, k / 5, depth_noise=True) for k in range(3)])
     answer = subject.process(room_frame(turned, 0.6, depth_noise=True))

@@ -15,14 +15,14 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight.vision.extrinsics import QUANTITIES, Sightings, base_from, mount_values
 from wheelsight.vision.extrinsics.calibration import refuse_if_hardly_moving
 from wheelsight.wheels import WheelDrive
-from wheelsight_sim import Robot
+from wheelsight_sim import RobotModel
 
 ON_THE_SPOT = [(4.0, 0.0, 0.8), (1.0, 0.0, 0.0), (4.0, 0.0, -0.8), (1.0, 0.0, 0.0)] * 3
 MOUNTS = {
     "aside": MOUNT,
-    "backwards": Robot(camera_yaw_rad=3.0, camera_forward_m=-0.2, camera_pitch_rad=0.3).T_base_camera,
-    "upside down": Robot(camera_roll_rad=np.pi, camera_pitch_rad=0.2).T_base_camera,
-    "down": Robot(camera_pitch_rad=1.2, camera_height_m=1.3).T_base_camera,
+    "backwards": RobotModel(camera_yaw_rad=3.0, camera_forward_m=-0.2, camera_pitch_rad=0.3).T_base_camera,
+    "upside down": RobotModel(camera_roll_rad=np.pi, camera_pitch_rad=0.2).T_base_camera,
+    "down": RobotModel(camera_pitch_rad=1.2, camera_height_m=1.3).T_base_camera,
 }
 
 
@@ -83,7 +83,7 @@ def test_what_the_camera_leaves_open_is_in_sigma_and_told(rng: np.random.Generat
 
 def test_a_mount_far_from_nominal_is_doubted(rng: np.random.Generator) -> None:
     """Wheels that both count backwards cannot be told from a camera that looks back."""
-    looks_back = Robot(camera_yaw_rad=3.0).T_base_camera
+    looks_back = RobotModel(camera_yaw_rad=3.0).T_base_camera
     assert not base_from(sighted(rng=rng, blur=USUAL), nominal(MOUNT)).warnings
     (doubt,) = base_from(sighted(rng=rng, blur=USUAL), nominal(looks_back)).warnings
     assert "the wheels may count backwards" in doubt
@@ -149,8 +149,8 @@ def test_sightings_that_do_not_fit_are_refused(
 @pytest.mark.parametrize(
     ("T_base_camera", "told"),
     [
-        (Robot(camera_pitch_rad=-0.7).T_base_camera, "no floor is in view|show enough floor"),
-        (Robot(camera_pitch_rad=0.02, camera_height_m=2.9).T_base_camera, "no floor is in view|show enough floor"),
+        (RobotModel(camera_pitch_rad=-0.7).T_base_camera, "no floor is in view|show enough floor"),
+        (RobotModel(camera_pitch_rad=0.02, camera_height_m=2.9).T_base_camera, "no floor is in view|show enough floor"),
     ],
     ids=["looks-up", "hangs-high"],
 )

@@ -9,7 +9,7 @@ import pytest
 
 from wheelsight.vision.extrinsics import QUANTITIES, calibrate_base, mount_values
 from wheelsight.wheels import drive_of, fit_wheels
-from wheelsight_sim import Robot, SimulationSettings, simulate
+from wheelsight_sim import RobotModel, SimulationSettings, simulate
 from wheelsight_sim.faults import LateClock
 from wheelsight_sim.simulated_recording import SimulatedRecording, with_camera_faults
 
@@ -50,7 +50,7 @@ def delay_of_body_s(recording: SimulatedRecording) -> float:
 @pytest.mark.parametrize("name", CASES)
 def test_injected_mount_and_clock_are_found(name: str) -> None:
     drive, robot, late_s = CASES[name]
-    settings = SimulationSettings(**drive, size=(320, 240), robot=Robot(**robot))
+    settings = SimulationSettings(**drive, size=(320, 240), robot=RobotModel(**robot))
     recording = with_camera_faults(simulate(settings), LateClock(late_s=late_s))
     found = calibrate_base(recording)
     body_s = delay_of_body_s(recording)

@@ -11,7 +11,7 @@ from wheelsight.core.depth_errors import NOMINAL_ERRORS, PointErrors
 from wheelsight.core.errors import CalibrationError
 from wheelsight.core.geometry import FloatArray, se3, so3
 from wheelsight.vision.extrinsics import FloorDepths, fit_floor, tilt_of
-from wheelsight_sim import Robot
+from wheelsight_sim import RobotModel
 
 STAMPS_S = np.arange(0.0, 30.0, 0.5)
 YAW_RAD = np.linspace(0, 9, len(STAMPS_S))
@@ -24,7 +24,7 @@ def views_of(T_base_camera: FloatArray, rng: np.random.Generator | None = None) 
 
 def mount(**angles: float) -> FloatArray:
     named: dict[str, Any] = {f"camera_{name}": value for name, value in angles.items()}
-    return Robot(**named).T_base_camera
+    return RobotModel(**named).T_base_camera
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 from sighted_drives import MOUNT, NOMINAL, USUAL, sighted, with_late_camera
 
 from wheelsight.vision.extrinsics import common_turning
-from wheelsight_sim import Robot
+from wheelsight_sim import RobotModel
 
 
 @pytest.mark.parametrize("late_s", [-4.0, -0.3, 0.0, 0.24, 7.5])
@@ -21,7 +21,7 @@ def test_up_and_delay_are_found(rng: np.random.Generator, late_s: float) -> None
 
 
 def test_a_camera_may_hang_upside_down() -> None:
-    T_base_camera = Robot(camera_roll_rad=np.pi).T_base_camera
+    T_base_camera = RobotModel(camera_roll_rad=np.pi).T_base_camera
     seen = sighted(T_base_camera=T_base_camera)
     turning = common_turning(seen.drive, NOMINAL, seen.camera)
     np.testing.assert_allclose(turning.up_camera, T_base_camera[2, :3], atol=1e-3)

@@ -12,7 +12,7 @@ from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.messages import WheelTicks, YawRate
 from wheelsight.core.robots import Duties
 from wheelsight.core.trajectory import Trajectory
-from wheelsight_sim import Realism, Robot, realism_of, stream
+from wheelsight_sim import Realism, RobotModel, realism_of, stream
 from wheelsight_sim.body_motion import BodyMotion, BodySettings, LiveBodyMotion
 from wheelsight_sim.readings import Delays, StampSettings, as_stamped
 from wheelsight_sim.robot import Motors, MotorSettings
@@ -42,7 +42,7 @@ def realism() -> Realism:
 
 def live_angles(settings: BodySettings, truth: Trajectory) -> FloatArray:
     floor = realism().floor_of(room('<geom name="floor" type="plane" size="9 9 1"/>'), 1)
-    body = LiveBodyMotion(PERIOD_S, Robot(), floor, settings, stream(1, "body"))
+    body = LiveBodyMotion(PERIOD_S, RobotModel(), floor, settings, stream(1, "body"))
     found = []
     for stamp_s, T in truth:
         body.step(T)
@@ -53,7 +53,7 @@ def live_angles(settings: BodySettings, truth: Trajectory) -> FloatArray:
 def test_a_live_body_pitches_as_one_that_is_known_before() -> None:
     truth = braking()
     floor = realism().floor_of(room('<geom name="floor" type="plane" size="9 9 1"/>'), 1)
-    known = angles(BodyMotion(truth, Robot(), floor, CALM, stream(1, "body")), truth.stamps_s)
+    known = angles(BodyMotion(truth, RobotModel(), floor, CALM, stream(1, "body")), truth.stamps_s)
     live = live_angles(CALM, truth)
     after = slice(300, None)  # the first begins at full speed
     late = 4  # 20 ms
@@ -68,7 +68,7 @@ def test_a_live_body_trembles_as_much_as_one_that_is_known_before() -> None:
     T[:, 0, 3] = stamps_s
     truth = Trajectory(stamps_s, T, body="base")
     floor = realism().floor_of(room('<geom name="floor" type="plane" size="9 9 1"/>'), 1)
-    known = angles(BodyMotion(truth, Robot(), floor, BodySettings(), stream(1, "body")), stamps_s)
+    known = angles(BodyMotion(truth, RobotModel(), floor, BodySettings(), stream(1, "body")), stamps_s)
     live = live_angles(BodySettings(), truth)
     for axis in (1, 2, 3):
         assert live[500:, axis].std() == pytest.approx(known[500:, axis].std(), rel=0.25)  # of 17 s, by chance

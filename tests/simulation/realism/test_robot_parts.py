@@ -12,13 +12,13 @@ from small_rooms import room
 from wheelsight.core.areas import Area, AreaMap
 from wheelsight.core.geometry import FloatArray, se3, so3
 from wheelsight.core.trajectory import Trajectory
-from wheelsight_sim import Realism, Robot, Surface, World, build_world, carriage_of
+from wheelsight_sim import Realism, RobotModel, Surface, World, build_world, carriage_of
 from wheelsight_sim.appearance import Lighting, Lights, LightSettings
 from wheelsight_sim.body_motion import (
     BodyMotion,
     BodySettings,
-    Floor,
     FloorSettings,
+    FloorSurface,
     LoadedRadii,
     MountSettings,
     TyreSettings,
@@ -31,7 +31,7 @@ from wheelsight_sim.wheelchair import drag_n
 QUIET = BodySettings(roll_rad_s=(0.0,) * 6, pitch_rad_s=(0.0,) * 6, yaw_rad_s=(0.0,) * 6)
 CALM = BodySettings(pitch_rad_s2_m=0, roll_rad_s2_m=0)
 SMOOTH = FloorSettings(threshold_m=(0.0, 0.0), carpet_m=0.0)
-ROBOT = Robot()
+ROBOT = RobotModel()
 
 
 def times(count: int) -> FloatArray:
@@ -39,14 +39,14 @@ def times(count: int) -> FloatArray:
     return np.asarray(0.005 * np.arange(count), np.float64)
 
 
-def ground(settings: FloorSettings = SMOOTH) -> Floor:
+def ground(settings: FloorSettings = SMOOTH) -> FloorSurface:
     """20 m a side; areas meet at x = 2, and a carpet lies from (-2, 4) to (0, 6)."""
     surfaces = {"white": Surface("plain", (0.8, 0.8, 0.8)), "rug": Surface("carpet", (0.4, 0.2, 0.2))}
     geoms = '<geom name="rug" type="box" pos="-1 5 0.0015" size="1 1 0.0015" material="rug"/>'
     corners = ([(-9, -9), (2, -9), (2, 9), (-9, 9)], [(2, -9), (9, -9), (9, 9), (2, 9)])
     areas = [Area(f"a{k}", np.array(c, float), float(np.mean(c, axis=0)[0]), 0.0) for k, c in enumerate(corners)]
     world: World = replace(room(geoms, surfaces), areas=AreaMap(tuple(areas)), size_m=(-10.0, -10.0, 10.0, 10.0))
-    return Floor(world, settings, np.random.default_rng(0))
+    return FloorSurface(world, settings, np.random.default_rng(0))
 
 
 def drive(way_m: FloatArray, heading_rad: float | FloatArray = 0.0) -> Trajectory:
@@ -83,7 +83,7 @@ def test_a_wheel_is_held_back_by_what_it_climbs_and_by_carpet():
 
 def test_a_large_floor_has_larger_cells():
     wide = replace(build_world("square", 1), size_m=(0.0, 0.0, 300.0, 200.0))
-    floor = Floor(wide, FloorSettings(), np.random.default_rng(0))
+    floor = FloorSurface(wide, FloorSettings(), np.random.default_rng(0))
     assert floor.height.size < 4.1e6
     assert floor.cell_m == pytest.approx(np.sqrt(302 * 202 / 4e6))
 
