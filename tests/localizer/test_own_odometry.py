@@ -145,8 +145,8 @@ def test_what_is_no_motion_is_a_lost_frame_and_wheels_carry_the_pose_on(
     ("change", "why"),
     [
         (lambda found: 1 / 0, "Told.align raised ZeroDivisionError: division by zero"),
-        (lambda found: None, "Told.align answered NoneType, not a MotionEstimate"),
-        (lambda found: found.T_reference_current, "Told.align answered ndarray, not a MotionEstimate"),
+        (lambda found: None, "Told.align returned NoneType, not a MotionEstimate"),
+        (lambda found: found.T_reference_current, "Told.align returned ndarray, not a MotionEstimate"),
         (lambda found: replace(found, T_reference_current=np.eye(3)), r"T_reference_current is of shape \(3, 3\)"),
         (lambda found: replace(found, T_reference_current=2 * np.eye(4)), "T_reference_current is not a rigid motion"),
         (lambda found: replace(found, covariance=None), "a motion without a covariance"),

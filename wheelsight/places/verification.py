@@ -40,7 +40,7 @@ from wheelsight.vision.features.tracking import Alignment, PointPairs, find_moti
 # One in this many common points is used for camera errors, and at least this many are needed.
 _EVERY, _LEAST = 4, 10
 _MAX_HAMMING = 64  # bits by which descriptors of one point may differ
-# Standard deviation of a keypoint's pixel at a middle scale, by `features.sigma_px` and `sigma_growth`.
+# Standard deviation of a keypoint's pixel at a middle scale, by `keypoint_sigma_px`.
 _KEYPOINT_PX = 1.0
 # Largest number of RANSAC's iterations: of views from far apart one match in ten is right, and three must be. 0.1³ of
 # 4000 is 4, so one is found in 98 %.
@@ -52,7 +52,7 @@ _MIN_INLIERS = 8
 # fit the next door of a corridor too. 63 to 96 % agree at the right place, 19 to 26 % in another stretch of a corridor
 # (simulator: docs/decisions/features.md).
 _CLEAR_INLIERS, _CLEAR_SHARE = 40, 0.5
-_CORRELATION = 20.0  # number of neighbouring keypoints that err as one, as in `dense.verification`
+_CORRELATION = 20.0  # number of neighbouring keypoints that err as one, as `KEYPOINT_CORRELATION`
 # Largest motion by surfaces away from the few keypoints. Chosen.
 _AGREE_M, _AGREE_RAD = 0.15, 0.12
 # Share of the view's points that must find a surface of the keyframe: with less, an edge of a table fits many places
