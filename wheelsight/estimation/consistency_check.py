@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sized
 from dataclasses import dataclass
 from enum import Enum
 from heapq import nlargest
@@ -827,16 +827,16 @@ class UncertainRestart:
         self.since: int | None = None
         self._enough_m2 = 0.0  # variance below which the pose counts as known again
 
-    def add_accepted(self, fused: FusedEstimate, keyframe: int = 0) -> None:
-        """Add the estimate at a frame that the filter accepted. With slip, that camera may have failed for long.
+    def add_accepted(self, fused: FusedEstimate, keyframes: Sized = ()) -> None:
+        """Add the estimate at a frame that the filter accepted, and all keyframes.
 
-        `keyframe` is the number of the next one.
+        With slip, that camera may have failed for long.
         """
         assert fused.T_odom_body is not None
         assert fused.covariance is not None
         now = fused.T_odom_body, fused.covariance
         if self._known is not None and fused.slip:
-            self.begin(math.sqrt(max(_variance_m2(*now) - _variance_m2(*self._known), 0.0)), keyframe)
+            self.begin(math.sqrt(max(_variance_m2(*now) - _variance_m2(*self._known), 0.0)), len(keyframes))
         self._known = now
 
     def begin(self, spread_m: float | None, keyframe: int) -> None:

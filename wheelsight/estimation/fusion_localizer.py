@@ -206,7 +206,9 @@ class ByFusion:
         if self.loops is not None:
             in_map, covariance_map = self.loops.evidence(status, T, C, T_map_filter)
             status = status if T is None else DECISIONS[in_map].status or status
-        keyframe, T_keyframe_base = self._map.keyframe_at(T)
+        T_keyframe_map, T_keyframe_base = self._map.T_keyframe_map, None
+        if T_keyframe_map is not None and T is not None:
+            T_keyframe_base = motions.times(T_keyframe_map, motions.times(T_map_filter, T))
         odom = self._odom.answered if T is None else self._odom.frame_at(T, self.filter, event)
         decided = replace(
             by,
@@ -217,7 +219,7 @@ class ByFusion:
             slip=slip,
             doubtful=is_doubtful,
             covariance_map=covariance_map,
-            keyframe=keyframe,
+            keyframe=None if T_keyframe_base is None else self._map.keyframe,
             T_keyframe_body=T_keyframe_base,
             T_map_odom=T_map_filter,
         )
@@ -328,7 +330,7 @@ class ByFusion:
         self._kidnap.add_known_view(frame.stamp_s)
         is_accepted = agrees and answer.T_odom_body is not None and answer.status is Status.TRACKING
         self._map.track(frame.stamp_s, is_accepted=is_accepted)
-        if is_accepted and self._map.is_left(seen.T_odom_body, update.T_odom_base):
+        if is_accepted and self._map.is_contradicted and self._map.is_left(seen.T_odom_body, update.T_odom_base):
             # The camera jumped: restart it at the pose in its map that the filter has.
             assert update.T_odom_base is not None
             assert answer.covariance is not None
@@ -339,7 +341,7 @@ class ByFusion:
             if self.loops is not None and answer.covariance is not None:
                 against = strayed(seen.motion, self._of_frame, _FRAME_WALK_PER_M)
                 self.loops.add_tracked(replace(seen, motion=against), self._map.T_odom_map, answer.covariance)
-            self._restart.add_accepted(answer, len(self.odometry.store))
+            self._restart.add_accepted(answer, self.odometry.store)
             if self.mapper is not None and isinstance(seen, DenseEstimate):
                 self.mapper.fuse_tracked(frame, seen)
         if update.is_reference:
@@ -683,7 +685,8 @@ class CameraMap:
         T_map_camera: (4, 4) of the last frame, if it was accepted; else None.
         anchor: reference frame of the camera's motions in the filter; None before the camera starts.
         seen_s: stamp of the last accepted frame.
-        keyframe: by which that frame was tracked.
+        keyframe: of the last accepted frame, and `T_keyframe_map` (4, 4), the map in its frame; or None.
+        is_contradicted: whether the filter rejected consecutive frames since the last accepted one.
 
     Args:
         T_base_camera: (4, 4).
@@ -701,13 +704,13 @@ class CameraMap:
             self._lay(T_base_camera, T_map_camera)
         self.T_map_camera: FloatArray | None = None
         self.keyframe: KeyframeId | None = None
-        self._T_keyframe_map: FloatArray | None = None
-        self._tracked_s, self._is_contradicted = -np.inf, False
+        self.T_keyframe_map: FloatArray | None = None
+        self._tracked_s, self.is_contradicted = -np.inf, False
 
     def track(self, stamp_s: float, *, is_accepted: bool) -> None:
         """Note that a frame was tracked, and whether the filter accepted it."""
         if not is_accepted and stamp_s - self._tracked_s <= _LONGEST_GAP_S:
-            self._is_contradicted = True
+            self.is_contradicted = True
         self._tracked_s = stamp_s
 
     def is_left(self, T_map_camera: FloatArray, T_odom_base: FloatArray | None) -> bool:
@@ -716,7 +719,7 @@ class CameraMap:
         If the filter rejected consecutive frames and accepts the next ones, the camera has jumped, for instance by the
         period of a repeating pattern. Aligning the map with the camera's pose would make the map jump as well.
         """
-        if not self._is_contradicted or T_odom_base is None:
+        if T_odom_base is None:
             return False
         T_odom_camera = motions.times(T_odom_base, self._T_base_camera)
         by_map = motions.times(self.T_odom_map, T_map_camera)
@@ -725,12 +728,12 @@ class CameraMap:
     def accept(self, stamp_s: float, seen: Estimate, T_odom_base: FloatArray | None) -> None:
         """Accept the camera's pose in the map at a frame; `T_odom_base` is the base's pose when its image was taken."""
         self.T_map_camera, self.seen_s = seen.T_odom_body, stamp_s
-        self._tracked_s, self._is_contradicted = stamp_s, False
+        self._tracked_s, self.is_contradicted = stamp_s, False
         if self.T_map_camera is not None and T_odom_base is not None:
             self._lay(motions.times(T_odom_base, self._T_base_camera), self.T_map_camera)
         if seen.keyframe is not None and seen.T_keyframe_body is not None and seen.T_odom_body is not None:
             self.keyframe = seen.keyframe
-            self._T_keyframe_map = motions.times(seen.T_keyframe_body, motions.inverse(seen.T_odom_body))
+            self.T_keyframe_map = motions.times(seen.T_keyframe_body, motions.inverse(seen.T_odom_body))
 
     def lay(self, T_odom_base: FloatArray | None) -> None:
         """Align the map so that the last frame, if it was accepted, is at the filter's current estimate of its pose."""
@@ -750,19 +753,13 @@ class CameraMap:
             self.anchor = replace(self.anchor, T_map_camera=motions.times(T_new_old, self.anchor.T_map_camera))
         if self.T_map_camera is not None:
             self.T_map_camera = motions.times(T_new_old, self.T_map_camera)
-        if self._T_keyframe_map is not None:
-            self._T_keyframe_map = motions.times(self._T_keyframe_map, T_old_new)
+        if self.T_keyframe_map is not None:
+            self.T_keyframe_map = motions.times(self.T_keyframe_map, T_old_new)
 
     def camera_at(self, T_odom_base: FloatArray) -> FloatArray:
         """Return T_map_camera (4, 4) for a pose of the base in odom."""
         T_map_base = motions.times(motions.inverse(self.T_odom_map), T_odom_base)
         return np.asarray(motions.renormalized(motions.times(T_map_base, self._T_base_camera)))
-
-    def keyframe_at(self, T_odom_base: FloatArray | None) -> tuple[KeyframeId | None, FloatArray | None]:
-        """Return the keyframe of the last accepted frame, and T_keyframe_base (4, 4) of a pose; or None of both."""
-        if self._T_keyframe_map is None or T_odom_base is None:
-            return None, None
-        return self.keyframe, motions.times(self._T_keyframe_map, motions.times(self.T_map_odom, T_odom_base))
 
 
 def blurred(motion: MotionEstimate, twist: FloatArray | None, noise_s: float) -> MotionEstimate:
