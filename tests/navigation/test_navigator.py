@@ -48,6 +48,12 @@ def ride(walls: tuple = ROOM, mapped: tuple | None = None, settings: NavigationS
     return Ride.of(Walls.of(*walls), BESIDE, SIZE_M, known, settings)
 
 
+def whole_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the robot turn as far as it does outside of these tests."""
+    monkeypatch.setattr("wheelsight.navigation.behaviours._LOOK", (1.0, -2.0, 1.0))
+    monkeypatch.setattr("wheelsight.navigation.behaviours._SEARCH_RAD", 6.4)
+
+
 @pytest.mark.parametrize("controller", ["mppi", "pure_pursuit"])
 def test_it_arrives_and_says_how(controller: str) -> None:
     subject = ride(DIVIDED, settings=NavigationSettings(controller=controller))
@@ -106,8 +112,9 @@ def test_who_crosses_the_way_is_no_reason_for_another_plan_and_who_stops_in_it_i
 
 
 @pytest.mark.parametrize("leaves", [True, False])
-def test_who_stands_where_it_is_to_go_is_waited_for_once(leaves: bool) -> None:
+def test_who_stands_where_it_is_to_go_is_waited_for_once(leaves: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """If he leaves it goes there; if not, it stands beside the goal, has not arrived, and says by how much."""
+    whole_looks(monkeypatch)
     goal = (5.0, 3.0, 0.0)
     subject = ride((*ROOM, *somebody_at(5.9, 3.0)), mapped=ROOM)
     subject.navigator.go_to_pose(goal)
@@ -295,7 +302,8 @@ def test_lost_for_good_it_gives_up() -> None:
     assert subject.robot.base.stands
 
 
-def test_not_yet_in_the_map_it_turns_to_look() -> None:
+def test_not_yet_in_the_map_it_turns_to_look(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole_looks(monkeypatch)
     subject = ride()
     subject.told.says = lambda estimate: replace(estimate, status=Status.INITIALIZING)
     subject.navigator.go_to_pose(NEAR)
