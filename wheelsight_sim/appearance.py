@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from wheelsight.core.errors import ConfigError
-from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array
+from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, Int32Array
 from wheelsight_sim import light_kernels as kernels
 from wheelsight_sim.light_kernels import (
     Blockers,
@@ -213,7 +213,26 @@ class Lighting:
             [np.array(found, float).reshape(-1, 6), *(_in_ceiling(geoms, g, lattice, low, high) for g in ceilings)]
         )
         grid = np.array([*low, _FLUX_CELL_M, _CLEARANCE_CELL_M, ceiling_m / (_LAYERS - 1), ceiling_m])
-        return cls(tints, sun, grid, _flux(lamps, grid, high), _clearance(geoms, grid, high), lattice, lamps)
+        # The table of light (Z, Y, X, 4); a lamp's light falls with the square of distance, and ends within its reach.
+        columns, rows = (np.ceil((high - grid[:2]) / grid[2]).astype(int) + 1).clip(2)
+        x, y = grid[0] + grid[2] * np.arange(columns), grid[1] + grid[2] * np.arange(rows)
+        z = grid[4] * np.arange(_LAYERS)
+        flux = np.zeros((_LAYERS, rows, columns, 4))
+        for lamp in lamps:
+            i0, i1 = np.searchsorted(x, [lamp[0] - LAMP_REACH_M, lamp[0] + LAMP_REACH_M])
+            j0, j1 = np.searchsorted(y, [lamp[1] - LAMP_REACH_M, lamp[1] + LAMP_REACH_M])
+            dx, dy = (lamp[0] - x[i0:i1])[None, None, :], (lamp[1] - y[j0:j1])[None, :, None]
+            dz = np.maximum(lamp[2] - z, _NEAREST_LAMP_M)[:, None, None]
+            square = dx**2 + dy**2 + dz**2
+            window = np.maximum(1 - (dx**2 + dy**2) / LAMP_REACH_M**2, 0) ** 2
+            # A lamp in the ceiling sends most straight down; that much of it, times the square of distance, arrives.
+            power = lamp[3] * window * dz / (0.3 + square) ** 1.5
+            for axis, d in enumerate((dx, dy, dz)):
+                flux[:, j0:j1, i0:i1, axis] += power * d / np.sqrt(square)
+            flux[:, j0:j1, i0:i1, 3] += power
+        return cls(
+            tints, sun, grid, np.ascontiguousarray(flux, np.float32), _clearance(geoms, grid, high), lattice, lamps
+        )
 
 
 def _underside_m(geoms: Geoms, g: int) -> float:
@@ -267,27 +286,6 @@ def _in_ceiling(geoms: Geoms, g: int, lattice: FloatArray, low: FloatArray, high
     return np.array(found, float).reshape(-1, 6)
 
 
-def _flux(lamps: FloatArray, grid: FloatArray, high: FloatArray) -> Float32Array:
-    """The table of light (Z, Y, X, 4); a lamp's light falls with the square of distance, and ends within its reach."""
-    columns, rows = (np.ceil((high - grid[:2]) / grid[2]).astype(int) + 1).clip(2)
-    x, y = grid[0] + grid[2] * np.arange(columns), grid[1] + grid[2] * np.arange(rows)
-    z = grid[4] * np.arange(_LAYERS)
-    flux = np.zeros((_LAYERS, rows, columns, 4))
-    for lamp in lamps:
-        i0, i1 = np.searchsorted(x, [lamp[0] - LAMP_REACH_M, lamp[0] + LAMP_REACH_M])
-        j0, j1 = np.searchsorted(y, [lamp[1] - LAMP_REACH_M, lamp[1] + LAMP_REACH_M])
-        dx, dy = (lamp[0] - x[i0:i1])[None, None, :], (lamp[1] - y[j0:j1])[None, :, None]
-        dz = np.maximum(lamp[2] - z, _NEAREST_LAMP_M)[:, None, None]
-        square = dx**2 + dy**2 + dz**2
-        window = np.maximum(1 - (dx**2 + dy**2) / LAMP_REACH_M**2, 0) ** 2
-        # A lamp in the ceiling sends most straight down; that much of it, times the square of distance, arrives.
-        power = lamp[3] * window * dz / (0.3 + square) ** 1.5
-        for axis, d in enumerate((dx, dy, dz)):
-            flux[:, j0:j1, i0:i1, axis] += power * d / np.sqrt(square)
-        flux[:, j0:j1, i0:i1, 3] += power
-    return np.ascontiguousarray(flux, np.float32)
-
-
 def _clearance(geoms: Geoms, grid: FloatArray, high: FloatArray) -> Float32Array:
     """Distances (2, Y, X) on the floor to the nearest thing that stands on it, and to the nearest tall one, metres."""
     columns, rows = (np.ceil((high - grid[:2]) / grid[3]).astype(int) + 1).clip(2)
@@ -297,20 +295,18 @@ def _clearance(geoms: Geoms, grid: FloatArray, high: FloatArray) -> Float32Array
         if geoms.kind[g] == _PLANE or bottom > _ON_FLOOR_M or top < _LOWEST_M:
             continue
         for level in free if top > _TALL_M else free[:1]:
-            _stand(level, geoms, g, grid)
+            # Mark on a map of the floor (Y, X) what a geom covers of it.
+            middle, size = geoms.position_world[g, :2], geoms.size_m[g]
+            if geoms.kind[g] == _BOX:
+                corners = (
+                    np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size[:2] @ geoms.R_world_geom[g][:2, :2].T + middle
+                )
+                cv2.fillConvexPoly(level, np.round((corners - grid[:2]) / grid[3]).astype(np.int32), 0)
+            else:
+                centre = np.round((middle - grid[:2]) / grid[3]).astype(int).tolist()
+                cv2.circle(level, centre, round(float(size[0] / grid[3])), 0, -1)
     distances = [cv2.distanceTransform(level, cv2.DIST_L2, 5) * grid[3] for level in free]
     return np.ascontiguousarray(distances, np.float32)
-
-
-def _stand(level: ByteArray, geoms: Geoms, g: int, grid: FloatArray) -> None:
-    """Mark on a map of the floor (Y, X) what a geom covers of it."""
-    middle, size = geoms.position_world[g, :2], geoms.size_m[g]
-    if geoms.kind[g] == _BOX:
-        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size[:2] @ geoms.R_world_geom[g][:2, :2].T + middle
-        cv2.fillConvexPoly(level, np.round((corners - grid[:2]) / grid[3]).astype(np.int32), 0)
-    else:
-        centre = np.round((middle - grid[:2]) / grid[3]).astype(int).tolist()
-        cv2.circle(level, centre, round(float(size[0] / grid[3])), 0, -1)
 
 
 # Shadows that things, people, doors and the robot throw in the light of lamps.
@@ -378,7 +374,12 @@ class Shadows:
         for b, g in enumerate(seen):
             self._boxes[b] = _box_of(geoms, int(g))
         self._still = np.flatnonzero(~moves).astype(np.int32)
-        self._lamps = self._visible(_lamps_of(lighting))
+        rows, columns = lighting.flux.shape[1:3]
+        shape = (np.ceil(np.array([rows, columns]) * lighting.grid[2] / _CELL_M).astype(int) + 1).tolist()
+        grid = np.array([*lighting.grid[:2], _CELL_M])
+        brightest = np.empty((*shape, _CANDIDATES), np.int32)
+        brightest_lamps(lighting.lamps, grid, LAMP_REACH_M, brightest)
+        self._lamps = self._visible(Lamps(lighting.lamps, grid, brightest))
         self._starts, self._listed = _listed(self._lamps, self._boxes, self._still)
 
     def _visible(self, lamps: Lamps) -> Lamps:
@@ -400,7 +401,15 @@ class Shadows:
             if self._geom[b] >= 0:
                 boxes[b] = _box_of(self._scene.geoms, int(self._geom[b]))
         if T_world_base is not None:
-            boxes[self._robot] = _robot_at(T_world_base)
+            # (P, 8) the boxes of chair and rider.
+            x_from, x_to, half_y, low, high = np.array(_ROBOT_M).T
+            ahead = T_world_base[:2, 0] / np.hypot(*T_world_base[:2, 0])
+            middle = T_world_base[:2, 3] + ((x_from + x_to) / 2)[:, None] * ahead
+            ones = np.ones(len(half_y))
+            sides = (x_to - x_from) / 2, half_y
+            boxes[self._robot] = np.stack(
+                [middle[:, 0], middle[:, 1], low, high, ahead[0] * ones, ahead[1] * ones, *sides], axis=1
+            )
         out = np.empty(view.depth_m.shape, np.float32)
         blockers = Blockers(boxes, self._is_round, self._geom, self._moving, self._starts, self._listed)
         arrays = Views(view.depth_m, view.geom, view.normal_world, view.T_world_camera, view.rays)
@@ -433,25 +442,6 @@ def _box_of(geoms: Geoms, g: int) -> FloatArray:
         return np.array([x, y, z - half[2], z + half[2], R[0, 0], R[1, 0], half[0], half[1]])
     half = abs(R) @ half
     return np.array([x, y, z - half[2], z + half[2], 1.0, 0.0, half[0], half[1]])
-
-
-def _robot_at(T_world_base: FloatArray) -> FloatArray:
-    """(P, 8) the boxes of chair and rider."""
-    x_from, x_to, half_y, low, high = np.array(_ROBOT_M).T
-    ahead = T_world_base[:2, 0] / np.hypot(*T_world_base[:2, 0])
-    middle = T_world_base[:2, 3] + ((x_from + x_to) / 2)[:, None] * ahead
-    ones = np.ones(len(half_y))
-    sides = (x_to - x_from) / 2, half_y
-    return np.stack([middle[:, 0], middle[:, 1], low, high, ahead[0] * ones, ahead[1] * ones, *sides], axis=1)
-
-
-def _lamps_of(lighting: Lighting) -> Lamps:
-    rows, columns = lighting.flux.shape[1:3]
-    shape = (np.ceil(np.array([rows, columns]) * lighting.grid[2] / _CELL_M).astype(int) + 1).tolist()
-    grid = np.array([*lighting.grid[:2], _CELL_M])
-    brightest = np.empty((*shape, _CANDIDATES), np.int32)
-    brightest_lamps(lighting.lamps, grid, LAMP_REACH_M, brightest)
-    return Lamps(lighting.lamps, grid, brightest)
 
 
 def _listed(lamps: Lamps, boxes: FloatArray, still: Int32Array) -> tuple[Int32Array, Int32Array]:
@@ -507,7 +497,24 @@ class Sunlight:
         level = np.asarray(towards[:2], float) / np.hypot(*towards[:2])
         self.brightness = settings.brightness
         self.towards = np.array([*(np.cos(elevation_rad) * level), np.sin(elevation_rad)])
-        self._panes = _panes_of(scene, self.towards, bool(rng.random() < settings.chance))
+        # The windows of a scene, and how far the sun comes through them; none where it does not shine.
+        shines = bool(rng.random() < settings.chance)
+        geoms = scene.geoms
+        panes = [g for g, name in enumerate(geoms.names) if shines and name.startswith(_PANE) and geoms.kind[g] == _BOX]
+        axes, halves = np.zeros((len(panes), 3, 3)), np.zeros((len(panes), 2))
+        reach_m = np.zeros((len(panes), *_CELLS), np.float32)
+        for k, g in enumerate(panes):
+            # Across, along, and last through it.
+            order = np.argsort(-geoms.size_m[g])
+            axes[k], halves[k] = geoms.R_world_geom[g].T[order], geoms.size_m[g][order[:2]]
+            across, along = ((np.arange(count) + 0.5) / count * 2 - 1 for count in _CELLS)
+            grid = across[:, None, None] * halves[k, 0] * axes[k, 0] + along[None, :, None] * halves[k, 1] * axes[k, 1]
+            # Begun behind the pane, which would stop the ray itself.
+            through_m = geoms.size_m[g][order[2]] + _BEHIND_M
+            slant = max(abs(float(axes[k, 2] @ self.towards)), 0.05)
+            begins = geoms.position_world[g] + grid - self.towards * through_m / slant
+            reach_m[k] = scene.reach_m(begins.reshape(-1, 3), -self.towards).reshape(_CELLS) + through_m / slant
+        self._panes = Panes(np.ascontiguousarray(geoms.position_world[panes]), axes, halves, reach_m)
 
     def on(self, view: View) -> Float32Array:
         """(H, W) share of full sunlight on what a view shows: the cosine of incidence in patches, 0 elsewhere."""
@@ -515,26 +522,6 @@ class Sunlight:
         arrays = Views(view.depth_m, view.geom, view.normal_world, view.T_world_camera, view.rays)
         shine_in(arrays, self._panes, self.towards, out)
         return out
-
-
-def _panes_of(scene: Scene, towards: FloatArray, shines: bool) -> Panes:
-    """The windows of a scene, and how far the sun comes through them; none where it does not shine."""
-    geoms = scene.geoms
-    panes = [g for g, name in enumerate(geoms.names) if shines and name.startswith(_PANE) and geoms.kind[g] == _BOX]
-    axes, halves = np.zeros((len(panes), 3, 3)), np.zeros((len(panes), 2))
-    reach_m = np.zeros((len(panes), *_CELLS), np.float32)
-    for k, g in enumerate(panes):
-        # Across, along, and last through it.
-        order = np.argsort(-geoms.size_m[g])
-        axes[k], halves[k] = geoms.R_world_geom[g].T[order], geoms.size_m[g][order[:2]]
-        across, along = ((np.arange(count) + 0.5) / count * 2 - 1 for count in _CELLS)
-        grid = across[:, None, None] * halves[k, 0] * axes[k, 0] + along[None, :, None] * halves[k, 1] * axes[k, 1]
-        # Begun behind the pane, which would stop the ray itself.
-        through_m = geoms.size_m[g][order[2]] + _BEHIND_M
-        slant = max(abs(float(axes[k, 2] @ towards)), 0.05)
-        begins = geoms.position_world[g] + grid - towards * through_m / slant
-        reach_m[k] = scene.reach_m(begins.reshape(-1, 3), -towards).reshape(_CELLS) + through_m / slant
-    return Panes(np.ascontiguousarray(geoms.position_world[panes]), axes, halves, reach_m)
 
 
 # Lamps that go on and off while the robot drives.
