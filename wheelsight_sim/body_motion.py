@@ -318,6 +318,8 @@ class FloorSurface:
     """
 
     def __init__(self, world: World, settings: FloorSettings, rng: np.random.Generator) -> None:
+        import mujoco
+
         low, high = np.array(world.size_m[:2], float) - _MARGIN_M, np.array(world.size_m[2:], float) + _MARGIN_M
         self.settings = settings
         self.cell_m = max(_CELL_M, float(np.sqrt(np.prod(high - low) / _MOST_CELLS)))
@@ -326,8 +328,19 @@ class FloorSurface:
         lines = [self._cells(area.polygon) for area in world.areas.areas]
         borders, carpets = np.zeros((2, rows, columns), np.uint8)
         cv2.polylines(borders, lines, True, 1)
-        for outline in _carpets(world):
-            cv2.fillPoly(carpets, [self._cells(outline)], 1)
+        # The thin boxes on the floor that look like carpet.
+        model = mujoco.MjModel.from_xml_string(world.mjcf)
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        for g in range(model.ngeom):
+            surface = world.surfaces.get(model.mat(model.geom_matid[g]).name) if model.geom_matid[g] >= 0 else None
+            top_m = data.geom_xpos[g, 2] + model.geom_size[g, 2]
+            is_flat = model.geom_type[g] == _BOX and 0 < top_m < _THICKEST_CARPET_M
+            if surface is None or surface.kind != "carpet" or not is_flat:
+                continue
+            corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * model.geom_size[g, :2]
+            R = data.geom_xmat[g].reshape(3, 3)[:2, :2]
+            cv2.fillPoly(carpets, [self._cells(np.asarray(data.geom_xpos[g, :2] + corners @ R.T))], 1)
         self._is_carpet = carpets.astype(bool)
         self.height = _ridge(borders, settings.threshold_width_m, self.cell_m) * np.float32(
             rng.uniform(*settings.threshold_m)
@@ -361,26 +374,6 @@ def _ridge(marked: ByteArray, width_m: float, cell_m: float) -> Float32Array:
         return np.zeros(marked.shape, np.float32)
     away_m = cv2.distanceTransform(1 - marked, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * np.float32(cell_m)
     return np.asarray(np.exp(-0.5 * (away_m / max(width_m, cell_m)) ** 2), np.float32)
-
-
-def _carpets(world: World) -> list[FloatArray]:
-    """Outlines (4, 2) of the thin boxes on the floor that look like carpet."""
-    import mujoco
-
-    model = mujoco.MjModel.from_xml_string(world.mjcf)
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    found = []
-    for g in range(model.ngeom):
-        surface = world.surfaces.get(model.mat(model.geom_matid[g]).name) if model.geom_matid[g] >= 0 else None
-        top_m = data.geom_xpos[g, 2] + model.geom_size[g, 2]
-        is_flat = model.geom_type[g] == _BOX and 0 < top_m < _THICKEST_CARPET_M
-        if surface is None or surface.kind != "carpet" or not is_flat:
-            continue
-        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * model.geom_size[g, :2]
-        R = data.geom_xmat[g].reshape(3, 3)[:2, :2]
-        found.append(np.asarray(data.geom_xpos[g, :2] + corners @ R.T))
-    return found
 
 
 # Tyres that are pressed in by the load they carry.
