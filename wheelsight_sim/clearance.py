@@ -213,8 +213,19 @@ def draw_plan(
     figure, axes = _sheet(world)
     seen = [footprint for footprint in footprints(world) if footprint.bottom_m < _EYE_M]
     _draw_things(axes, world, seen)
-    _draw_areas(axes, world, _crowd(seen, waypoints))
-    _draw_route(axes, waypoints)
+    crowd = shapely.union_all([*[thing.polygon for thing in seen if thing.is_solid], shapely.LineString(waypoints)])
+    _draw_areas(axes, world, crowd)
+    axes.plot(*waypoints.T, color=_ROUTE, lw=2, zorder=6, solid_joinstyle="round")
+    axes.plot(*waypoints.T, "o", ms=4, color=_ROUTE, zorder=6)
+    start = waypoints[0]
+    axes.plot(*start, "o", ms=9, mfc="white", mec=_ROUTE, mew=2, zorder=8)
+    length_m = np.linalg.norm(waypoints[1] - start)
+    if length_m > 0:
+        x_range, y_range = axes.get_xlim(), axes.get_ylim()
+        reach = min(0.045 * max(x_range[1] - x_range[0], y_range[1] - y_range[0]), length_m)
+        tip = start + (waypoints[1] - start) / length_m * reach
+        arrow = {"arrowstyle": "-|>", "color": _ROUTE, "lw": 2, "mutation_scale": 20, "shrinkA": 5, "shrinkB": 0}
+        axes.annotate("", xy=tuple(tip), xytext=tuple(start), arrowprops=arrow, zorder=8)
     lines = [Line2D([], [], color=_ROUTE, lw=2, label="route")]
     if track is not None:
         axes.plot(*np.asarray(track, float).T, color=_TRACK, lw=1.4, zorder=7)
@@ -223,7 +234,16 @@ def draw_plan(
         axes.plot(*mark, "o", ms=22, mfc="none", mec=_MARK, mew=2.5, zorder=9)
         axes.plot(*mark, "x", ms=9, mec=_MARK, mew=2.5, zorder=9)
         lines.append(Line2D([], [], color=_MARK, marker="x", mew=2, lw=0, label="runs into something"))
-    _add_legend(figure, lines)
+    handles = [
+        *lines,
+        Patch(color=_WALL, label="wall"),
+        Line2D([], [], color=_GLASS, lw=3, label="window, glass"),
+        Line2D([], [], color=_DOOR, lw=3, label="closed door"),
+        Line2D([], [], color=_PAPER, lw=3, label="hangs on a wall"),
+        Patch(facecolor="#cdbb9e", edgecolor="#6f5a3a", label="furniture"),
+    ]
+    columns = 4 if len(handles) > 6 else 6
+    figure.legend(handles=handles, loc="lower center", ncols=columns, frameon=False, fontsize=8.5, labelcolor=_INK)
     stream = io.BytesIO()
     figure.savefig(stream, format="png", metadata={"Software": None})
     write_bytes(path, stream.getvalue())
@@ -300,11 +320,6 @@ def _pen_for(footprint: GeomOutline, surface: Surface) -> _Pen:
     return _Pen(to_rgba(_PAPER), to_rgba(_PAPER), 1.4, 6)
 
 
-def _crowd(seen: Iterable[GeomOutline], waypoints: FloatArray) -> shapely.Geometry:
-    """What names of areas should not be written over."""
-    return shapely.union_all([*[thing.polygon for thing in seen if thing.is_solid], shapely.LineString(waypoints)])
-
-
 def _draw_areas(axes: Axes, world: World, crowd: shapely.Geometry) -> None:
     metres_per_point = float(np.diff(axes.get_xlim())[0]) / (axes.bbox.width / _DOTS_PER_INCH * 72)
     for index, area in enumerate(world.areas.areas):
@@ -332,31 +347,3 @@ def _free_place(polygon: FloatArray, crowd: shapely.Geometry, width_m: float, he
     away_m = np.hypot(x - (low[0] + high[0]) / 2, y - (low[1] + high[1]) / 2)
     best = int(np.argmax(np.where(is_inside, 0.0, -1e3) + 10 * room_m - 0.2 * away_m))
     return float(x[best]), float(y[best])
-
-
-def _draw_route(axes: Axes, waypoints: FloatArray) -> None:
-    """The way as a line, its waypoints as dots, and an arrow that leaves the first one."""
-    axes.plot(*waypoints.T, color=_ROUTE, lw=2, zorder=6, solid_joinstyle="round")
-    axes.plot(*waypoints.T, "o", ms=4, color=_ROUTE, zorder=6)
-    start = waypoints[0]
-    axes.plot(*start, "o", ms=9, mfc="white", mec=_ROUTE, mew=2, zorder=8)
-    length_m = np.linalg.norm(waypoints[1] - start)
-    if length_m > 0:
-        x_range, y_range = axes.get_xlim(), axes.get_ylim()
-        reach = min(0.045 * max(x_range[1] - x_range[0], y_range[1] - y_range[0]), length_m)
-        tip = start + (waypoints[1] - start) / length_m * reach
-        arrow = {"arrowstyle": "-|>", "color": _ROUTE, "lw": 2, "mutation_scale": 20, "shrinkA": 5, "shrinkB": 0}
-        axes.annotate("", xy=tuple(tip), xytext=tuple(start), arrowprops=arrow, zorder=8)
-
-
-def _add_legend(figure: Figure, lines: Iterable[Line2D]) -> None:
-    handles = [
-        *lines,
-        Patch(color=_WALL, label="wall"),
-        Line2D([], [], color=_GLASS, lw=3, label="window, glass"),
-        Line2D([], [], color=_DOOR, lw=3, label="closed door"),
-        Line2D([], [], color=_PAPER, lw=3, label="hangs on a wall"),
-        Patch(facecolor="#cdbb9e", edgecolor="#6f5a3a", label="furniture"),
-    ]
-    columns = 4 if len(handles) > 6 else 6
-    figure.legend(handles=handles, loc="lower center", ncols=columns, frameon=False, fontsize=8.5, labelcolor=_INK)
