@@ -125,9 +125,10 @@ class ColorSensor:
             flow = image_flow(view, twist_camera) * np.float32(exposure.time_s)
             image = smear(image, flow)
         out = np.empty(image.shape, np.uint8)
+        cosine_squared = 1 / np.einsum("hwc,hwc->hw", view.rays, view.rays)
         develop(
             image,
-            self._fall_off(view.rays),
+            np.asarray(1 - self.vignetting * (1 - cosine_squared**2), np.float32),
             self._exposed(exposure),
             _normal_quantiles(),
             _srgb_bytes(),
@@ -145,11 +146,6 @@ class ColorSensor:
             return radiance
         blurred = cv2.GaussianBlur(radiance, (3, 3), self.lens_sigma_px, borderType=cv2.BORDER_REPLICATE)
         return np.asarray(blurred, np.float32)
-
-    def _fall_off(self, rays: FloatArray) -> Float32Array:
-        """Share of light (H, W) that reaches each pixel: cos⁴ of its ray's angle, as far as the lens shows it."""
-        cosine_squared = 1 / np.einsum("hwc,hwc->hw", rays, rays)
-        return np.asarray(1 - self.vignetting * (1 - cosine_squared**2), np.float32)
 
 
 def image_flow(view: View, twist_camera: ArrayLike) -> Float32Array:
@@ -351,27 +347,19 @@ def as_delivered(color: ByteArray, settings: PixelSettings) -> ByteArray:
     noise of edges as it is.
     """
     if settings.has_bayer:
-        color = _filled_in(color)
+        # Each pixel's own colour of the pattern red, green / green, blue, and the others from its neighbours.
+        mosaic = color[..., 1].copy()
+        mosaic[0::2, 0::2] = color[0::2, 0::2, 0]
+        mosaic[1::2, 1::2] = color[1::2, 1::2, 2]
+        # OpenCV names the pattern by the pixels of its second row and column.
+        color = np.asarray(cv2.cvtColor(mosaic, cv2.COLOR_BayerBG2RGB), np.uint8)
     if settings.jpeg_quality:
-        color = _by_jpeg(color, settings.jpeg_quality)
+        options = [
+            cv2.IMWRITE_JPEG_QUALITY,
+            settings.jpeg_quality,
+            cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+            cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420,
+        ]
+        _, data = cv2.imencode(".jpg", color[..., ::-1], options)
+        color = np.asarray(cv2.cvtColor(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB), np.uint8)
     return color
-
-
-def _filled_in(color: ByteArray) -> ByteArray:
-    """Each pixel's own colour of the pattern red, green / green, blue, and the others from its neighbours."""
-    mosaic = color[..., 1].copy()
-    mosaic[0::2, 0::2] = color[0::2, 0::2, 0]
-    mosaic[1::2, 1::2] = color[1::2, 1::2, 2]
-    # OpenCV names the pattern by the pixels of its second row and column.
-    return np.asarray(cv2.cvtColor(mosaic, cv2.COLOR_BayerBG2RGB), np.uint8)
-
-
-def _by_jpeg(color: ByteArray, quality: int) -> ByteArray:
-    options = [
-        cv2.IMWRITE_JPEG_QUALITY,
-        quality,
-        cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
-        cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420,
-    ]
-    _, data = cv2.imencode(".jpg", color[..., ::-1], options)
-    return np.asarray(cv2.cvtColor(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB), np.uint8)
