@@ -128,21 +128,16 @@ class StructuredLight:
         seen = _light(view, infrared * (1 - shine))
         usable = detectable(seen, shine, chance, _limits(self))
         usable &= lit_by_projector(view.depth_m, view.geom, focal_baseline, self.shadow_px / native_per_px)
+        whole = self.quadratic_per_m * self.native_focal_px * self.baseline_m
         pattern = Pattern(
-            self._matching_sigma_px,
+            math.sqrt(max(whole**2 - 1 / (12 * self.steps_per_px**2), 0.0)),
             self.oblique_m,
             focal_baseline,
             self.native_focal_px * self.baseline_m,
             self.steps_per_px,
         )
-        shifts_px = _normal_table(self.edge_sigma_px / native_per_px)
+        shifts_px = np.asarray((self.edge_sigma_px / native_per_px) * ndtri((np.arange(256) + 0.5) / 256))
         return np.asarray(match_pattern(seen, usable, noise, chance, shifts_px, pattern))
-
-    @property
-    def _matching_sigma_px(self) -> float:
-        """What is left of the published deviation for matching once rounding has taken its 1/√12 of a step."""
-        whole = self.quadratic_per_m * self.native_focal_px * self.baseline_m
-        return math.sqrt(max(whole**2 - 1 / (12 * self.steps_per_px**2), 0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,11 +215,6 @@ def _correlated(rng: np.random.Generator, shape: tuple[int, ...], sigma_px: floa
     return np.asarray(cv2.sepFilter2D(white, cv2.CV_32F, weights, weights, borderType=cv2.BORDER_REFLECT_101))
 
 
-def _normal_table(sigma: float) -> FloatArray:
-    """(256,) equally likely values of a normal distribution."""
-    return np.asarray(sigma * ndtri((np.arange(256) + 0.5) / 256))
-
-
 # What a depth camera's own errors make of true depth, before noise: they stay the same for one unit.
 
 
@@ -281,7 +271,12 @@ class DisparityDistortion:
         rays = camera.rays()
         radius = np.hypot(rays[..., 0], rays[..., 1])
         unlike = 1 + settings.unlike_sigma * rng.standard_normal(2)
-        rough = settings.rough_sigma_steps * _smooth(rng, radius.shape)
+        # (H, W) smooth chance of unit deviation.
+        knots = rng.standard_normal(_GRID[::-1])
+        knots = (knots - knots.mean()) / knots.std()
+        rough = settings.rough_sigma_steps * np.asarray(
+            cv2.resize(knots, radius.shape[::-1], interpolation=cv2.INTER_CUBIC), float
+        )
         self._settings = settings
         near, far = settings.near_steps, settings.far_steps
         self._near_px = unlike[0] * np.interp(radius, settings.radii, near) / settings.steps_per_px
@@ -344,13 +339,6 @@ class PhaseDistortion:
         return np.where(z > 0, z + swing_m + self._radial_m + self._offset_m + longer_m, 0).astype(np.float32)
 
 
-def _smooth(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
-    """(H, W) smooth chance of unit deviation."""
-    knots = rng.standard_normal(_GRID[::-1])
-    knots = (knots - knots.mean()) / knots.std()
-    return np.asarray(cv2.resize(knots, shape[::-1], interpolation=cv2.INTER_CUBIC), float)
-
-
 # Light that reaches a time-of-flight camera by way of a second surface, and makes corners look further away.
 
 
@@ -385,25 +373,18 @@ def multipath_m(view: View, scattered: FloatArray, grid: tuple[int, int]) -> Flo
     # A patch is as large as its share of the image, at its depth, and more where it is seen aslant.
     per_px = abs(view.rays[0, -1, 0] - view.rays[0, 0, 0]) / w * abs(view.rays[-1, 0, 1] - view.rays[0, 0, 1]) / h
     area_m2 = per_px * (h * w / len(z)) * z**2 / cosine
-    longer_m = _mean_detour_m(p, n, reach_m, albedo, area_m2 * cosine / reach_m**2, cosine / reach_m**2)
-    longer_m = np.where(z > 0, longer_m * z / reach_m, 0.0).reshape(grid[::-1]).astype(np.float32)
-    return np.asarray(cv2.resize(longer_m, (w, h), interpolation=cv2.INTER_LINEAR))
-
-
-def _mean_detour_m(
-    p: FloatArray, n: FloatArray, reach_m: FloatArray, albedo: FloatArray, sent: FloatArray, direct: FloatArray
-) -> FloatArray:
-    """(N,) mean of half the detours by every other patch, weighted by light; none for the direct way.
-
-    `sent` is the light a patch receives from the lamp in all, `direct` that which a unit of a patch's surface does.
-    """
+    # (N,) mean of half the detours by every other patch, weighted by light; none for the direct way.
+    sent = area_m2 * cosine / reach_m**2
+    direct = cosine / reach_m**2
     apart = p[None] - p[:, None]
     distance_m = np.maximum(np.linalg.norm(apart, axis=2), _NEAREST_M)
     leaving = np.maximum(np.einsum("ijk,jk->ij", -apart, n), 0) / distance_m
     arriving = np.maximum(np.einsum("ijk,ik->ij", apart, n), 0) / distance_m
     indirect = albedo * sent * leaving * arriving / (np.pi * distance_m**2)
     detour_m = 0.5 * (reach_m[None] + distance_m - reach_m[:, None])
-    return np.asarray((indirect * detour_m).sum(axis=1) / (direct + indirect.sum(axis=1)))
+    longer_m = np.asarray((indirect * detour_m).sum(axis=1) / (direct + indirect.sum(axis=1)))
+    longer_m = np.where(z > 0, longer_m * z / reach_m, 0.0).reshape(grid[::-1]).astype(np.float32)
+    return np.asarray(cv2.resize(longer_m, (w, h), interpolation=cv2.INTER_LINEAR))
 
 
 # Depth images that are registered to colour by a driver: some pixels off, and taken at another moment.
@@ -486,7 +467,14 @@ class Registration:
         """
         late_s = self.late_s(stamp_s)
         at, is_inside = self._sources(view, twist_camera, late_s)
-        is_inside &= ~self._beside_steps(view.depth_m).ravel()[at]
+        # (H, W) where a block of the pattern lies on two depths.
+        s = self._settings
+        near_m = cv2.erode(np.where(view.depth_m > 0, view.depth_m, np.float32(_FAR_M)), _CROSS)
+        far_m = cv2.dilate(view.depth_m, _CROSS)
+        step_px = _FOCAL_BASELINE_PX_M * (1 / np.maximum(near_m, 0.1) - 1 / np.maximum(far_m, 0.1))
+        across = max(round(s.hole_px * self._scale), 1)
+        shape = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (across, across))
+        is_inside &= ~np.asarray(cv2.dilate((step_px > s.step_px).astype(np.uint8), shape), bool).ravel()[at]
         depth_m = np.where(is_inside, view.depth_m.ravel()[at], np.float32(0))
         v, w = np.split(np.asarray(twist_camera, float), 2)
         nearer = 1 + late_s * (w[0] * view.rays[..., 1] - w[1] * view.rays[..., 0]) * -1
@@ -524,13 +512,3 @@ class Registration:
         is_in_sight = np.zeros((h, w), bool)
         is_in_sight[top : h - bottom, left : w - right] = True
         return is_in_sight
-
-    def _beside_steps(self, depth_m: Float32Array) -> BoolArray:
-        """(H, W) where a block of the pattern lies on two depths."""
-        s = self._settings
-        near_m = cv2.erode(np.where(depth_m > 0, depth_m, np.float32(_FAR_M)), _CROSS)
-        far_m = cv2.dilate(depth_m, _CROSS)
-        step_px = _FOCAL_BASELINE_PX_M * (1 / np.maximum(near_m, 0.1) - 1 / np.maximum(far_m, 0.1))
-        across = max(round(s.hole_px * self._scale), 1)
-        shape = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (across, across))
-        return np.asarray(cv2.dilate((step_px > s.step_px).astype(np.uint8), shape), bool)
