@@ -85,16 +85,10 @@ class RouteFollower:
         if self._along_m >= path.length_m - _ARRIVED_M and self._ramp.v_m_s < 0.02:
             if self._part + 1 == len(self._paths):
                 return None
-            return self._turn_to_next(yaw_rad)
-        return self._ramp.towards(*self._wanted(path, x_m, y_m, yaw_rad))
-
-    def _turn_to_next(self, yaw_rad: float) -> Command:
-        error_rad = float(se2.wrap_angle(self._paths[self._part + 1].at(0.0)[2] - yaw_rad))
-        if abs(error_rad) < _ALIGNED_RAD and abs(self._ramp.yaw_rate_rad_s) < 0.02:
-            self._part, self._along_m = self._part + 1, 0.0
-        return self._ramp.towards(0.0, _turning_rate(error_rad))
-
-    def _wanted(self, path: Path2d, x_m: float, y_m: float, yaw_rad: float) -> tuple[float, float]:
+            error_rad = float(se2.wrap_angle(self._paths[self._part + 1].at(0.0)[2] - yaw_rad))
+            if abs(error_rad) < _ALIGNED_RAD and abs(self._ramp.yaw_rate_rad_s) < 0.02:
+                self._part, self._along_m = self._part + 1, 0.0
+            return self._ramp.towards(0.0, _turning_rate(error_rad))
         v_m_s = float(np.interp(self._along_m, path.along_m, self._speeds[self._part]))
         on_x, on_y, on_yaw = path.at(self._along_m)
         off_m = math.cos(on_yaw) * (y_m - on_y) - math.sin(on_yaw) * (x_m - on_x)
@@ -102,7 +96,7 @@ class RouteFollower:
         # The wheelchair answers late; the bend is read a little ahead of it.
         bend_per_m = path.bend_at(self._along_m + 0.1 * v_m_s)
         yaw_rate = v_m_s * (bend_per_m - _PULL_PER_M * off_m - _PULL_PER_RAD * off_rad)
-        return v_m_s, float(np.clip(yaw_rate, -1.5, 1.5))
+        return self._ramp.towards(v_m_s, float(np.clip(yaw_rate, -1.5, 1.5)))
 
 
 class StopAndTurn:
@@ -206,8 +200,14 @@ def read_manual_velocities(path: StrPath) -> ManualVelocities:
     path = Path(path)
     rows, warnings = read_table(path, ("stamp_s", "v_m_s", "yaw_rate_rad_s"))
     if warnings:
-        raise ConfigError("the last line does not end", path=path, line=_lines_of(path), fix="end it with a new line")
-    _check_stamps(rows, path)
+        raise ConfigError(
+            "the last line does not end", path=path, line=len(lines_of(read_list(path))), fix="end it with a new line"
+        )
+    last_s = -math.inf
+    for row in rows:
+        if row.stamp_s < 0 or row.stamp_s <= last_s:
+            raise ConfigError(f"stamp_s is {row.stamp_s:g}", path=path, line=row.number, fix="stamps grow from 0 on")
+        last_s = row.stamp_s
     v_m_s = [_limited(row, "v_m_s", MAX_SPEED_M_S) for row in rows]
     yaw_rates = [_limited(row, "yaw_rate_rad_s", MAX_YAW_RATE_RAD_S) for row in rows]
     if len(rows) < 2:
@@ -273,18 +273,6 @@ def _checked_speed(speed_m_s: float) -> float:
 def _check_limit(name: str, value: float, limit: float, path: Path | None = None, line: int | None = None) -> None:
     if not abs(value) <= limit:
         raise ConfigError(f"{name} is {value:g}", path=path, line=line, fix=f"-{limit} to {limit}")
-
-
-def _check_stamps(rows: list[Row], path: Path) -> None:
-    last_s = -math.inf
-    for row in rows:
-        if row.stamp_s < 0 or row.stamp_s <= last_s:
-            raise ConfigError(f"stamp_s is {row.stamp_s:g}", path=path, line=row.number, fix="stamps grow from 0 on")
-        last_s = row.stamp_s
-
-
-def _lines_of(path: Path) -> int:
-    return len(lines_of(read_list(path)))
 
 
 def _limited(row: Row, column: str, limit: float) -> float:
@@ -359,7 +347,9 @@ def laps_of(route: ArrayLike, is_loop: bool, laps: int, clockwise: bool | None) 
     if clockwise is not None and not is_loop:
         raise ConfigError("a route that is no loop runs neither clockwise nor the other way")
     if is_loop:
-        points = _turned(points, clockwise)
+        x, y = points.T
+        is_clockwise = bool(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < 0)
+        points = points if clockwise in (None, is_clockwise) else np.roll(points[::-1], 1, axis=0)
         points = np.concatenate([np.tile(points, (laps, 1)), points[:1]])
     else:
         points = np.concatenate([points, *((points[-2::-1], points[1:])[lap % 2] for lap in range(laps - 1))])
@@ -374,13 +364,6 @@ def smooth_path(points: FloatArray) -> list[Path2d]:
     turns = np.abs((np.diff(yaws) + np.pi) % (2 * np.pi) - np.pi)
     cuts = [0, *(np.flatnonzero(turns > _SHARPEST_ROUNDED_RAD) + 1).tolist(), len(points) - 1]
     return [_rounded(points[first : last + 1]) for first, last in pairwise(cuts)]
-
-
-def _turned(points: FloatArray, clockwise: bool | None) -> FloatArray:
-    """The loop in the direction asked for, from the same first waypoint."""
-    x, y = points.T
-    is_clockwise = bool(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < 0)
-    return points if clockwise in (None, is_clockwise) else np.roll(points[::-1], 1, axis=0)
 
 
 def _rounded(points: FloatArray) -> Path2d:
