@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from wheelsight.core.errors import ConfigError
-from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray
+from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelReading, WheelTicks
 
 # A fault maps events to events: it changes frames, drops them or changes their stamps; wheel readings pass unchanged.
@@ -135,16 +135,14 @@ class DepthHoles(_ImageFault):
 
     def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
         lasting = np.random.default_rng([self.seed, _STREAM, 1, frame.index // self.holds_frames])
-        missing = self._in_blob(frame.depth_m.shape, lasting)
+        # Where smoothed noise is highest: that share of the image exactly.
+        shape = frame.depth_m.shape
+        cells = max(2, round(1 / self.blob_share))
+        coarse = lasting.standard_normal((cells, max(2, round(cells * shape[1] / shape[0]))))
+        smooth = cv2.resize(coarse, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC)
+        missing = np.asarray(smooth > np.quantile(smooth, 1 - self.blobs))
         missing |= rng.random(frame.depth_m.shape) < self.speckle
         return replace(frame, depth_m=np.where(missing, np.float32(0), frame.depth_m))
-
-    def _in_blob(self, shape: tuple[int, ...], rng: np.random.Generator) -> BoolArray:
-        """Where smoothed noise is highest: that share of the image exactly."""
-        cells = max(2, round(1 / self.blob_share))
-        coarse = rng.standard_normal((cells, max(2, round(cells * shape[1] / shape[0]))))
-        smooth = cv2.resize(coarse, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC)
-        return np.asarray(smooth > np.quantile(smooth, 1 - self.blobs))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -368,15 +366,13 @@ class DirectSun(_ImageFault):
     period_s: float = 3.0
 
     def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
-        is_white = self._patch(frame.depth_m.shape, frame.stamp_s)
+        shape = frame.depth_m.shape
+        rows, columns = np.ogrid[: shape[0], : shape[1]]
+        x = shape[1] * ((frame.stamp_s - self.begin_s) / self.period_s % 1.0)
+        is_white = np.asarray((columns - x) ** 2 + (rows - shape[0] / 2) ** 2 < (self.radius_share * shape[1]) ** 2)
         color = frame.color * np.float32(self.darkens ** (-1 / _GAMMA))
         color[is_white] = 255
         return replace(frame, color=_bytes(color), depth_m=np.where(is_white, np.float32(0), frame.depth_m))
-
-    def _patch(self, shape: tuple[int, ...], stamp_s: float) -> BoolArray:
-        rows, columns = np.ogrid[: shape[0], : shape[1]]
-        x = shape[1] * ((stamp_s - self.begin_s) / self.period_s % 1.0)
-        return np.asarray((columns - x) ** 2 + (rows - shape[0] / 2) ** 2 < (self.radius_share * shape[1]) ** 2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -407,7 +403,11 @@ class StillView(_Interval):
                 continue
             shown = event if shown is None else shown
             rng = np.random.default_rng([self.seed, 0x57, event.index])
-            color, depth_m = _measured_again(shown.color, shown.depth_m, rng)
+            # The same view with other noise: a Kinect's of depth, some levels of colour.
+            noisy = shown.color + _COLOR_NOISE * rng.standard_normal(shown.color.shape, np.float32)
+            off_m = _DEPTH_NOISE_PER_M * shown.depth_m**2 * rng.standard_normal(shown.depth_m.shape, np.float32)
+            color = _bytes(noisy)
+            depth_m = np.asarray(np.where(shown.depth_m > 0, np.maximum(shown.depth_m + off_m, 0.05), 0), np.float32)
             yield replace(event, color=color, depth_m=depth_m)
 
 
@@ -436,15 +436,6 @@ class Silence(_Interval):
     def apply(self, events: Iterable[Event]) -> Iterator[Event]:
         """The events without all those of that time."""
         return (event for event in events if not self.acts_at(event.stamp_s))
-
-
-def _measured_again(
-    color: ByteArray, depth_m: Float32Array, rng: np.random.Generator
-) -> tuple[ByteArray, Float32Array]:
-    """The same view with other noise: a Kinect's of depth, some levels of colour."""
-    noisy = color + _COLOR_NOISE * rng.standard_normal(color.shape, np.float32)
-    off_m = _DEPTH_NOISE_PER_M * depth_m**2 * rng.standard_normal(depth_m.shape, np.float32)
-    return _bytes(noisy), np.asarray(np.where(depth_m > 0, np.maximum(depth_m + off_m, 0.05), 0), np.float32)
 
 
 # What goes wrong with stamps: readings that come late or together, clocks that leap, hosts that sleep.
