@@ -269,7 +269,14 @@ class Passersby(Cylinders):
             T = drive.truth.at(times_s.clip(None, drive.truth.stamps_s[-1]))
             ground = WalkableGrid(world)
             safe = _safe_cells(ground, T, outline_m(robot), world.name)
-            self._xy_m = _walk(ground, safe, T[0, :2, 3], count, np.random.default_rng((seed, _STREAM)))
+            # (N, count, 2) positions, a step apart.
+            xy_robot_m = T[0, :2, 3]
+            rng = np.random.default_rng((seed, _STREAM))
+            walkers = Walkers(ground, starts(ground, safe.at(0), xy_robot_m, count, rng), rng)
+            cells = [walkers.cells]
+            for k in range(1, len(safe)):
+                cells.append(walkers.step([[safe.at(k)]] * count))
+            self._xy_m = ground.xy_of(np.array(cells))
         super().__init__(self._xy_m[0])
 
     def positions_at(self, stamp_s: float) -> FloatArray:
@@ -313,17 +320,6 @@ def _safe_cells(ground: WalkableGrid, T_world_robot: FloatArray, reach_m: FloatA
     if not safe.any():
         raise ConfigError(f"world {world} leaves no room for passers-by beside the robot", fix="--passers-by 0")
     return cells
-
-
-def _walk(
-    ground: WalkableGrid, safe: _SafeCells, xy_robot_m: FloatArray, count: int, rng: np.random.Generator
-) -> FloatArray:
-    """(N, count, 2) positions, a step apart."""
-    walkers = Walkers(ground, starts(ground, safe.at(0), xy_robot_m, count, rng), rng)
-    cells = [walkers.cells]
-    for k in range(1, len(safe)):
-        cells.append(walkers.step([[safe.at(k)]] * count))
-    return ground.xy_of(np.array(cells))
 
 
 _LIVE_PASSERSBY_STREAM = 0x11FE
