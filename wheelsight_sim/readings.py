@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from wheelsight.core.calibration_parts import Gyro, Wheels
-from wheelsight.core.geometry import FloatArray, IntArray, se3
+from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.messages import WheelReading, WheelTicks, YawRate
 from wheelsight_sim.robot import RobotModel, WheelFaults
 
@@ -155,7 +155,13 @@ def frame_times(count: int, rate_hz: float, settings: StampSettings, rng: np.ran
     taken_s = exact_times(count, rate_hz).taken_s
     late_s = rng.uniform(*settings.camera_late_s) + settings.camera_jitter_s * rng.standard_normal(count)
     told_s = _growing(taken_s + late_s)
-    kept = _kept(count, settings, rng)
+    begins = rng.random(count) < settings.dropped / settings.dropped_together
+    lengths = rng.geometric(1 / settings.dropped_together, count)
+    is_lost = np.zeros(count, bool)
+    for begin in np.flatnonzero(begins):
+        is_lost[begin : begin + lengths[begin]] = True
+    is_lost[0] = False
+    kept = np.flatnonzero(~is_lost)
     return FrameTimes(taken_s[kept], told_s[kept])
 
 
@@ -175,16 +181,6 @@ def _growing(stamps_s: FloatArray) -> FloatArray:
     """What is held back holds back what is behind it: each is at least `SHORTEST_S` after the one before."""
     steps_s = SHORTEST_S * np.arange(len(stamps_s))
     return np.asarray(np.round(np.maximum.accumulate(stamps_s - steps_s) + steps_s, STAMP_DECIMALS), float)
-
-
-def _kept(count: int, settings: StampSettings, rng: np.random.Generator) -> IntArray:
-    begins = rng.random(count) < settings.dropped / settings.dropped_together
-    lengths = rng.geometric(1 / settings.dropped_together, count)
-    is_lost = np.zeros(count, bool)
-    for begin in np.flatnonzero(begins):
-        is_lost[begin : begin + lengths[begin]] = True
-    is_lost[0] = False
-    return np.flatnonzero(~is_lost)
 
 
 class Delays:
