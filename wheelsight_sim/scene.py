@@ -188,25 +188,23 @@ class Scene:
 
         def work(thread: int) -> None:
             for tile in tiles[thread :: self._threads]:
-                self._cast_tile(view, tile, center, far_m, self._targets[thread])
+                targets = self._targets[thread]
+                geoms, T = self.geoms, view.T_world_camera
+                middle = T[(tile[0] + tile[1]) // 2]
+                R, origin = np.ascontiguousarray(middle[:3, :3]), np.ascontiguousarray(middle[:3, 3])
+                rays = np.empty(((tile[1] - tile[0]) * (tile[3] - tile[2]), 3))
+                bounds = aim(view.rays, T, tile, R, rays)
+                boxes = Boxes(geoms.kind, geoms.size_m, center, self._half_m, geoms.R_world_geom)
+                chosen = choose(boxes, R, origin, bounds, far_m * _FAR_MARGIN)
+                if len(chosen):
+                    hits = targets.cast(geoms, chosen, origin, rays)
+                    image = Image(view.depth_m, view.geom, view.normal_world)
+                    gather(hits, rays, T, tile, origin, far_m, chosen, image)
 
         if self._pool is None:
             work(0)
         else:
             list(self._pool.map(work, range(self._threads)))
-
-    def _cast_tile(self, view: View, tile: IntArray, center: FloatArray, far_m: float, targets: _Targets) -> None:
-        geoms, T = self.geoms, view.T_world_camera
-        middle = T[(tile[0] + tile[1]) // 2]
-        R, origin = np.ascontiguousarray(middle[:3, :3]), np.ascontiguousarray(middle[:3, 3])
-        rays = np.empty(((tile[1] - tile[0]) * (tile[3] - tile[2]), 3))
-        bounds = aim(view.rays, T, tile, R, rays)
-        boxes = Boxes(geoms.kind, geoms.size_m, center, self._half_m, geoms.R_world_geom)
-        chosen = choose(boxes, R, origin, bounds, far_m * _FAR_MARGIN)
-        if len(chosen):
-            hits = targets.cast(geoms, chosen, origin, rays)
-            image = Image(view.depth_m, view.geom, view.normal_world)
-            gather(hits, rays, T, tile, origin, far_m, chosen, image)
 
 
 class _Targets:
