@@ -186,6 +186,8 @@ class _TruthInSteps:
 
 def _write_surroundings(recording: SimulatedRecording, folder: Path) -> None:
     """All that is known before the first frame."""
+    import yaml
+
     from wheelsight_sim.clearance import draw_plan
 
     settings, world = recording.settings, recording.world
@@ -197,16 +199,6 @@ def _write_surroundings(recording: SimulatedRecording, folder: Path) -> None:
     truth = make_output_folder(folder / "truth", force=True)
     save_calibration(recording.true_calibration, truth / "calibration.yaml")
     write_text(truth / "world.xml", world.mjcf)
-    write_text(truth / "settings.yaml", _settings_text(recording))
-    if settings.velocities is not None:
-        write_bytes(truth / "velocities.csv", read_bytes(Path(settings.velocities), LIST, ConfigError))
-    if recording.renderer.doors is not None:
-        write_text(truth / "doors.csv", recording.renderer.doors.to_csv())
-
-
-def _settings_text(recording: SimulatedRecording) -> str:
-    import yaml
-
     drive = recording.drive
     versions = {"wheelsight": __version__, "python": platform.python_version()}
     document: dict[str, Any] = {
@@ -215,4 +207,9 @@ def _settings_text(recording: SimulatedRecording) -> str:
         "drive": {"duration_s": drive.duration_s, "is_complete": drive.is_complete, "reason": drive.reason},
         "versions": versions | {part: version(part) for part in _PARTS},
     }
-    return str(yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100))
+    text = str(yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100))
+    write_text(truth / "settings.yaml", text)
+    if settings.velocities is not None:
+        write_bytes(truth / "velocities.csv", read_bytes(Path(settings.velocities), LIST, ConfigError))
+    if recording.renderer.doors is not None:
+        write_text(truth / "doors.csv", recording.renderer.doors.to_csv())
