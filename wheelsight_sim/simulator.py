@@ -180,8 +180,25 @@ class Simulator(OneCaller):
             problem = "is closed" if self._is_closed else f"has run for {LONGEST_S:g} s"
             raise ArgumentError(f"the simulator {problem}", fix="make a new one")
         for _ in range(self._steps):
-            if not self._broken:
-                self._tick(command)
+            if self._broken:
+                break
+            robot, tick = self._robot, self._robot.tick
+            reading = robot.read()
+            self._camera.follow(reading)
+            if reading.ticks is not None:
+                self._put(self._wheel_delays.stamped(reading.ticks))
+            if reading.yaw_rate is not None:
+                self._put(self._gyro_delays.stamped(reading.yaw_rate))
+            for frame in self._camera.frames() if self._has_camera else ():
+                self._put(frame)
+            if tick % ticks_of(COMMAND_PERIOD_S) == 0:
+                robot.chair.turn_wheels(self._drive.rims_m_s(reading, command))
+            self._live.step(tick, robot)
+            robot.advance()
+            if robot.chair.is_broken:
+                self._broken = f"the physics became unstable at {self.time_s:.1f} s"
+            elif robot.chair.T_world_base[2, 2] < _FALLEN:
+                self._broken = f"the wheelchair fell over at {self.time_s:.1f} s"
         return list(self._due())
 
     def stop(self) -> None:
@@ -200,25 +217,6 @@ class Simulator(OneCaller):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-    def _tick(self, command: VelocityCommand) -> None:
-        robot, tick = self._robot, self._robot.tick
-        reading = robot.read()
-        self._camera.follow(reading)
-        if reading.ticks is not None:
-            self._put(self._wheel_delays.stamped(reading.ticks))
-        if reading.yaw_rate is not None:
-            self._put(self._gyro_delays.stamped(reading.yaw_rate))
-        for frame in self._camera.frames() if self._has_camera else ():
-            self._put(frame)
-        if tick % ticks_of(COMMAND_PERIOD_S) == 0:
-            robot.chair.turn_wheels(self._drive.rims_m_s(reading, command))
-        self._live.step(tick, robot)
-        robot.advance()
-        if robot.chair.is_broken:
-            self._broken = f"the physics became unstable at {self.time_s:.1f} s"
-        elif robot.chair.T_world_base[2, 2] < _FALLEN:
-            self._broken = f"the wheelchair fell over at {self.time_s:.1f} s"
 
     def _put(self, event: Event) -> None:
         heapq.heappush(self._waiting, (event.stamp_s, next(self._order), event))
