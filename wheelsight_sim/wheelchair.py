@@ -156,35 +156,29 @@ def scene(world: World, robot: RobotModel, *, slip: bool = True, doors: Leaves |
             name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1), contype=0, conaffinity=0
         )
         spec.attach(mujoco.MjSpec.from_string(wheelchair_mjcf(robot)), prefix=PREFIX, frame=spec.worldbody.add_frame())
-        _add_contacts(spec, slip=slip)
+        option = spec.option
+        option.timestep = TIMESTEP_S
+        option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        # Implicit damping would change the wheels' acceleration after the contacts are solved, and make them slip.
+        option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+        option.impratio = _FRICTION_TO_NORMAL_IMPEDANCE[slip]
+        option.noslip_iterations = 0 if slip else 20
+        friction = FLOOR_FRICTION if slip else _NO_SLIP_FRICTION
+        for name in (*ROLLING, "jack"):
+            spec.add_pair(
+                name=name,
+                geomname1="ground",
+                geomname2=PREFIX + name,
+                condim=3,
+                friction=(friction, friction, 0.005, 0.0001, 0.0001),
+                solref=_STIFF,
+                solimp=_IMPEDANCE,
+            )
         model: mujoco.MjModel = spec.compile()
     except ValueError as error:
         raise ConfigError(f"world {world.name!r} with its robot is no MJCF that MuJoCo takes: {error}") from error
     return model
-
-
-def _add_contacts(spec: mujoco.MjSpec, *, slip: bool) -> None:
-    import mujoco
-
-    option = spec.option
-    option.timestep = TIMESTEP_S
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    # Implicit damping would change the wheels' acceleration after the contacts were solved for it, and make them slip.
-    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
-    option.impratio = _FRICTION_TO_NORMAL_IMPEDANCE[slip]
-    option.noslip_iterations = 0 if slip else 20
-    friction = FLOOR_FRICTION if slip else _NO_SLIP_FRICTION
-    for name in (*ROLLING, "jack"):
-        spec.add_pair(
-            name=name,
-            geomname1="ground",
-            geomname2=PREFIX + name,
-            condim=3,
-            friction=(friction, friction, 0.005, 0.0001, 0.0001),
-            solref=_STIFF,
-            solimp=_IMPEDANCE,
-        )
 
 
 # The wheelchair on its way through MuJoCo's time: motors in, pose and wheel angles out, faults as they come.
@@ -329,7 +323,20 @@ class Chair:
             self._lift(is_during(stamp_s, self._faults.lifted_s), steps * TIMESTEP_S)
         self._tyres.grip(self._data)
         if self._slip:
-            self._disturb(steps * TIMESTEP_S)
+            # The floor's slope, and a rider who shifts about and pushes the wheelchair a little.
+            seconds = steps * TIMESTEP_S
+            slope = self._floor.slope(float(self._pose[0]), float(self._pose[1]))
+            self._model.opt.gravity[:2] = -_GRAVITY_M_S2 * slope
+            keep = math.exp(-seconds / _SWAY_S)
+            self._sway_n = keep * self._sway_n + _SWAY_N * math.sqrt(1 - keep**2) * self._rng.standard_normal(2)
+            self._data.xfrc_applied[self._body, :2] = self._sway_n
+            if self._underfoot is not None:
+                ahead = self.T_world_base[:2, 0]
+                places, loads_n = self._tyres.places(self._data), self._tyres.loads_n(self._data)
+                speed_m_s = float(ahead @ self._velocity[:2])
+                self._data.xfrc_applied[self._body, :2] += ahead * drag_n(
+                    self._underfoot.floor, places, loads_n, ahead, speed_m_s
+                )
         before_rad = self._data.qpos[self._angles].copy()
         self._mujoco.mj_step(self._model, self._data, steps)
         if self._underfoot is not None:
@@ -343,21 +350,6 @@ class Chair:
         step_m = _LIFT_M_S * seconds
         self._jack_m += min(max(goal_m - self._jack_m, -step_m), step_m)
         self._model.geom_pos[self._jack, 2] = self._jack_m
-
-    def _disturb(self, seconds: float) -> None:
-        """The floor's slope, and a rider who shifts about and pushes the wheelchair a little."""
-        slope = self._floor.slope(float(self._pose[0]), float(self._pose[1]))
-        self._model.opt.gravity[:2] = -_GRAVITY_M_S2 * slope
-        keep = math.exp(-seconds / _SWAY_S)
-        self._sway_n = keep * self._sway_n + _SWAY_N * math.sqrt(1 - keep**2) * self._rng.standard_normal(2)
-        self._data.xfrc_applied[self._body, :2] = self._sway_n
-        if self._underfoot is not None:
-            ahead = self.T_world_base[:2, 0]
-            places, loads_n = self._tyres.places(self._data), self._tyres.loads_n(self._data)
-            speed_m_s = float(ahead @ self._velocity[:2])
-            self._data.xfrc_applied[self._body, :2] += ahead * drag_n(
-                self._underfoot.floor, places, loads_n, ahead, speed_m_s
-            )
 
 
 # What wheels meet: tyres that creep under load, patches of low friction, a floor that is not quite level.
