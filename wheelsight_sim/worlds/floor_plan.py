@@ -36,7 +36,7 @@ from wheelsight_sim.worlds.building import (
     table,
 )
 from wheelsight_sim.worlds.floor_plan_rooms import Doorway, FreeSpace, Rooms, find_rooms, free_space_of, read_room_areas
-from wheelsight_sim.worlds.floor_plan_route import SIDE_MARGIN_M, Body, Route, Wishes, plan_route, swept_by
+from wheelsight_sim.worlds.floor_plan_route import SIDE_MARGIN_M, Body, Wishes, plan_route, swept_by
 
 # A world of a floor plan: its walls, doors, furniture, areas, and a route that the wheelchair can drive.
 
@@ -82,23 +82,7 @@ def build_floor_plan(
     rooms = find_rooms(space)
     route = plan_route(space, rooms.doorways, robot, seed, Wishes(plan.way_m, least_m, plan.start))
     building = Building(plan.name, seed, day)
-    _furnish(building, space, rooms, route, robot, seed, begin)
-    lap = "a lap" if route.is_loop else "a way"
-    description = f"{space.shape.area:.0f} m² of {Path(plan.path).name}, {lap} of {route.length_m:.0f} m"
-    world = building.world(description, areas, route.all_waypoints, is_loop=route.is_loop)
-    return replace(world, warnings=tuple(warnings))
-
-
-def _furnish(
-    building: Building,
-    space: FreeSpace,
-    rooms: Rooms,
-    route: Route,
-    robot: RobotModel,
-    seed: int,
-    begin: tuple[float, float, float] | None,
-) -> None:
-    """Walls, doors and furniture, out of the robot's way."""
+    # Walls, doors and furniture, out of the robot's way.
     body = Body.of(robot)
     swept = swept_by(body, route, _FURNITURE_MARGIN_M)
     looks = Looks(np.random.default_rng([seed, _STREAM]))
@@ -118,6 +102,10 @@ def _furnish(
     for face in faces:
         dresser.face(face)
     dresser.tables(dresser.table_places(table_count(floor.area)))
+    lap = "a lap" if route.is_loop else "a way"
+    description = f"{space.shape.area:.0f} m² of {Path(plan.path).name}, {lap} of {route.length_m:.0f} m"
+    world = building.world(description, areas, route.all_waypoints, is_loop=route.is_loop)
+    return replace(world, warnings=tuple(warnings))
 
 
 # Walls, floors and ceiling of a building: thin boxes along the outline of its free space, a look for each room.
@@ -169,7 +157,24 @@ def build_shell(building: Building, space: FreeSpace, rooms: Rooms, looks: Looks
     ground, ceiling = str(building.rng.choice(_GROUNDS)), "ceiling_panels"
     size_m = (x_min - _MARGIN_M, y_min - _MARGIN_M, x_max + _MARGIN_M, y_max + _MARGIN_M)
     building.floor_and_ceiling(ground, ceiling, size_m)
-    _floors(building, space, rooms, ground)
+    # Rooms that are rectangles have floors of their own. Cells away from walls show which are, since a room's cells
+    # reach into its doorways; the floor is then laid up to the walls.
+    away_m = space.distance_m()[::2, ::2]
+    labels = np.where(away_m >= _OFF_WALLS_M, rooms.labels, -1)
+    kinds = [floor for floor in _FLOORS if floor != ground]
+    for room in np.unique(labels[labels >= 0]).tolist():
+        cells = 2 * np.argwhere(labels == room)
+        material = str(building.rng.choice(kinds))
+        area_m2 = len(cells) * (2 * space.cell_m) ** 2
+        middle, sides_m, angle_deg = cv2.minAreaRect(space.middle_of(cells).astype(np.float32))
+        room_m = float(sides_m[0]) + 2 * space.cell_m, float(sides_m[1]) + 2 * space.cell_m
+        if area_m2 < _SMALLEST_M2 or area_m2 < _RECTANGLE * room_m[0] * room_m[1]:
+            continue
+        spot = Spot(float(middle[0]), float(middle[1]), float(np.radians(angle_deg)))
+        grown_m = 2 * _OFF_WALLS_M - space.cell_m
+        # Each a hair higher than the last, so that no two lie in one plane where rooms are not quite rectangles.
+        laid_m, top_m = (room_m[0] + grown_m, room_m[1] + grown_m), 0.003 + 1e-5 * room
+        building.box(f"floor_{room}", material, spot, laid_m, -0.02, top_m, is_solid=False)
     shape = orient(space.shape)
     names: list[str] = []
     for number, ring in enumerate((shape.exterior, *shape.interiors)):
@@ -209,27 +214,6 @@ def _is_piece(building: Building, ring: shapely.LinearRing) -> bool:
     material = "concrete" if is_pillar else str(building.rng.choice(_PIECES))
     building.box("pillar" if is_pillar else "piece", material, spot, size_m, 0.0, height_m)
     return True
-
-
-def _floors(building: Building, space: FreeSpace, rooms: Rooms, ground: str) -> None:
-    """Floors of their own for rooms that are rectangles."""
-    # Told by cells away from walls, since a room's cells reach into its doorways; then laid up to the walls.
-    away_m = space.distance_m()[::2, ::2]
-    labels = np.where(away_m >= _OFF_WALLS_M, rooms.labels, -1)
-    kinds = [floor for floor in _FLOORS if floor != ground]
-    for room in np.unique(labels[labels >= 0]).tolist():
-        cells = 2 * np.argwhere(labels == room)
-        material = str(building.rng.choice(kinds))
-        area_m2 = len(cells) * (2 * space.cell_m) ** 2
-        middle, sides_m, angle_deg = cv2.minAreaRect(space.middle_of(cells).astype(np.float32))
-        size_m = float(sides_m[0]) + 2 * space.cell_m, float(sides_m[1]) + 2 * space.cell_m
-        if area_m2 < _SMALLEST_M2 or area_m2 < _RECTANGLE * size_m[0] * size_m[1]:
-            continue
-        spot = Spot(float(middle[0]), float(middle[1]), float(np.radians(angle_deg)))
-        grown_m = 2 * _OFF_WALLS_M - space.cell_m
-        # Each a hair higher than the last, so that no two lie in one plane where rooms are not quite rectangles.
-        size_m, top_m = (size_m[0] + grown_m, size_m[1] + grown_m), 0.003 + 1e-5 * room
-        building.box(f"floor_{room}", material, spot, size_m, -0.02, top_m, is_solid=False)
 
 
 # Doors in doorways: lintels, casings, and leaves that stand open or are closed.
@@ -288,7 +272,15 @@ def choose_door(doorway: Doorway, way: shapely.Geometry, floor: shapely.Geometry
     angle_rad = math.radians(rng.uniform(*_OPEN_DEG))
     hinges = rng.permutation(4).tolist()
     if wants_closed and not shapely.intersects(gap, way):
-        return _closed(doorway, floor)
+        # A shut door; it swings to where its leaf stands on free floor, if there is such a side.
+        leaf = (*doorway.middle, doorway.yaw_rad)
+        for is_left, side in ((True, 1), (False, 1), (True, -1), (False, -1)):
+            opened = _open(doorway, is_left, side, _SWUNG_RAD)
+            if shapely.covers(floor, opened.footprint):
+                jamb, out_m = doorway.left if is_left else doorway.right, side * doorway.thickness_m / 2
+                hinge = jamb[0] + out_m * float(doorway.onward[0]), jamb[1] + out_m * float(doorway.onward[1])
+                return PlanDoor(doorway, leaf, True, hinge, -opened.turn_rad)
+        return PlanDoor(doorway, leaf, is_closed=True)
     for hinge in hinges:
         door = _open(doorway, hinge % 2 == 0, 1 if hinge < 2 else -1, angle_rad)
         is_clear = not shapely.intersects(door.footprint, way)
@@ -307,18 +299,6 @@ def _open(doorway: Doorway, is_left: bool, side: int, angle_rad: float) -> PlanD
     hinge = jamb[0] + side * out_m * float(doorway.onward[0]), jamb[1] + side * out_m * float(doorway.onward[1])
     x_m, y_m = hinge[0] + half * math.cos(yaw_rad + turn), hinge[1] + half * math.sin(yaw_rad + turn)
     return PlanDoor(doorway, (x_m, y_m, yaw_rad + turn), False, hinge, -turn)
-
-
-def _closed(doorway: Doorway, floor: shapely.Geometry) -> PlanDoor:
-    """A shut door; it swings to where its leaf stands on free floor, if there is such a side."""
-    leaf = (*doorway.middle, doorway.yaw_rad)
-    for is_left, side in ((True, 1), (False, 1), (True, -1), (False, -1)):
-        opened = _open(doorway, is_left, side, _SWUNG_RAD)
-        if shapely.covers(floor, opened.footprint):
-            jamb, out_m = doorway.left if is_left else doorway.right, side * doorway.thickness_m / 2
-            hinge = jamb[0] + out_m * float(doorway.onward[0]), jamb[1] + out_m * float(doorway.onward[1])
-            return PlanDoor(doorway, leaf, True, hinge, -opened.turn_rad)
-    return PlanDoor(doorway, leaf, is_closed=True)
 
 
 def build_door(building: Building, name: str, door: PlanDoor, wall: str, material: str) -> None:
@@ -456,7 +436,13 @@ class Dresser:
         rng, at_m = self._building.rng, 0.0
         if face.length_m < _SHORTEST_M or not self._is_furnished(face):
             return
-        is_corridor = self._width_m(face) < _CORRIDOR_M
+        # The width of the floor before the middle of the wall.
+        begin, end = face.spot(face.length_m / 2, 0.05), face.spot(face.length_m / 2, 8.0)
+        ray = shapely.LineString([(begin.x_m, begin.y_m), (end.x_m, end.y_m)])
+        shape = shapely.intersection(ray, self._floor)
+        place = shapely.Point(begin.x_m, begin.y_m)
+        first = min(shapely.get_parts(shape), key=lambda part: float(part.distance(place)), default=shapely.Point())
+        is_corridor = float(shapely.length(first)) < _CORRIDOR_M
         at_m = rng.uniform(_CORNER_M[0], min(_CORNER_M[1], face.length_m / 4))
         while at_m < face.length_m - _SHORTEST_M / 2:
             used_m = self._stand(face, at_m, is_corridor) if rng.random() < _STANDS else 0.0
@@ -494,12 +480,6 @@ class Dresser:
         """Whether there is floor before the middle of a wall."""
         middle = face.spot(face.length_m / 2, 0.1)
         return bool(shapely.intersects_xy(self._floor, middle.x_m, middle.y_m))
-
-    def _width_m(self, face: Face) -> float:
-        """How far it is from the middle of a wall to what is opposite."""
-        begin, end = face.spot(face.length_m / 2, 0.05), face.spot(face.length_m / 2, 8.0)
-        ray = shapely.LineString([(begin.x_m, begin.y_m), (end.x_m, end.y_m)])
-        return float(shapely.length(_first_part(shapely.intersection(ray, self._floor), begin)))
 
     def _stand(self, face: Face, at_m: float, is_corridor: bool) -> float:
         """Furniture from `at_m` along a wall on, with something over it; how much of the wall it takes, 0 for none."""
@@ -573,12 +553,6 @@ def _rectangle(wall: Spot, width_m: float, depth_m: float) -> shapely.Polygon:
         wall.offset(-width_m / 2, depth_m),
     ]
     return shapely.Polygon([(corner.x_m, corner.y_m) for corner in corners])
-
-
-def _first_part(shape: shapely.Geometry, begin: Spot) -> shapely.Geometry:
-    """The part of a line that begins nearest to a place."""
-    place = shapely.Point(begin.x_m, begin.y_m)
-    return min(shapely.get_parts(shape), key=lambda part: float(part.distance(place)), default=shapely.Point())
 
 
 def table_count(area_m2: float) -> int:
