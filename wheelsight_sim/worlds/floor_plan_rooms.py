@@ -79,7 +79,10 @@ def free_space_of(plan: RosMap, width_m: float) -> FreeSpace:
     straight_m = _STRAIGHT_CELLS * plan.resolution_m if is_coarse else _STRAIGHT_M
     plan = _resampled(plan)
     grid = _largest_part(_cleaned(plan), plan.resolution_m, width_m)
-    outline = _polygon(grid)
+    # The outline of connected cells, in cells, with its holes: along the cells' sides.
+    steps = np.diff(np.pad(grid, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    (rows, begins), (_, ends) = np.nonzero(steps == 1), np.nonzero(steps == -1)
+    outline = shapely.union_all(shapely.box(begins, rows, ends, rows + 1))
     shape = _straightened(outline, straight_m / plan.resolution_m)
     if not is_coarse and _short_share(shape, _SHORT_M / plan.resolution_m) > _JAGGED_SHARE:
         shape = _straightened(outline, 2 * straight_m / plan.resolution_m)
@@ -149,13 +152,6 @@ def _distance_m(grid: ByteArray, cell_m: float) -> Float32Array:
     padded = cv2.copyMakeBorder(grid, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     distance = np.asarray(cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float32)[1:-1, 1:-1]
     return np.asarray(np.maximum(distance - 0.5, 0) * cell_m, np.float32)
-
-
-def _polygon(grid: ByteArray) -> shapely.Polygon:
-    """The outline of connected cells, in cells, with its holes: along the cells' sides."""
-    steps = np.diff(np.pad(grid, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    (rows, begins), (_, ends) = np.nonzero(steps == 1), np.nonzero(steps == -1)
-    return shapely.union_all(shapely.box(begins, rows, ends, rows + 1))
 
 
 def _straightened(shape: shapely.Polygon, tolerance: float) -> shapely.Polygon:
@@ -414,13 +410,26 @@ def read_room_areas(path: Path, plan: RosMap) -> list[Area]:
     taken: shapely.Geometry = shapely.Polygon()
     areas: list[Area] = []
     for room in rooms:
-        polygon = _outline(labels == room, plan)
+        # A region (H, W) as polygons in `map`, with straight sides.
+        mask = labels == room
+        steps = np.diff(np.pad(mask.astype(np.int8), ((0, 0), (1, 1))), axis=1)
+        (rows, begins), (_, ends) = np.nonzero(steps == 1), np.nonzero(steps == -1)
+        shape = shapely.union_all(shapely.box(begins, rows, ends, rows + 1))
+        shape = shapely.simplify(shape, _AREAS_STRAIGHT_M / plan.resolution_m, preserve_topology=True)
+        polygon = shapely.transform(shape, plan.to_map)
         if polygon.buffer(-_AREAS_NARROWEST_M / 2).is_empty:  # softened edges, and gaps between lines
             continue
         polygon = _whole(shapely.difference(polygon, taken.buffer(_CUT_M)))
         if polygon is not None:
             taken = shapely.union(taken, polygon)
-            areas.append(_area(str(len(areas) + 1), polygon))
+            name = str(len(areas) + 1)
+            corners: FloatArray = shapely.get_coordinates(polygon)[:-1]
+            low, high = corners.min(axis=0), corners.max(axis=0)
+            middle, spans = (low + high) / 2, high - low
+            is_known = spans <= max(_LONGEST_KNOWN_M, float(spans.min()))
+            areas.append(
+                Area(name, corners, *(float(m) if known else None for m, known in zip(middle, is_known, strict=True)))
+            )
     if not areas:
         raise AreaError("shows no room on the plan's free floor", path=path, fix="one colour a room, or lines between")
     return areas
@@ -443,15 +452,6 @@ def _regions(image: ByteArray, least_px: float, path: Path) -> Int32Array:
     return labels
 
 
-def _outline(mask: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], plan: RosMap) -> shapely.Geometry:
-    """A region (H, W) as polygons in `map`, with straight sides."""
-    steps = np.diff(np.pad(mask.astype(np.int8), ((0, 0), (1, 1))), axis=1)
-    (rows, begins), (_, ends) = np.nonzero(steps == 1), np.nonzero(steps == -1)
-    shape = shapely.union_all(shapely.box(begins, rows, ends, rows + 1))
-    shape = shapely.simplify(shape, _AREAS_STRAIGHT_M / plan.resolution_m, preserve_topology=True)
-    return shapely.transform(shape, plan.to_map)
-
-
 def _whole(shape: shapely.Geometry) -> shapely.Polygon | None:
     """The largest polygon of a shape, cut open where it has holes; None where there is none large enough."""
     largest = max(shapely.get_parts(shape), key=lambda part: float(part.area), default=None)
@@ -467,11 +467,3 @@ def _whole(shape: shapely.Geometry) -> shapely.Polygon | None:
         largest = max(parts, key=lambda part: float(part.area))
     simple = shapely.Polygon(largest.exterior)
     return simple if simple.is_valid else None
-
-
-def _area(name: str, polygon: shapely.Polygon) -> Area:
-    corners: FloatArray = shapely.get_coordinates(polygon)[:-1]
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    middle, spans = (low + high) / 2, high - low
-    is_known = spans <= max(_LONGEST_KNOWN_M, float(spans.min()))
-    return Area(name, corners, *(float(m) if known else None for m, known in zip(middle, is_known, strict=True)))
