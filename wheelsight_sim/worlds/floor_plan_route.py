@@ -226,11 +226,24 @@ class _Planner:
         while len(kept) > 1:
             order = [kept[k] for k in _order(between[np.ix_(kept, kept)], wanted_m)]
             legs = [self._waypoints(ways.way(found[a][1], stops[b])) for a, b in pairwise([*order, order[0]])]
-            route = Route(self._headed(_lap(legs)), is_loop=True)
+            lap = np.concatenate([leg[:-1] for leg in legs])
+            # Where a doorway's lane ends at a stop, leaving it begins where coming to it ended.
+            while len(lap) > 2 and len(
+                same := np.flatnonzero(np.hypot(*(np.roll(lap, -1, axis=0) - lap).T) <= _SAME_M)
+            ):
+                lap = np.delete(lap, same[-1], axis=0)
+            lap = lap if len(lap) > 2 else np.insert(lap, 1, lap.mean(axis=0), axis=0)
+            route = Route(self._headed(lap), is_loop=True)
             touched = _touched(self._ground.space, self._body, route)
             if not len(touched):
                 return route
-            kept.remove(_nearest_stop(legs, order, touched))
+            # The stop, not the first, on the way to or from which the robot touches a wall.
+            apart = [shapely.distance(shapely.LineString(leg), shapely.Point(touched[0])) for leg in legs]
+            leg = int(np.argmin(apart))
+            ends = [order[leg], order[(leg + 1) % len(order)]]
+            from_begin, from_end = (np.hypot(*(legs[leg][k] - touched[0])) for k in (0, -1))
+            nearer = ends[0] if from_begin < from_end else ends[1]
+            kept.remove(nearer if nearer != order[0] else next(end for end in ends if end != order[0]))
         return None
 
     def one_way(self, wanted_m: float) -> Route:
@@ -269,7 +282,16 @@ class _Planner:
         """(N, 2) in `map`: the way through cells (M, 2), straight through doorways and smooth elsewhere."""
         line = self._ground.space.middle_of(cells)
         along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-        crossed = self._crossed(line)
+        # The doorways that a line (N, 2) goes through, with the number of the point before each.
+        string = shapely.LineString(line) if len(line) > 1 else shapely.Point(line[0])
+        found = []
+        for doorway in self._doorways:
+            if shapely.intersects(string, shapely.LineString([doorway.left, doorway.right])):
+                ahead = (line - doorway.middle) @ doorway.onward
+                near = np.hypot(*(line - doorway.middle).T)
+                changes = np.flatnonzero((np.diff(np.sign(ahead)) != 0) & (near[1:] < doorway.width_m))
+                found += [(int(change), doorway) for change in changes[:1]]
+        crossed = sorted(found, key=lambda crossing: crossing[0])
         pieces, begin_m, entry = [], 0.0, np.empty((0, 2))
         for k, (at, doorway) in enumerate(crossed):
             side = 1 if (line[at] - doorway.middle) @ doorway.onward > 0 else -1
@@ -283,19 +305,15 @@ class _Planner:
             pieces.append(self._smooth(np.concatenate([entry, inner, ends[:1]])))
             begin_m, entry = along_m[at] + after_m, ends[1:]
         pieces.append(self._smooth(np.concatenate([entry, line[along_m > begin_m]] if crossed else [line])))
-        return _apart(np.concatenate(pieces))
-
-    def _crossed(self, line: FloatArray) -> list[tuple[int, Doorway]]:
-        """The doorways that a line (N, 2) goes through, with the number of the point before each."""
-        string = shapely.LineString(line) if len(line) > 1 else shapely.Point(line[0])
-        found = []
-        for doorway in self._doorways:
-            if shapely.intersects(string, shapely.LineString([doorway.left, doorway.right])):
-                ahead = (line - doorway.middle) @ doorway.onward
-                near = np.hypot(*(line - doorway.middle).T)
-                changes = np.flatnonzero((np.diff(np.sign(ahead)) != 0) & (near[1:] < doorway.width_m))
-                found += [(int(change), doorway) for change in changes[:1]]
-        return sorted(found, key=lambda crossing: crossing[0])
+        # Without waypoints that hardly differ from the one before; the last stays.
+        waypoints = np.concatenate(pieces)
+        kept = [0]
+        for k in range(1, len(waypoints)):
+            if np.hypot(*(waypoints[k] - waypoints[kept[-1]])) > _SAME_M:
+                kept.append(k)
+        if len(kept) > 1:
+            kept[-1] = len(waypoints) - 1
+        return np.asarray(waypoints[kept])
 
     def _smooth(self, line: FloatArray) -> FloatArray:
         """A way (N, 2) made smooth, as far as it stays on open ground, and thinned; its ends stay where they are."""
@@ -315,26 +333,6 @@ class _Planner:
         return np.asarray(shapely.get_coordinates(shapely.simplify(shapely.LineString(line), 1e-6)))
 
 
-def _lap(legs: Sequence[FloatArray]) -> FloatArray:
-    """Waypoints (N, 2), three or more, of legs in succession, the last of which leads back to the first."""
-    lap = np.concatenate([leg[:-1] for leg in legs])
-    # Where a doorway's lane ends at a stop, leaving it begins where coming to it ended.
-    while len(lap) > 2 and len(same := np.flatnonzero(np.hypot(*(np.roll(lap, -1, axis=0) - lap).T) <= _SAME_M)):
-        lap = np.delete(lap, same[-1], axis=0)
-    return lap if len(lap) > 2 else np.insert(lap, 1, lap.mean(axis=0), axis=0)
-
-
-def _apart(waypoints: FloatArray) -> FloatArray:
-    """Without waypoints that hardly differ from the one before; the last stays."""
-    kept = [0]
-    for k in range(1, len(waypoints)):
-        if np.hypot(*(waypoints[k] - waypoints[kept[-1]])) > _SAME_M:
-            kept.append(k)
-    if len(kept) > 1:
-        kept[-1] = len(waypoints) - 1
-    return np.asarray(waypoints[kept])
-
-
 def _order(between: FloatArray, wanted_m: float) -> list[int]:
     """The stops of a closed tour in their order: each is put in where it makes the tour least longer."""
     order = [0]
@@ -347,16 +345,6 @@ def _order(between: FloatArray, wanted_m: float) -> list[int]:
             length_m += longer[best]
             order.insert(best + 1, k)
     return order
-
-
-def _nearest_stop(legs: Sequence[FloatArray], order: Sequence[int], touched: FloatArray) -> int:
-    """The stop, not the first, on the way to or from which the robot touches a wall."""
-    apart = [shapely.distance(shapely.LineString(leg), shapely.Point(touched[0])) for leg in legs]
-    leg = int(np.argmin(apart))
-    ends = [order[leg], order[(leg + 1) % len(order)]]
-    from_begin, from_end = (np.hypot(*(legs[leg][k] - touched[0])) for k in (0, -1))
-    nearer = ends[0] if from_begin < from_end else ends[1]
-    return nearer if nearer != order[0] else next(end for end in ends if end != order[0])
 
 
 def swept_by(body: Body, route: Route, margin_m: float) -> shapely.Geometry:
