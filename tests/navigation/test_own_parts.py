@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from narrowing import not_none
 from navigation.rooms import Ride, RoomRobot, Told, Walls, is_near, walls_about
-from patched import patched
 
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.geometry import FloatArray
@@ -29,7 +28,6 @@ from wheelsight.navigation import (
 )
 from wheelsight.navigation.planner import OwnPlanner
 
-constants = patched({"navigator._LOITER_S": 5.0})
 SIZE_M = (8.0, 6.0)
 ROOM = walls_about(*SIZE_M)
 SHUT = (*ROOM, ((4.0, 0.0), (4.0, 6.0)))
@@ -98,7 +96,8 @@ def test_a_planner_of_a_users_own_leads_to_the_goal() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("is_mapped", [True, False])
-def test_a_path_through_a_wall_ends_before_the_wall(is_mapped: bool) -> None:
+def test_a_path_through_a_wall_ends_before_the_wall(is_mapped: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wheelsight.navigation.navigator._LOITER_S", 5.0)
     subject = ride(SHUT, SHUT if is_mapped else ROOM, LOITERING, planner=Straight())
     subject.navigator.go_to_pose(GOAL)
     subject.go(120)
