@@ -204,11 +204,12 @@ class Lighting:
         lattice = np.array([_PANELS_TO_NEXT_LAMP * panel_m, half, half, _LAMP_GLOW, float(rng.integers(2**31))])
         low, high = _extent(geoms)
         ceiling_m = min(heights, default=_USUAL_CEILING_M)
-        found = [
-            [*geoms.position_world[g], look.glow / _LAMP_GLOW * _area_m2(geoms, g) / 0.3, *_half_m(geoms, g)[:2]]
-            for g, look in enumerate(looks)
-            if look.glow > 0
-        ]
+        found = []
+        for g, look in enumerate(looks):
+            if look.glow > 0:
+                sides = _half_m(geoms, g)[:2]
+                power = look.glow / _LAMP_GLOW * float(4 * sides[0] * sides[1]) / 0.3
+                found.append([*geoms.position_world[g], power, *sides])
         lamps = np.concatenate(
             [np.array(found, float).reshape(-1, 6), *(_in_ceiling(geoms, g, lattice, low, high) for g in ceilings)]
         )
@@ -259,11 +260,6 @@ def _extent(geoms: Geoms) -> tuple[FloatArray, FloatArray]:
     low, high = low.min(axis=0) - 0.5, high.max(axis=0) + 0.5
     middle = 0.5 * (low + high)
     return np.maximum(low, middle - _LARGEST_M / 2), np.minimum(high, middle + _LARGEST_M / 2)
-
-
-def _area_m2(geoms: Geoms, g: int) -> float:
-    half = _half_m(geoms, g)
-    return float(4 * half[0] * half[1])
 
 
 def _in_ceiling(geoms: Geoms, g: int, lattice: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
