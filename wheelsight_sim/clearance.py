@@ -122,7 +122,10 @@ def find_collision(
     names = [*[footprint.name for footprint in solid], None]
     for number, (start, end) in enumerate(pairwise(waypoints), 1):
         leg = shapely.LineString([start, end])
-        hits = [(_first_touch(leg, tree.geometries[k]), names[k]) for k in sorted(tree.query(leg, "intersects"))]
+        hits = []
+        for k in sorted(tree.query(leg, "intersects")):
+            places = shapely.points(shapely.get_coordinates(leg.intersection(tree.geometries[k])))
+            hits.append((float(np.min(shapely.line_locate_point(leg, places))), names[k]))
         if hits:
             along, name = min(hits, key=lambda hit: hit[0])
             place = leg.interpolate(along)
@@ -139,12 +142,6 @@ def check_route(world: World, route: ArrayLike, half_width_m: float, *, is_loop:
     collision = find_collision(world, route, half_width_m, is_loop=is_loop)
     if collision is not None:
         raise ConfigError(f"the route's {collision}", fix=f"keep {half_width_m:g} m away from what stands there")
-
-
-def _first_touch(leg: shapely.LineString, shape: shapely.Geometry) -> float:
-    """How far along `leg` it first meets `shape`, metres."""
-    places = shapely.points(shapely.get_coordinates(leg.intersection(shape)))
-    return float(np.min(shapely.line_locate_point(leg, places)))
 
 
 def _pair(xy: FloatArray) -> tuple[float, float]:
