@@ -118,34 +118,28 @@ class ColorSensor:
         Raises:
             ConfigError: the sensor has motion blur, and no twist was given.
         """
-        image = self._through_lens(radiance)
+        image = radiance
+        if self.lens_sigma_px > 0:
+            blurred = cv2.GaussianBlur(radiance, (3, 3), self.lens_sigma_px, borderType=cv2.BORDER_REPLICATE)
+            image = np.asarray(blurred, np.float32)
         if self.motion_blur:
             if twist_camera is None:
                 raise ConfigError("motion blur needs the camera's twist", fix="give twist_camera, or motion_blur=False")
             flow = image_flow(view, twist_camera) * np.float32(exposure.time_s)
             image = smear(image, flow)
+        electrons, gain = self.electrons_per_s * exposure.time_s, exposure.gain / self.full_well
         out = np.empty(image.shape, np.uint8)
         cosine_squared = 1 / np.einsum("hwc,hwc->hw", view.rays, view.rays)
         develop(
             image,
             np.asarray(1 - self.vignetting * (1 - cosine_squared**2), np.float32),
-            self._exposed(exposure),
+            Exposed(electrons, self.full_well, self.read_noise, gain),
             _normal_quantiles(),
             _srgb_bytes(),
             int(rng.integers(2**31)),
             out,
         )
         return out
-
-    def _exposed(self, exposure: ExposureSetting) -> Exposed:
-        electrons, gain = self.electrons_per_s * exposure.time_s, exposure.gain / self.full_well
-        return Exposed(electrons, self.full_well, self.read_noise, gain)
-
-    def _through_lens(self, radiance: Float32Array) -> Float32Array:
-        if self.lens_sigma_px <= 0:
-            return radiance
-        blurred = cv2.GaussianBlur(radiance, (3, 3), self.lens_sigma_px, borderType=cv2.BORDER_REPLICATE)
-        return np.asarray(blurred, np.float32)
 
 
 def image_flow(view: View, twist_camera: ArrayLike) -> Float32Array:
