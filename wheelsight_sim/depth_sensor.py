@@ -504,11 +504,8 @@ class Registration:
         )
         column, row = np.rint(columns).astype(np.int64), np.rint(rows).astype(np.int64)
         is_inside = (column >= 0) & (column < w) & (row >= 0) & (row < h)
-        return np.where(is_inside, row * w + column, 0), is_inside & self._in_sight(h, w)
-
-    def _in_sight(self, h: int, w: int) -> BoolArray:
-        """(H, W) which pixels of the colour image the depth camera sees."""
+        # The pixels of the colour image that the depth camera sees.
         left, top, right, bottom = (round(self._scale * px) for px in self._settings.border_px)
         is_in_sight = np.zeros((h, w), bool)
         is_in_sight[top : h - bottom, left : w - right] = True
-        return is_in_sight
+        return np.where(is_inside, row * w + column, 0), is_inside & is_in_sight
