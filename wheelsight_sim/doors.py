@@ -128,7 +128,11 @@ class Doors(Leaves):
         super().__init__(swinging(world, count, seed))
         start_s, end_s = (float(stamp_s) for stamp_s in drive.truth.stamps_s[[0, -1]])
         times_s = np.minimum(start_s + _STEP_S * np.arange(math.ceil((end_s - start_s) / _STEP_S) + 1), end_s)
-        outlines, people = _outlines(drive, times_s, robot or RobotModel()), _people(passersby, times_s)
+        shape = robot or RobotModel()
+        outlines = [outline_at(shape, T) for T in drive.truth.at(times_s)]
+        people = [
+            shapely.MultiPoint(() if passersby is None else passersby.positions_at(float(time_s))) for time_s in times_s
+        ]
         rng = np.random.default_rng([seed, _STREAM, 1])
         self.starts, self.swings = [], []
         for board in self._boards:
@@ -238,18 +242,6 @@ def _boards(world: World) -> list[DoorPanel]:
         if shapely.disjoint(board.swept(_AT_HINGE_M, _AT_END_M), others).all():
             boards.append(board)
     return boards
-
-
-def _outlines(drive: Drive, times_s: FloatArray, robot: RobotModel) -> list[shapely.Polygon]:
-    """The robot's outline from above at these times."""
-    return [outline_at(robot, T) for T in drive.truth.at(times_s)]
-
-
-def _people(passersby: Passersby | None, times_s: FloatArray) -> list[shapely.Geometry]:
-    """All people from above at these times, as points."""
-    if passersby is None:
-        return [shapely.MultiPoint() for _ in times_s]
-    return [shapely.MultiPoint(passersby.positions_at(float(time_s))) for time_s in times_s]
 
 
 def is_near(
@@ -362,13 +354,10 @@ class LiveDoors(Leaves):
             elif stamp_s >= max(move.end_s, self._next_s[i]):
                 self._next_s[i] = stamp_s + _LOOKS_AGAIN_S
                 if not is_busy:
-                    self._begin(i, stamp_s)
-
-    def _begin(self, i: int, stamp_s: float) -> None:
-        share = self._moves[i].share_at(stamp_s)
-        takes_s = float(self._rng.uniform(*self._settings.swing_s))
-        self._moves[i] = _Move(stamp_s, takes_s, stamp_s + takes_s, share, 1.0 if share == 0.0 else 0.0)
-        self._next_s[i] = stamp_s + takes_s + float(self._rng.uniform(*self._settings.rests_s))
+                    share = self._moves[i].share_at(stamp_s)
+                    takes_s = float(self._rng.uniform(*self._settings.swing_s))
+                    self._moves[i] = _Move(stamp_s, takes_s, stamp_s + takes_s, share, 1.0 if share == 0.0 else 0.0)
+                    self._next_s[i] = stamp_s + takes_s + float(self._rng.uniform(*self._settings.rests_s))
 
     def turns_at(self, stamp_s: float) -> FloatArray:
         """(N,) how far each leaf is turned from where the world has it, radians, anticlockwise."""
