@@ -198,12 +198,14 @@ class FramesDropped(_Interval):
 
     def apply(self, events: Iterable[Event]) -> Iterator[Event]:
         """The events without the frames lost."""
-        return (event for event in events if not self._is_lost(event))
-
-    def _is_lost(self, event: Event) -> bool:
-        if not (isinstance(event, RgbdFrame | SkippedFrame) and self.acts_at(event.stamp_s)):
-            return False
-        return bool(np.random.default_rng([self.seed, _STREAM, 3, event.index]).random() < self.share)
+        for event in events:
+            is_lost = (
+                isinstance(event, RgbdFrame | SkippedFrame)
+                and self.acts_at(event.stamp_s)
+                and np.random.default_rng([self.seed, _STREAM, 3, event.index]).random() < self.share
+            )
+            if not is_lost:
+                yield event
 
 
 @dataclass(frozen=True, kw_only=True)
