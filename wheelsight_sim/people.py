@@ -153,7 +153,14 @@ class Walkers:
         before, after = self.cells, self.cells.copy()
         for i, choices in enumerate(safe):
             others = np.concatenate([after[:i], before[i + 1 :]])
-            after[i] = self._step_of(i, choices, others)
+            heading = self._heading[i]
+            wish = kernels.Wish(heading * self._stride_m[i], -heading * self._right_m[i])
+            row, column = self.cells[i]
+            for cells in choices:
+                found = kernels.best_step(cells, self._route, self._steps, row, column, wish, others, _APART_M / CELL_M)
+                if found[0] >= 0:
+                    after[i] = found
+                    break
             moved_m = CELL_M * float(np.hypot(*(after[i] - before[i])))
             now_s = self._now * STEP_S
             self._stuck_s[i] = self._stuck_s[i] + STEP_S if moved_m < 0.3 * self._stride_m[i] else 0.0
@@ -162,16 +169,6 @@ class Walkers:
                 self._turns_at_s[i] = now_s + self._rng.uniform(*_TURNS_AFTER_S)
         self.cells = after
         return after
-
-    def _step_of(self, i: int, choices: Sequence[ByteArray], others: NDArray[np.int64]) -> tuple[int, int]:
-        heading = self._heading[i]
-        wish = kernels.Wish(heading * self._stride_m[i], -heading * self._right_m[i])
-        row, column = self.cells[i]
-        for safe in choices:
-            found = kernels.best_step(safe, self._route, self._steps, row, column, wish, others, _APART_M / CELL_M)
-            if found[0] >= 0:
-                return found
-        return int(row), int(column)
 
 
 class Cylinders:
