@@ -461,7 +461,10 @@ def _counts(settings: SimulationSettings, steps: FloatArray, poses: FloatArray, 
         ways_m *= 1 + realism.wheel_sizes.drift_sigma_rad_per_m / turn_by_each * unequal
     if settings.has_slip:
         ways_m += wheels.slip_m_per_sqrt_m * np.sqrt(np.abs(ways_m)) * rng.standard_normal(ways_m.shape)
-    ways_m[_on_ice(poses[:-1], faults), 0] *= 1 + _SPINNING
+    is_on_ice = np.zeros(len(poses) - 1, bool)
+    for patch in faults.patches:
+        is_on_ice |= np.hypot(poses[:-1, 0] - patch.x_m, poses[:-1, 1] - patch.y_m) < patch.radius_m
+    ways_m[is_on_ice, 0] *= 1 + _SPINNING
     unplugged = [is_during(TRUTH_PERIOD_S * i, faults.unplugged_s) for i in range(len(ways_m))]
     rolled = np.vstack([np.zeros(ways_m.shape[1]), np.cumsum(ways_m, axis=0)]) / wheels.m_per_tick
     counts = np.floor(rolled + rng.random(ways_m.shape[1]))
@@ -472,14 +475,6 @@ def _counts(settings: SimulationSettings, steps: FloatArray, poses: FloatArray, 
 def _true_wheels(settings: SimulationSettings) -> HolonomicWheels:
     """Those that count; of a base that has increments ready, four mecanum wheels."""
     return _WHEELS["mecanum" if settings.base == "increments" else settings.base]
-
-
-def _on_ice(poses: FloatArray, faults: WheelFaults) -> FloatArray:
-    """(N,) whether the base is on a patch."""
-    found = np.zeros(len(poses), bool)
-    for patch in faults.patches:
-        found |= np.hypot(poses[:, 0] - patch.x_m, poses[:, 1] - patch.y_m) < patch.radius_m
-    return found
 
 
 def _readings(settings: SimulationSettings, stamps_s: FloatArray, counts: FloatArray) -> list[HolonomicReading]:
