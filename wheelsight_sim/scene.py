@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.core.errors import ConfigError
-from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, Int32Array, IntArray, PinholeCamera
+from wheelsight.core.geometry import Float32Array, FloatArray, Int32Array, IntArray, PinholeCamera
 from wheelsight_sim.view_kernels import Bodies, Boxes, Hits, Image, ModelGeoms, aim, choose, find, gather, put, spread
 from wheelsight_sim.world import Surface, World
 
@@ -115,7 +115,9 @@ class Scene:
         )
         is_mocap = self.model.body_mocapid[self.model.geom_bodyid] >= 0
         self.moving: IntArray = np.flatnonzero(is_mocap)
-        self._half_m = np.where(_visible(self.model)[:, None], self.model.geom_aabb[:, 3:], -1.0)
+        # Rays pass through geoms whose material is fully transparent, as in MuJoCo.
+        is_visible = np.asarray(self.model.mat_rgba[self.model.geom_matid, 3] > 0)
+        self._half_m = np.where(is_visible[:, None], self.model.geom_aabb[:, 3:], -1.0)
 
     def move_to(self, stamp_s: float) -> None:
         """Put people and doors where they are at a time, in seconds; without any nothing moves."""
@@ -308,11 +310,6 @@ def _names(model: Any, surfaces: Mapping[str, Surface], world: str) -> tuple[tup
         names.append(name)
         materials.append(material)
     return tuple(names), tuple(materials)
-
-
-def _visible(model: Any) -> BoolArray:
-    """(G,) which geoms rays stop at: as in MuJoCo, those whose material is not fully transparent."""
-    return np.asarray(model.mat_rgba[model.geom_matid, 3] > 0)
 
 
 # What rays from the camera's pixels hit: the ideal image that sensor models turn into measurements.
