@@ -126,20 +126,18 @@ class SimulatedRecording:
     def events(self, *, images: bool = True) -> Generator[Event]:
         """Readings and frames (unless without `images`) in order of time; frames are rendered a few ahead."""
         frames = self.renderer.frames()
-        readings = self._readings()
+        realism, drive, seed = realism_of(self.settings.realism), self.drive, self.settings.day_seed
+        readings: tuple[Sequence[Event], ...] = drive.yaw_rates, drive.readings
+        if realism is not None:
+            readings = (
+                as_stamped(drive.yaw_rates, realism.stamps, stream(seed, "gyro stamps")),
+                as_stamped(drive.readings, realism.stamps, stream(seed, "wheel stamps")),
+            )
         sources: tuple[Iterable[Event], ...] = (*readings, frames) if images else readings
         try:
             yield from heapq.merge(*sources, key=lambda event: event.stamp_s)
         finally:
             frames.close()
-
-    def _readings(self) -> tuple[Sequence[Event], ...]:
-        """Of gyroscope and wheels, as they are stamped."""
-        realism, drive, seed = realism_of(self.settings.realism), self.drive, self.settings.day_seed
-        if realism is None:
-            return drive.yaw_rates, drive.readings
-        gyro, wheels = stream(seed, "gyro stamps"), stream(seed, "wheel stamps")
-        return as_stamped(drive.yaw_rates, realism.stamps, gyro), as_stamped(drive.readings, realism.stamps, wheels)
 
     def area_at(self, stamp_s: float) -> str | None:
         """The area in which the base truly was."""
