@@ -436,18 +436,13 @@ class Tyres:
         if self._patches:
             for pair, geom in zip(self._pairs, self._geoms, strict=True):
                 x, y = data.geom_xpos[geom, :2].tolist()
-                self._model.pair_friction[pair, :2] = self._friction_at(x, y)
+                under = (p.friction for p in self._patches if math.hypot(x - p.x_m, y - p.y_m) < p.radius_m)
+                self._model.pair_friction[pair, :2] = next(under, self._friction)
 
     def _rates_on(self, floor: FloorSurface, data: mujoco.MjData) -> list[float]:
         """Of creep, by what each wheel stands on."""
         softer = np.where(floor.is_carpet(self.places(data)), floor.settings.carpet_creep, 1.0)
         return [rate * share for rate, share in zip(self._rates, softer.tolist(), strict=True)]
-
-    def _friction_at(self, x_m: float, y_m: float) -> float:
-        for patch in self._patches:
-            if math.hypot(x_m - patch.x_m, y_m - patch.y_m) < patch.radius_m:
-                return patch.friction
-        return self._friction
 
 
 class UnevenFloor:
