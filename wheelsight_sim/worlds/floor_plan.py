@@ -434,7 +434,8 @@ class Dresser:
     def face(self, face: Face) -> None:
         """Things along a wall, one after the other."""
         rng, at_m = self._building.rng, 0.0
-        if face.length_m < _SHORTEST_M or not self._is_furnished(face):
+        middle = face.spot(face.length_m / 2, 0.1)
+        if face.length_m < _SHORTEST_M or not shapely.intersects_xy(self._floor, middle.x_m, middle.y_m):
             return
         # The width of the floor before the middle of the wall.
         begin, end = face.spot(face.length_m / 2, 0.05), face.spot(face.length_m / 2, 8.0)
@@ -475,11 +476,6 @@ class Dresser:
         places = rng.uniform(low, high, (20 * count, 2))
         inside = places[shapely.intersects_xy(inner, *places.T)][:count]
         return [(float(x), float(y)) for x, y in inside]
-
-    def _is_furnished(self, face: Face) -> bool:
-        """Whether there is floor before the middle of a wall."""
-        middle = face.spot(face.length_m / 2, 0.1)
-        return bool(shapely.intersects_xy(self._floor, middle.x_m, middle.y_m))
 
     def _stand(self, face: Face, at_m: float, is_corridor: bool) -> float:
         """Furniture from `at_m` along a wall on, with something over it; how much of the wall it takes, 0 for none."""
