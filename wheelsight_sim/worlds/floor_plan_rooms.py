@@ -174,24 +174,18 @@ def drawn(shape: shapely.Geometry, plan: RosMap, size: tuple[int, ...], *, is_ge
 
     With `is_generous` those are drawn, too, that a polygon only touches: necks narrower than a cell stay whole.
     """
-    grid = np.zeros(size, np.uint8)
+    grid, fraction = np.zeros(size, np.uint8), 3
     for polygon in shapely.get_parts(shape):
         # Holes are drawn on a sheet of their own: another polygon may lie in one.
         sheet = np.zeros(size, np.uint8)
         for k, ring in enumerate((polygon.exterior, *polygon.interiors)):
             whole = shapely.Polygon(ring)
             shrunk = whole if is_generous else whole.buffer(-_TOUCHED * plan.resolution_m, join_style="mitre")
-            _fill(sheet, whole if shrunk.is_empty else shrunk, plan, int(k == 0))
+            for piece in shapely.get_parts(whole if shrunk.is_empty else shrunk):
+                corners = plan.to_cells(shapely.get_coordinates(piece.exterior)) - 0.5
+                cv2.fillPoly(sheet, [np.round(corners * 2**fraction).astype(np.int32)], int(k == 0), shift=fraction)
         grid |= sheet
     return grid
-
-
-def _fill(sheet: ByteArray, polygon: shapely.Geometry, plan: RosMap, value: int) -> None:
-    """Set the cells of polygons without holes, with those that an edge touches: half a cell more all round."""
-    fraction = 3
-    for part in shapely.get_parts(polygon):
-        corners = plan.to_cells(shapely.get_coordinates(part.exterior)) - 0.5
-        cv2.fillPoly(sheet, [np.round(corners * 2**fraction).astype(np.int32)], value, shift=fraction)
 
 
 def _disc(reach: int) -> ByteArray:
