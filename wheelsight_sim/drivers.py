@@ -54,7 +54,7 @@ class Driver(Protocol):
 
     @property
     def is_blind(self) -> bool:
-        """Whether the pose this driver is given is that of the wheelchair's own dead reckoning, not the true one."""
+        """Whether this driver gets the pose of the wheelchair's own odometry, not the true one."""
         ...
 
     def command(self, stamp_s: float, T_world_base: FloatArray) -> Command | None:

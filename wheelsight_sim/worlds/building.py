@@ -20,8 +20,8 @@ from wheelsight_sim.world import Leaf, Surface, World
 # Building: collects what stands in a world, and writes it as one MJCF document.
 #
 # Walls are drawn as lines with the free side on the left, as one walks round a room anticlockwise or round a core
-# clockwise; what hangs on a wall is then told by how far along it hangs. Boxes have their x axis along the wall, y
-# out of it and z up.
+# clockwise; what hangs on a wall is then placed by its distance along the wall. Boxes have their x axis along the
+# wall, y out of it and z up.
 
 
 CEILING_M = 2.8

@@ -111,7 +111,7 @@ def build_floor_plan(
 # Walls, floors and ceiling of a building: thin boxes along the outline of its free space, a look for each room.
 
 
-# Nobody sees how thick a wall is but at its ends, which are faces of their own; what is thin leaves no room for two
+# The thickness of a wall shows only at its ends, which are faces of their own; what is thin leaves no room for two
 # sides of one wall to come through each other.
 SHELL_M = 0.006
 _MARGIN_M = 0.4
@@ -235,7 +235,7 @@ class PlanDoor:
     Attributes:
         doorway: the gap.
         leaf: (x, y, yaw) of its middle in `map`, metres and radians; None where it has been taken off.
-        is_closed: whether nobody can go through.
+        is_closed: whether the leaf blocks the way.
         hinge: (x, y) that the leaf turns about when it swings, metres; None where there is no room to.
         turn_rad: how far it swings from where it is, anticlockwise.
     """
@@ -259,7 +259,7 @@ class PlanDoor:
 
 
 def choose_door(doorway: Doorway, way: shapely.Geometry, floor: shapely.Geometry, rng: np.random.Generator) -> PlanDoor:
-    """A door by seed: closed only where nobody drives through, else open to where its leaf is in nobody's way.
+    """A door by seed: closed only off the route, else open to where its leaf blocks no way.
 
     Args:
         doorway: the gap.

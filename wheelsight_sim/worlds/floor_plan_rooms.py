@@ -1,4 +1,4 @@
-"""The free space of a floor plan, its rooms and doorways, and the areas that an image of its rooms tells."""
+"""The free space of a floor plan, its rooms and doorways, and the areas in an image of its rooms."""
 
 from __future__ import annotations
 
@@ -203,7 +203,7 @@ _LOOK_M = 0.9  # within which it opens
 _JAMB_M = 0.3  # of wall beside a doorway; less is a pillar, or furniture
 _THICKEST_M = 0.6
 _APART_M = 0.8
-_STRIDE = 2  # of cells that rooms are told by
+_STRIDE = 2  # of cells by which rooms are separated
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,7 +236,7 @@ class Doorway:
 
     @property
     def onward(self) -> FloatArray:
-        """(2,) unit vector through the doorway, to the left of whoever looks from its left jamb to the right one."""
+        """(2,) unit vector through the doorway, to the left of the line from its left jamb to the right one."""
         return np.array([-np.sin(self.yaw_rad), np.cos(self.yaw_rad)])
 
 

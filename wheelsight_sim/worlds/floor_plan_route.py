@@ -368,7 +368,7 @@ def _touched(space: FreeSpace, body: Body, route: Route) -> FloatArray:
         x_m, y_m, yaws_rad = _poses(path)
         is_clear = shapely.covers(space.shape, shapely.polygons(body.outlines(x_m, y_m, yaws_rad, _SWEPT_MARGIN_M)))
         touched.append(np.stack([x_m, y_m], axis=-1)[~is_clear])
-        # Where one path ends and another begins, the robot turns on the spot; a way's own ends are not told apart.
+        # Where one path ends and another begins, the robot turns on the spot; a way's own ends are left out.
         ends = path.xy_m[[0, -1]] if route.is_loop else np.empty((0, 2))
         is_tight = shapely.dwithin(boundary, shapely.points(ends), body.turning_m - _SWEPT_MARGIN_M)
         touched.append(ends[is_tight])
