@@ -133,17 +133,6 @@ def find_collision(
     return None
 
 
-def check_route(world: World, route: ArrayLike, half_width_m: float, *, is_loop: bool | None = None) -> None:
-    """Refuse a route that touches something; arguments as of `find_collision`.
-
-    Raises:
-        ConfigError: the route has no two waypoints, or names the leg that hits and what it hits.
-    """
-    collision = find_collision(world, route, half_width_m, is_loop=is_loop)
-    if collision is not None:
-        raise ConfigError(f"the route's {collision}", fix=f"keep {half_width_m:g} m away from what stands there")
-
-
 def _pair(xy: FloatArray) -> tuple[float, float]:
     return float(xy[0]), float(xy[1])
 
