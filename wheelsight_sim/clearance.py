@@ -5,7 +5,7 @@ picture of both from above.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise, product
 from pathlib import Path
@@ -198,7 +198,16 @@ def draw_plan(
         waypoints = np.vstack([waypoints, waypoints[:1]])
     figure, axes = _sheet(world)
     seen = [footprint for footprint in footprints(world) if footprint.bottom_m < _EYE_M]
-    _draw_things(axes, world, seen)
+    layers: dict[int, list[tuple[FloatArray, _Pen]]] = {}
+    for footprint in sorted(seen, key=lambda footprint: footprint.top_m):
+        pen = _pen_for(footprint, world.surfaces[footprint.material])
+        layers.setdefault(pen.layer, []).append((shapely.get_coordinates(footprint.polygon), pen))
+    for layer, things in layers.items():
+        outlines, pens = zip(*things, strict=True)
+        collection = PolyCollection(list(outlines), zorder=layer, linewidths=[pen.width for pen in pens])
+        collection.set_facecolor([pen.face for pen in pens])
+        collection.set_edgecolor([pen.edge for pen in pens])
+        axes.add_collection(collection)
     crowd = shapely.union_all([*[thing.polygon for thing in seen if thing.is_solid], shapely.LineString(waypoints)])
     _draw_areas(axes, world, crowd)
     axes.plot(*waypoints.T, color=_ROUTE, lw=2, zorder=6, solid_joinstyle="round")
@@ -265,19 +274,6 @@ def _sheet(world: World) -> tuple[Figure, Axes]:
 def _ticks(low_m: float, high_m: float) -> FloatArray:
     step_m = 5 if high_m - low_m > 15 else 1
     return np.arange(np.ceil(low_m / step_m) * step_m, high_m, step_m)
-
-
-def _draw_things(axes: Axes, world: World, seen: Iterable[GeomOutline]) -> None:
-    layers: dict[int, list[tuple[FloatArray, _Pen]]] = {}
-    for footprint in sorted(seen, key=lambda footprint: footprint.top_m):
-        pen = _pen_for(footprint, world.surfaces[footprint.material])
-        layers.setdefault(pen.layer, []).append((shapely.get_coordinates(footprint.polygon), pen))
-    for layer, things in layers.items():
-        outlines, pens = zip(*things, strict=True)
-        collection = PolyCollection(list(outlines), zorder=layer, linewidths=[pen.width for pen in pens])
-        collection.set_facecolor([pen.face for pen in pens])
-        collection.set_edgecolor([pen.edge for pen in pens])
-        axes.add_collection(collection)
 
 
 @dataclass(frozen=True, slots=True)
