@@ -418,7 +418,12 @@ def simulate_holonomic_drive(
             on_progress(float(second))
     truth = Trajectory(stamps_s, se3.from_plane(*poses.T), body="base")
     reason = "" if is_complete else f"the time limit of {settings.duration_s:g} s came before the end of the route"
-    yaw_rates = _yaw_rates(settings, stamps_s, steps) if settings.robot.has_gyro else ()
+    yaw_rates: tuple[YawRate, ...] = ()
+    if settings.robot.has_gyro:
+        gyroscope, every = Gyroscope(Gyro(), np.random.default_rng([settings.day_seed, 2])), ticks_of(GYRO_PERIOD_S)
+        rates = np.append(steps[:, 2], steps[-1, 2])[::every] / TRUTH_PERIOD_S
+        taken = zip(stamps_s[::every].tolist(), rates.tolist(), strict=True)
+        yaw_rates = tuple(gyroscope.read(stamp_s, rate) for stamp_s, rate in taken)
     return Drive(truth, (), yaw_rates, is_complete, reason, readings)
 
 
@@ -491,10 +496,3 @@ def _readings(settings: SimulationSettings, stamps_s: FloatArray, counts: FloatA
         else:
             found.append(WheelCounts(stamp_s, tuple(int(count) for count in row)))
     return found
-
-
-def _yaw_rates(settings: SimulationSettings, stamps_s: FloatArray, steps: FloatArray) -> tuple[YawRate, ...]:
-    gyroscope = Gyroscope(Gyro(), np.random.default_rng([settings.day_seed, 2]))
-    every = ticks_of(GYRO_PERIOD_S)
-    rates = np.append(steps[:, 2], steps[-1, 2])[::every] / TRUTH_PERIOD_S
-    return tuple(gyroscope.read(s, rate) for s, rate in zip(stamps_s[::every].tolist(), rates.tolist(), strict=True))
