@@ -429,7 +429,11 @@ class Tyres:
     def grip(self, data: mujoco.MjData) -> None:
         """Sets friction and creep for where the wheels stand and how fast they turn."""
         if self._creeps:
-            rates = self._rates if self._underfoot is None else self._rates_on(self._underfoot.floor, data)
+            rates = self._rates
+            if self._underfoot is not None:
+                floor = self._underfoot.floor
+                softer = np.where(floor.is_carpet(self.places(data)), floor.settings.carpet_creep, 1.0)
+                rates = [rate * share for rate, share in zip(rates, softer.tolist(), strict=True)]
             for pair, dof, rate, radius_m in zip(self._pairs, self._speeds, rates, self._radii_m, strict=True):
                 speed_m_s = max(abs(float(data.qvel[dof])) * radius_m, _SLOWEST_M_S)
                 self._model.pair_solreffriction[pair] = 0.0, -min(rate / speed_m_s, _STIFFEST_PER_S)
@@ -438,11 +442,6 @@ class Tyres:
                 x, y = data.geom_xpos[geom, :2].tolist()
                 under = (p.friction for p in self._patches if math.hypot(x - p.x_m, y - p.y_m) < p.radius_m)
                 self._model.pair_friction[pair, :2] = next(under, self._friction)
-
-    def _rates_on(self, floor: FloorSurface, data: mujoco.MjData) -> list[float]:
-        """Of creep, by what each wheel stands on."""
-        softer = np.where(floor.is_carpet(self.places(data)), floor.settings.carpet_creep, 1.0)
-        return [rate * share for rate, share in zip(self._rates, softer.tolist(), strict=True)]
 
 
 class UnevenFloor:
