@@ -198,4 +198,4 @@ def _best(probabilities: FloatArray, drive: DescribedDrive) -> IntArray:
 
 
 def _plain(weights: Weights) -> tuple[float, ...]:
-    return (*(float(value) for value in weights.told.as_array()), weights.untold.beta)
+    return (*(float(value) for value in weights.with_area.as_array()), weights.without_area.beta)

@@ -173,7 +173,7 @@ def mapped(recording: Recording, *, has_loops: bool) -> Model:
     if localizer.loops is not None:
         localizer.loops.finish()
     localizer.close()
-    remembered = [estimate.remembered_in(localizer.keyframes) for estimate in model.estimates]
+    remembered = [estimate.pose_in(localizer.keyframes) for estimate in model.estimates]
     model.T_map_body = [T for T in remembered if T is not None]
     if not model.map.status().stable:
         raise InputError("leaves no map", path=recording.path, fix="give a recording with depth, of a second or more")

@@ -75,4 +75,4 @@ def test_a_view_is_written_as_it_is_read_and_beside_those_before(tmp_path: Path)
     assert first.infrared is not None
     assert second.infrared is None
     taken = ViewTaker(BOARD, CAMERA, seen=[first.color])
-    assert taken.look(shown) == "such a view is there already: move the board"
+    assert taken.add(shown) == "such a view is there already: move the board"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,7 +37,8 @@ def test_all_settings_are_printed_as_a_run_takes_them(wheelsight: Command, tmp_p
 
 
 def test_each_option_of_a_setting_shows_its_default() -> None:
-    options = {name: option for option in get_command(app).commands["run"].params for name in option.opts}
+    commands: Any = get_command(app)
+    options = {name: option for option in commands.commands["run"].params for name in option.opts}
     leaves = {name: value for name, value, _ in all_leaves()}
     for name, flag in SET_BY.items():
         default, shown = leaves[name], options[flag].show_default

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from wheelsight.estimation.pose_belief import CAMERA_ERRORS, FilterParameters, P
 SETTINGS = FilterParameters.of()
 _STEPS = 2000
 # A camera whose focal length is hardly known.
-COARSE = {"camera_turn_walk": 0.0005}
+COARSE: dict[str, Any] = {"camera_turn_walk": 0.0005}
 tangents = st.lists(st.floats(-1.2, 1.2), min_size=6, max_size=6).map(np.array)
 
 
@@ -62,7 +63,7 @@ def driven(T_reference: np.ndarray, xi: np.ndarray, steps: int = 200) -> PoseBel
     belief = PoseBelief.begin(T_reference, 1e-6 * np.eye(6), SETTINGS).cloned("reference", 0.0, 4)
     for k in range(steps):
         step = WheelStep(0.1 * k, 0.1 * (k + 1), xi / steps, 1e-9 * np.eye(6))
-        belief = belief.moved_by_wheels(step, 1.0, replace(SETTINGS, **{"level_sigma_rad": None}), is_slipping=False)
+        belief = belief.moved_by_wheels(step, 1.0, replace(SETTINGS, level_sigma_rad=None), is_slipping=False)
     return belief
 
 
@@ -121,8 +122,8 @@ def test_a_motion_that_misses_what_is_known_to_be_missed_is_as_expected(
 @pytest.mark.slow
 def test_what_wheels_and_camera_err_by_alike_is_not_learned_from_noise() -> None:
     """Nobody sees it, so nothing may move it: what noise taught of it would go one way, and never be mended."""
-    still = dict.fromkeys(("scale_walk", "turn_walk", "camera_scale_walk", "camera_turn_walk"), 0.0)
-    settings, learned = replace(SETTINGS, **{**still}), []
+    still: dict[str, Any] = dict.fromkeys(("scale_walk", "turn_walk", "camera_scale_walk", "camera_turn_walk"), 0.0)
+    settings, learned = replace(SETTINGS, **still), []
     for seed in range(8):
         rng = np.random.default_rng(seed)
         fusion = ErrorStateFilter(T_BASE_CAMERA, settings=settings)
@@ -133,8 +134,8 @@ def test_what_wheels_and_camera_err_by_alike_is_not_learned_from_noise() -> None
 
 
 def test_wheels_that_are_known_well_tell_what_is_wrong_with_the_camera(rng: np.random.Generator) -> None:
-    sure = {"scale_sigma": 1e-4, "drift_sigma_rad_per_m": 1e-5, "turn_sigma": 1e-4}
-    still = dict.fromkeys(("scale_walk", "drift_walk_rad_per_m", "turn_walk"), 0.0)
+    sure: dict[str, Any] = {"scale_sigma": 1e-4, "drift_sigma_rad_per_m": 1e-5, "turn_sigma": 1e-4}
+    still: dict[str, Any] = dict.fromkeys(("scale_walk", "drift_walk_rad_per_m", "turn_walk"), 0.0)
     settings = replace(SETTINGS, **{**sure, **still, **COARSE})
     wrong = (0.01, 0.0, -0.01)
     steps = simulate(Drive(seconds=30, camera_errors=wrong, slip_m_per_sqrt_m=0.001), rng, settings)
@@ -197,8 +198,10 @@ def test_what_nobody_tells_of_a_camera_is_covered() -> None:
     """Wheels and camera are both too short, by twice the camera's standard deviation: no event tells."""
     drive = Drive(seconds=40, camera_errors=(0.01, 0.0, 0.0), errors=(0.01, 0.0, 0.0))
     steps = simulate(drive, np.random.default_rng(1), SETTINGS)
-    none = dict.fromkeys((name for name in vars(SETTINGS) if name.startswith(("camera_", "mount_"))), 0.0)
-    knowing, trusting = (run(steps, settings)[-1] for settings in (SETTINGS, replace(SETTINGS, **{**none})))
+    none: dict[str, Any] = dict.fromkeys(
+        (name for name in vars(SETTINGS) if name.startswith(("camera_", "mount_"))), 0.0
+    )
+    knowing, trusting = (run(steps, settings)[-1] for settings in (SETTINGS, replace(SETTINGS, **none)))
     error = error_of(knowing, steps[-1].T_truth)
     sigma, too_sure = (np.sqrt(not_none(answer.covariance)[0, 0]) for answer in (knowing, trusting))
     assert 0.15 < abs(error[0]) < 3 * sigma
@@ -208,7 +211,7 @@ def test_what_nobody_tells_of_a_camera_is_covered() -> None:
 
 def cloned(covariance: np.ndarray | None) -> ErrorStateFilter:
     """A pose on the way, remembered, of a camera whose stamps are in time."""
-    fusion = ErrorStateFilter(T_BASE_CAMERA, settings=replace(SETTINGS, **{"camera_lag_sigma_s": 0.0}))
+    fusion = ErrorStateFilter(T_BASE_CAMERA, settings=replace(SETTINGS, camera_lag_sigma_s=0.0))
     fusion.predict(0.1, se3.from_plane(0.05, 0.0, 0.02), 1e-6 * np.eye(6), 0.0)
     fusion.clone(0.1, "anchor", covariance)
     return fusion

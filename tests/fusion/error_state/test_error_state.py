@@ -156,9 +156,7 @@ def test_what_is_to_be_expected_is_what_will_be_seen():
 
 def test_a_corridor_keeps_the_wheels_motion_along_and_the_cameras_turn(rng):
     """The camera says 0.3 m and a turn of 0.05; along its own z, which is forward, it names itself blind."""
-    fusion = ErrorStateFilter(
-        T_BASE_CAMERA, settings=replace(SETTINGS, **{"clock_sigma_s": 0.0, "camera_lag_sigma_s": 0.0})
-    )
+    fusion = ErrorStateFilter(T_BASE_CAMERA, settings=replace(SETTINGS, clock_sigma_s=0.0, camera_lag_sigma_s=0.0))
     fusion.clone(0.0, "frame")
     Q = np.diag([1e-4, 1e-4, 1e-6, 1e-4, 1e-4, 1e-2])
     fusion.predict(0.1, se3.from_plane(0.1, 0.0, 0.0), Q, 0.0)

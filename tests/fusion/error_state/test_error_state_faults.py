@@ -28,7 +28,7 @@ from wheelsight.estimation.fault_detection import Fault
 from wheelsight.estimation.pose_belief import FilterParameters
 
 SETTINGS = FilterParameters.of()
-FLAT = replace(SETTINGS, **{"tilt_rad_per_sqrt_m": 0.002, "rise_m_per_sqrt_m": 0.001})
+FLAT = replace(SETTINGS, tilt_rad_per_sqrt_m=0.002, rise_m_per_sqrt_m=0.001)
 FAULT_S, BEGIN_S, END_S = 3.0, 3.0, 6.0
 FRAME_S = 1 / 30
 
@@ -218,7 +218,7 @@ def test_a_gyroscope_settles_who_is_right():
 def test_doubt_covers_both_sides():
     """While nothing settles a contradiction, the ellipse reaches to both places."""
     steps, _ = drive_with(0)
-    undecided = replace(SETTINGS, **{"contradiction_nats": 0.0, "leap_chi2_cap": 0.0})
+    undecided = replace(SETTINGS, contradiction_nats=0.0, leap_chi2_cap=0.0)
     fusion = ErrorStateFilter(T_BASE_CAMERA, settings=undecided)
     half = len(steps) // 2
     run(steps[:half], fusion=fusion)

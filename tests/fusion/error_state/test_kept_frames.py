@@ -16,7 +16,7 @@ from wheelsight.core.geometry import se3
 from wheelsight.estimation import ErrorStateFilter
 from wheelsight.estimation.pose_belief import FilterParameters
 
-FLAT = replace(FilterParameters.of(), **{"tilt_rad_per_sqrt_m": 0.002, "rise_m_per_sqrt_m": 0.001})
+FLAT = replace(FilterParameters.of(), tilt_rad_per_sqrt_m=0.002, rise_m_per_sqrt_m=0.001)
 FRAME_S, EVERY = 1 / 30, 5
 UP = np.array([[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]])
 

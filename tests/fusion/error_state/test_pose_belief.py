@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -58,7 +59,7 @@ def test_the_covariance_goes_on_by_the_numeric_jacobian(rng, kind):
     belief = belief_somewhere(rng)
     belief = replace(belief, rest=rng.normal(size=REST_SIZE) * 0.1)
     wheels = WheelStep(2.0, 2.1, rng.normal(size=6) * 0.1, np.zeros((6, 6)))
-    quiet = {
+    quiet: dict[str, Any] = {
         name: 0.0
         for name in type(SETTINGS).__dataclass_fields__
         if name.endswith(("_walk", "_per_m", "_sqrt_m", "rad_s", "_s2", "walk_rad", "walk_m"))
@@ -158,9 +159,7 @@ def test_perturbing_all_poses_alike_changes_no_look(rng):
 
 def test_an_error_that_nothing_measures_stays_as_uncertain_as_it_was(rng):
     """And what was learned of it fades, each by its own length, as a Gauss–Markov process."""
-    settings = replace(
-        SETTINGS, **{"camera_drift_sigma_rad_per_m": 3e-4, "camera_drift_walk_rad_per_m": 1e-4, "lever_m": 0.0}
-    )
+    settings = replace(SETTINGS, camera_drift_sigma_rad_per_m=3e-4, camera_drift_walk_rad_per_m=1e-4, lever_m=0.0)
     belief, drift = PoseBelief.begin(np.eye(4), np.zeros((6, 6)), settings), CAMERA_ERRORS.start + 1
     rest = belief.rest.copy()
     rest[drift] = 2e-4
@@ -174,7 +173,7 @@ def test_an_error_that_nothing_measures_stays_as_uncertain_as_it_was(rng):
 
 
 def test_an_error_that_was_certain_only_walks(rng):
-    settings = replace(SETTINGS, **{"camera_scale_sigma": 0.0, "camera_scale_walk": 1e-3})
+    settings = replace(SETTINGS, camera_scale_sigma=0.0, camera_scale_walk=1e-3)
     belief = PoseBelief.begin(np.eye(4), np.zeros((6, 6)), settings)
     belief = belief.moved_by_wheels(
         WheelStep(0, 1, np.array([1.0, 0, 0, 0, 0, 0]), 1e-9 * np.eye(6)), 1.0, settings, False
@@ -191,12 +190,11 @@ def test_a_shift_of_another_size_is_refused(rng):
 def test_many_looks_are_one_least_squares_fit(rng):
     """Poses joined by wheels, and measured between each and the last three: all at once, by scipy, and one by one."""
     steps = [WheelStep(i, i + 1.0, rng.normal(size=6) * 0.05, np.diag(rng.uniform(1, 2, 6) * 1e-6)) for i in range(4)]
-    still = replace(
-        SETTINGS, **{"scale_sigma": 0.0, "drift_sigma_rad_per_m": 0.0, "turn_sigma": 0.0, "scale_walk": 0.0}
-    )
+    still = replace(SETTINGS, scale_sigma=0.0, drift_sigma_rad_per_m=0.0, turn_sigma=0.0, scale_walk=0.0)
     none = ("drift_walk_rad_per_m", "turn_walk", "side_m_per_sqrt_m", "rise_m_per_sqrt_m", "tilt_rad_per_sqrt_m")
     of_camera = (name for name in type(SETTINGS).__dataclass_fields__ if name.startswith(("camera_", "mount_")))
-    settings = replace(still, **dict.fromkeys((*none, *of_camera), 0.0))
+    nothing: dict[str, Any] = dict.fromkeys((*none, *of_camera), 0.0)
+    settings = replace(still, **nothing)
     belief = PoseBelief.begin(np.eye(4), np.zeros((6, 6)), settings).cloned("0", 0.0, 9)
     prior, measurements = [np.eye(4)], []
     for i, step in enumerate(steps, 1):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,18 +27,17 @@ from wheelsight.estimation.pose_belief import (
 
 SETTINGS = FilterParameters.of()
 # Wheels and camera err by noise alone: what is told of it is told of nothing else.
-RIGHT = replace(
-    SETTINGS,
-    **dict.fromkeys(("scale_sigma", "drift_sigma_rad_per_m", "turn_sigma", "camera_lag_sigma_s"), 1e-6)
-    | dict.fromkeys(("scale_walk", "drift_walk_rad_per_m", "turn_walk", "camera_lag_walk_s"), 0.0),
-)
+_KNOWN: dict[str, Any] = dict.fromkeys(
+    ("scale_sigma", "drift_sigma_rad_per_m", "turn_sigma", "camera_lag_sigma_s"), 1e-6
+) | dict.fromkeys(("scale_walk", "drift_walk_rad_per_m", "turn_walk", "camera_lag_walk_s"), 0.0)
+RIGHT = replace(SETTINGS, **_KNOWN)
 STATED_SLIP = 0.004
 # Thirteen ratios from a sixteenth to four; one that is twice as large or small is less likely by half a nat.
 BEFORE = -0.25 * np.abs(np.arange(-16, 5))
 
 
 def remembering(memory_m: float) -> FilterParameters:
-    return replace(SETTINGS, **{"wheel_noise_memory_m": memory_m})
+    return replace(SETTINGS, wheel_noise_memory_m=memory_m)
 
 
 def test_an_odometer_tells_of_a_stretch_what_wheels_alone_would(rng: np.random.Generator) -> None:
