@@ -34,12 +34,12 @@ class Ceiling(NamedTuple):
 
 
 CEILINGS = {
-    "modules": Ceiling(343, 330),
-    "lines without the simulator": Ceiling(98_300, 78_000),
-    "lines of the simulator": Ceiling(13_300, 11_000),
-    "share of private functions used in one place": Ceiling(0.56, 0.40),
-    "class names with two or more meanings": Ceiling(68, 0),
-    "settings": Ceiling(937, 200),
+    "modules": Ceiling(316, 330),
+    "lines without the simulator": Ceiling(92_200, 78_000),
+    "lines of the simulator": Ceiling(13_100, 11_000),
+    "share of private functions used in one place": Ceiling(0.43, 0.40),
+    "class names with two or more meanings": Ceiling(0, 0),
+    "settings": Ceiling(184, 200),
     "decision pages": Ceiling(15, 15),
     "benchmark files in the root": Ceiling(1, 1),
     "words of the changelog": Ceiling(480, 500),
