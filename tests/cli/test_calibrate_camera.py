@@ -25,6 +25,7 @@ from wheelsight.core.geometry import PinholeCamera
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.io.devices.cameras import LIVE_CAMERAS
 from wheelsight.io.devices.live_camera import CameraStatus, LiveFrame
+from wheelsight.vision.camera_calibration import live_views
 from wheelsight.vision.camera_calibration.board import board_from
 
 Command = Callable[..., Result]
@@ -146,11 +147,19 @@ def drawn_frame(T: np.ndarray) -> RgbdFrame:
 LIVE = ("--camera", "fake", "--board", str(BOARD), "--sensor", "stereo", "--plate")
 
 
+def asks(monkeypatch: pytest.MonkeyPatch, tilt_deg: float, more_views: int, near_far: float = 2.0) -> None:
+    """Let the coach ask for little: the board anywhere in the image."""
+    wanted = {"_COLUMNS": 1, "_ROWS": 1, "_TILT_DEG": tilt_deg, "_MORE_VIEWS": more_views, "_NEAR_FAR": near_far}
+    for name, value in wanted.items():
+        monkeypatch.setattr(live_views, name, value)
+
+
 @pytest.fixture
-def few(tmp_path: Path) -> Path:
+def few(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Settings of a coach that asks for little more than `POSES` show."""
+    asks(monkeypatch, tilt_deg=20.0, more_views=3)
     path = tmp_path / "few.yaml"
-    path.write_text("camera_calibration: {coach: {enough: 10, columns: 1, rows: 1, tilt_deg: 20, more_views: 3}}\n")
+    path.write_text("camera_calibration: {coach: {enough: 10}}\n")
     return path
 
 
@@ -201,8 +210,8 @@ def test_what_was_refused_goes_on_and_at_the_cameras_end_is_an_error(
 ) -> None:
     """The coach of this test asks for nothing but two views, which determine no camera."""
     lax = tmp_path / "lax.yaml"
-    coach = "{enough: 3, columns: 1, rows: 1, tilt_deg: 1, near_far: 1.001, more_views: 2}"
-    lax.write_text(f"camera_calibration: {{coach: {coach}}}\n")
+    asks(monkeypatch, tilt_deg=1.0, more_views=2, near_far=1.001)
+    lax.write_text("camera_calibration: {coach: {enough: 3}}\n")
     tilts = ((2, 2), (-2, -2), (2, -2), (-2, 2), (1, 1), (0, 0))
     plug_in(monkeypatch, BoardCamera([pose(BOARD, 0.5 * 1.2**k, tilt) for k, tilt in enumerate(tilts)]))
     words = ("calibrate", "camera", tmp_path / "taken", *LIVE, "--config", lax, "--out", tmp_path / "robot.yaml")

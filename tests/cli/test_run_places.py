@@ -44,7 +44,7 @@ def test_every_option_of_places_reaches_its_setting(wheelsight: Command, drive: 
     assert f"model: {model}\n  areas: {tmp_path / 'floor.yaml'}\n  rectify: paper" in written
     assert "x_m: -0.5\n    y_m: 1.0\n    yaw_deg: -90.0" in written
     assert "odometry_term: absolute" in written
-    assert "told:\n    - 0.1\n    - 0.8\n    - 0.1" in written
+    assert "with_area:\n    - 0.1\n    - 0.8\n    - 0.1" in written
 
 
 def test_bad_input_is_one_line(refusal: Callable[..., str], drive: Path, tmp_path: Path) -> None:

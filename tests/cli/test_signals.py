@@ -42,11 +42,11 @@ main()
 # A command that goes on for a minute whatever it is to do.
 LONG_COMMAND = """
 import time
-from wheelsight.app.cli.console import Command
+from wheelsight.app.cli.console import CliCommand
 def invoke(self, ctx):
     print("ready", flush=True)
     time.sleep(60)
-Command.invoke = invoke
+CliCommand.invoke = invoke
 from wheelsight.app.cli import main
 main()
 """

@@ -232,12 +232,16 @@ def test_stop_is_answered_before_a_program_that_lives_confirms_it() -> None:
 def test_presses_beyond_what_can_wait_are_answered_while_the_program_lives(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda kind: (64, 64))
     monkeypatch.setattr(door, "_CONFIRMED_S", 60.0)
+    monkeypatch.setattr(door, "_LIVELY_S", 60.0)
     with ExitStack() as held:
         ends, port = held.enter_context(door_here())
         ends.control.send(PULSE)
         assert ends.control.recv(10) == PULSE
-        first, *_ = [held.enter_context(call(port, STOPPING)) for _ in range(12)]
-        assert b"200 OK" in first.recv(1000)
+        first, *others = [held.enter_context(call(port, STOPPING)) for _ in range(12)]
+        assert first.recv(1000).endswith(b"not confirmed yet\n")
+        for _ in range(12):
+            ends.control.send(STOP)
+        assert all(b"200 OK" in other.recv(1000) for other in others)
 
 
 def test_it_answers_the_pulse() -> None:

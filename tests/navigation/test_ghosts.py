@@ -13,7 +13,14 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import DepthNoise
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.geometry import PinholeCamera
-from wheelsight.navigation import Footprint, LiveLayer, NavigationReason, NavigationSettings, NavigatorSettings
+from wheelsight.navigation import (
+    Footprint,
+    LiveLayer,
+    NavigationReason,
+    NavigationSettings,
+    NavigatorSettings,
+    perception,
+)
 from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.task import monitor_words
 
@@ -25,11 +32,12 @@ BEGIN, AWAY, BEYOND = (1.5, 3.0, 0.0), (1.5, 3.0, 3.1), (6.0, 3.0, 0.0)
 STOOD_S = 4.0
 
 
-def ride_past_a_ghost() -> Ride:
+def ride_past_a_ghost(monkeypatch: pytest.MonkeyPatch) -> Ride:
     """Somebody stood in the only door, and left it when the robot had turned its camera away; then it is to go there.
 
     By itself the layer would keep that for an hour.
     """
+    monkeypatch.setattr(perception, "_STAYS", 1000.0)
     settings = NavigationSettings(controller="pure_pursuit", navigator=NavigatorSettings(tries=3))
     ride = Ride.of(Walls.of(*OPEN, IN_THE_DOOR), BEGIN, SIZE_M, Walls.of(*OPEN), settings)
     ride.go(STOOD_S)
@@ -43,8 +51,8 @@ def ride_past_a_ghost() -> Ride:
     return ride
 
 
-def test_a_ghost_in_the_only_door_is_forgotten_after_a_behaviour() -> None:
-    ride = ride_past_a_ghost()
+def test_a_ghost_in_the_only_door_is_forgotten_after_a_behaviour(monkeypatch: pytest.MonkeyPatch) -> None:
+    ride = ride_past_a_ghost(monkeypatch)
     result = not_none(ride.navigator.result)
     assert result.has_arrived
     assert is_near(ride.robot.base.pose, BEYOND)
@@ -56,7 +64,7 @@ def test_a_ghost_in_the_only_door_is_forgotten_after_a_behaviour() -> None:
 def test_without_that_it_bars_the_door(monkeypatch: pytest.MonkeyPatch) -> None:
     """So the test above is about the clearing, and nothing else."""
     monkeypatch.setattr(Senses, "clear", lambda self, *, only_ahead=False: None)
-    ride = ride_past_a_ghost()
+    ride = ride_past_a_ghost(monkeypatch)
     result = not_none(ride.navigator.result)
     assert (result.has_arrived, result.reason) == (False, NavigationReason.NO_PLAN)
     assert result.recoveries == 3

@@ -284,5 +284,5 @@ def test_what_is_said_about_a_plan_is_said_of_its_world(tmp_path: Path, world: W
     found = built(path)
     assert found.mjcf == world.mjcf
     assert len(found.warnings) == 2
-    assert any(warning.endswith(f"{tmp_path / 'plan.pgm'} is taken") for warning in found.warnings)
+    assert any(warning.endswith(f"{tmp_path / 'plan.pgm'} is used") for warning in found.warnings)
     assert any("the origin's yaw is -nan" in warning for warning in found.warnings)
