@@ -339,16 +339,7 @@ class SurfelsOnDisk:
 
 
 class SurfelPaging:
-    """Keeps the surroundings of the camera in memory, and stores distant surfels on disk when memory is short.
-
-    Args:
-        max_surfels: largest number of surfels in memory.
-        far_m: largest distance of predicted surfels.
-        folder: as `SurfelsOnDisk` takes it.
-
-    Attributes:
-        resting: surfels on disk.
-    """
+    """Keeps the surroundings of the camera in memory, and stores distant surfels on disk when memory is short."""
 
     def __init__(self, max_surfels: int, far_m: float, folder: StrPath | None) -> None:
         self.resting = SurfelsOnDisk(folder)
@@ -358,9 +349,7 @@ class SurfelPaging:
         """Load the surfels that a camera may see, and store distant ones if memory is short.
 
         Args:
-            blocks: surfels in memory.
             poses: T_map_keyframe (K, 4, 4) of all keyframes, and T_map_camera (4, 4).
-            now_s, rules: as `Blocks` takes them.
         """
         if not len(poses[0]) or (blocks.room >= LEAST_ROOM and not len(self.resting)):
             return
@@ -397,7 +386,6 @@ class SurfelPaging:
 
         Args:
             new: surfels of keyframes at (K, 4, 4), or of none.
-            T_map_keyframe: poses of the keyframes.
             most: number with room in memory.
         """
         numbers = new.keyframe

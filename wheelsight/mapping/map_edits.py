@@ -64,17 +64,13 @@ class MapEdit:
     """An edit: a polygon on the floor.
 
     Attributes:
-        kind: kind of the edit.
         polygon: (N, 2) corners in `map`, metres, in either orientation, not closed.
         limit_m_s: limit of a speed zone, metres per second; else None.
-        keyframe: keyframe that it moves with, or None.
         T_map_keyframe: (4, 4) pose of the keyframe when the polygon was drawn, or None.
         name: name of an area, as in `NamedPose`; else None.
 
-    Raises:
-        MapError: the polygon crosses itself, has no area or is beyond 1000 km; the limit is missing, not positive, or
-            given for another kind; the name is missing, invalid, or given for another kind; a keyframe without its
-            pose.
+    Raises MapError if the polygon crosses itself, has no area or is beyond 1000 km; the limit is missing, not positive,
+    or given for another kind; the name is missing, invalid, or given for another kind; a keyframe without its pose.
     """
 
     kind: EditKind
@@ -126,8 +122,7 @@ class MapEdit:
 class MapEdits:
     """All edits of a map, at most 10 000, in the order in which they were made. Of overlapping edits, the last applies.
 
-    Raises:
-        MapError: two areas have the same name, or there are too many edits.
+    Raises MapError if two areas have the same name, or there are too many edits.
     """
 
     edits: tuple[MapEdit, ...] = ()
@@ -173,8 +168,7 @@ class MapEdits:
             grid: grid of the same map.
             T_map_keyframe: (K, 4, 4) current keyframe poses by number; needed if any edit is anchored.
 
-        Raises:
-            ArgumentError: the pose of an anchor is missing.
+        Raises ArgumentError if the pose of an anchor is missing.
         """
         kind, occupancy = grid.kind.copy(), grid.occupancy.copy()
         for edit in self.edits:
@@ -321,7 +315,6 @@ def roomiest_place(grid: OccupancyGrid, polygon: FloatArray) -> FloatArray | Non
     centroid.
 
     Args:
-        grid: grid of the map.
         polygon: (N, 2) corners in `map`, metres.
 
     Returns (2,) x and y in `map`; None if the polygon has no free cell.

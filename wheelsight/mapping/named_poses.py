@@ -37,11 +37,9 @@ class NamedPose:
     Attributes:
         name: up to 60 letters, digits, spaces and signs, without commas, which coordinates have.
         pose: (3,) x, y in metres and yaw in radians in `map`; a yaw of NaN is any heading.
-        keyframe: keyframe that it moves with, or None.
         T_map_keyframe: (4, 4) pose of the keyframe when the pose was named, or None.
 
-    Raises:
-        MapError: the name is invalid, the position is beyond 1000 km, or a keyframe has no pose.
+    Raises MapError if the name is invalid, the position is beyond 1000 km, or a keyframe has no pose.
     """
 
     name: str
@@ -85,8 +83,7 @@ class NamedPose:
 class NamedPoses:
     """All named poses of a map, sorted by name, at most 10 000.
 
-    Raises:
-        MapError: a name is given twice, or there are too many.
+    Raises MapError if a name is given twice, or there are too many.
     """
 
     poses: tuple[NamedPose, ...] = ()
@@ -246,8 +243,7 @@ def checked_name(name: Any) -> str:
 
     It has up to 60 letters, digits, spaces and signs, without commas, which coordinates have.
 
-    Raises:
-        MapError: the name is invalid.
+    Raises MapError if the name is invalid.
     """
     text = " ".join(name.split()) if isinstance(name, str) else ""
     if not text or "," in text or len(text) > LONGEST_NAME or not text.isprintable() or text.startswith("-"):
@@ -298,13 +294,9 @@ def read_list(path: Path, kind: Kind, written: tuple[str, int], field: str) -> l
     """Return the list of an annotation file.
 
     Args:
-        path: the file.
-        kind: kind of the file, for messages.
         written: its format, and the newest readable version.
-        field: name of the list.
 
-    Raises:
-        MapError: the file is missing, of another format, newer, or has no list.
+    Raises MapError if the file is missing, of another format, newer, or has no list.
     """
     name, newest = written
     try:

@@ -52,7 +52,6 @@ class OccupancyGrid:
     Attributes:
         kind: (H, W) uint8 of `CellKind`; row 0 has the least y.
         occupancy: (H, W) int8 as in nav_msgs/OccupancyGrid: 0 free, 100 occupied, -1 unknown.
-        resolution_m: side of a cell.
         origin: x and y in metres of the corner of cell (0, 0).
     """
 
@@ -192,12 +191,7 @@ class OccupancyMapper:
     The floor is z = 0 of the base at each keyframe, so that a map may drift in height. About 10 kB of depth is kept per
     keyframe, mostly in a temporary file. When keyframes move, the map is rebuilt from it without decoding images.
 
-    Args:
-        calibration: calibration of the robot, with the camera mount and the depth noise.
-        settings: settings, or None for the defaults.
-
-    Raises:
-        MapError: the calibration has no camera mount.
+    Raises MapError if the calibration has no camera mount.
     """
 
     def __init__(self, calibration: Calibration, settings: OccupancySettings | None = None) -> None:
@@ -512,9 +506,7 @@ class PlanLine:
 
     Attributes:
         points: (N, 2) in `map`; closed outlines repeat the first point at the end.
-        colour: red, green, blue.
         name: name in the legend, or empty.
-        width_px: line width.
         text: label at the mean of its points.
     """
 
@@ -531,8 +523,6 @@ class PlanMark:
 
     Attributes:
         xy: (2,) in `map`.
-        sign: shape of the mark.
-        colour: red, green, blue.
         name: name in the legend, or empty.
         text: label beside it.
     """
@@ -555,7 +545,6 @@ def picture_of(
     """Return a picture (h, w, 3) uint8 of the map, red, green, blue, y upwards, with a legend below.
 
     Args:
-        grid: the map.
         stretches: paths driven, each with places (K, 2) in `map`. Dots are joined by a line within a path. A circle is
             the first place of all, a square the last.
         lines, marks: further drawings, in this order.

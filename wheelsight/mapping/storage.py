@@ -131,9 +131,8 @@ def _intervals(surfel_map: SurfelMap, keyframes: int) -> Iterator[tuple[int, int
 def load_map(path: StrPath) -> SurfelMap:
     """Read a whole map.
 
-    Raises:
-        MapError: the file cannot be read, is not a map, of a later version, truncated, damaged, or has values that no
-            surfel or keyframe has.
+    Raises MapError if the file cannot be read, is not a map, of a later version, truncated, damaged, or has values that
+    no surfel or keyframe has.
     """
     path = Path(path)
     data = read_bytes(path, _FILE, MapError)

@@ -131,14 +131,10 @@ class SurfelMap:
     Results do not depend on `settings.threads`, to the last bit. Not thread-safe.
 
     Args:
-        settings: settings, or None for the defaults.
         store: store of the keyframes; without one, surfels do not move.
         keeps_unstable: whether unstable surfels never expire, as when keyframes alone are fused.
 
     Attributes:
-        settings: settings of the map.
-        stamp_s: stamp of the last frame.
-        frames: number of fused frames.
         blocks: storage of the surfels; only the map changes it.
     """
 
@@ -173,7 +169,6 @@ class SurfelMap:
         """Fuse a frame of an ideal pinhole camera into the map.
 
         Args:
-            surface: depth, normals, grey and colour of the frame.
             intrinsics: (4,) fx, fy, cx, cy.
             T_map_camera: (4, 4) pose of the frame. A frame whose tracking failed has none, and cannot be fused.
             stamp_s: stamp, not before that of the last frame.
@@ -181,9 +176,8 @@ class SurfelMap:
             frames: weight, as a number of frames, with similar ones that were skipped.
             keyframe: keyframe that new surfels are attached to.
 
-        Raises:
-            MapError: shapes differ, depth is not in metres, the pose is not a rigid motion, the stamp is before the
-                last one, or the keyframe is unknown.
+        Raises MapError if shapes differ, depth is not in metres, the pose is not a rigid motion, the stamp is before
+        the last one, or the keyframe is unknown.
         """
         noise = noise or DepthNoise()
         depth_m, normal, grey, color = checked_frame(surface, noise.far_m)
@@ -491,7 +485,6 @@ class FusedFrame:
 
     Attributes:
         matched: number of surfels that pixels were averaged into.
-        added: number of new surfels.
         removed: number of surfels in free space, expired before they became stable, or outside their block.
         merged: number of duplicates merged into another surfel.
         dropped: number removed or not added for lack of memory.
@@ -509,11 +502,8 @@ class MapStatus:
     """Counts of a map.
 
     Attributes:
-        surfels: all surfels.
-        stable: stable ones.
         active: those seen within the time window.
         dropped: number dropped so far for lack of memory.
-        memory_bytes: size of all arrays.
         resting: number of surfels on disk, far from the camera.
     """
 
@@ -613,10 +603,6 @@ def checked_frame(surface: FrameSurface, far_m: float) -> tuple[Float32Array, Fl
     """Return depth (h, w), normals (h, w, 3), grey (h, w), and colour (h, w, 3), which is (0, 0, 3) without any.
 
     Raises MapError if the shapes differ or the depth is not in metres. Pixels with NaN depth add nothing.
-
-    Args:
-        surface: the frame.
-        far_m: range of the camera.
     """
     given = {name: _array(name, getattr(surface, name)) for name in ("depth_m", "normal", "grey")}
     depth_m = given["depth_m"]

@@ -44,7 +44,6 @@ class Behaviour(Protocol):
         """Return the command of a period; None once it is complete, or makes no more progress.
 
         Args:
-            now_s: current time, by the clock of the stamps.
             odom_pose: (3,) x, y, yaw in `odom`, or None if unknown.
         """
 
@@ -190,9 +189,6 @@ def when_lost(
     into the frame of a bed there.
 
     Args:
-        attempt: number of the attempt, from 0.
-        settings: of all behaviours.
-        status: of the localization.
         open_way: where to drive; None to stay.
         is_held: whether the collision monitor or the map stopped the last attempt.
         sees: whether the camera has depth.
@@ -229,10 +225,7 @@ def open_way(costmap: Costmap, outline: Outline, pose: FloatArray, margin_m: flo
     """Return the longest straight way, after the least turn; it does not check the turn itself.
 
     Args:
-        costmap: of the obstacles around the robot.
-        outline: of the robot.
         pose: (3,) x, y, yaw in the costmap's frame.
-        margin_m: least distance to obstacles.
     """
     field, no_people = checked(costmap.field), np.empty((0, 5))
     turns = 2 * np.pi / _DIRECTIONS * np.arange(-(_DIRECTIONS // 2), _DIRECTIONS // 2)
@@ -266,10 +259,7 @@ def keeps_clear(
     already may only move away.
 
     Args:
-        costmap: of the map around the robot.
-        outline: of the robot.
         pose: (3,) x, y, yaw in the map.
-        command: to check.
         minds_unknown: whether unknown floor counts as an obstacle.
     """
     is_obstacle = costmap.state == CellState.OCCUPIED

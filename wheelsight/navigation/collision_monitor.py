@@ -104,7 +104,6 @@ class MonitorResult:
 
     Attributes:
         command: the requested command, a slower one along the same arc, or a stop.
-        state: which of these.
         reason: why it is slower; None if it is free.
     """
 
@@ -116,11 +115,7 @@ class MonitorResult:
 class ControlChain:
     """Passes each requested command through a velocity ramp and the collision monitor.
 
-    Args:
-        settings: limits, footprint and monitor of the robot.
-
     Attributes:
-        monitor: decides on the final command.
         checked: the monitor's result for the last command.
         was_backward: whether the last command that the monitor stopped was backward.
     """
@@ -149,9 +144,6 @@ class ControlChain:
         """Compute the command of a period.
 
         Args:
-            asked: command that the navigator requests.
-            now_s: time of the period.
-            status: of the localization.
             stands_by_itself: whether the robot has stopped by itself, and does not obey.
             silent: the part that does not answer; with one the command is a stop.
         """
@@ -182,9 +174,6 @@ class CollisionMonitor:
 
     It knows no plans, maps and controllers. It checks the arcs that the robot drives until it stands against obstacles
     and unseen floor. It also stops the robot if any of its data are old or inconsistent.
-
-    Attributes:
-        memory: of the floor around the robot.
     """
 
     def __init__(
@@ -227,8 +216,6 @@ class CollisionMonitor:
         """Process the measured speeds of the base; each reading once, in order.
 
         Args:
-            stamp_s: time of the reading.
-            forward_m_s, turn_rad_s: speeds at that time.
             rolled: metres along the arc and radians since the last reading; None to integrate the speeds.
         """
         self._are_wheels_sound = bool(np.isfinite([stamp_s, forward_m_s, turn_rad_s, *(rolled or ())]).all())
@@ -260,14 +247,7 @@ class CollisionMonitor:
     def check(
         self, asked: VelocityCommand, now_s: float, status: Status, silent: MonitorReason | None = None
     ) -> MonitorResult:
-        """Return the command that may be driven. Call it once per period, even for a stop.
-
-        Args:
-            asked: command of a controller or behaviour.
-            now_s: current time, by the clock of the stamps.
-            status: of the localization.
-            silent: a part that does not answer; the robot stops.
-        """
+        """Return the command that may be driven. Call it once per period, even for a stop."""
         reason = silent or self._why_stand(asked, now_s, status)
         if reason is not None:
             result = MonitorResult(STOP, MonitorState.STOPPED, reason)
@@ -514,7 +494,6 @@ class UnseenFloor:
         never_m: (m, m) depth in metres into floor that was never seen nor driven over.
         is_old: (m, m) 1 where it was not seen lately.
         hidden_m: (m, m) depth in metres into floor that no camera has seen, not even the air over it.
-        first: i and j of the first cell.
     """
 
     never_m: Float32Array
@@ -670,7 +649,6 @@ class FloorMemory:
         Driving over unseen floor shows that there is floor, but not what is beside it: that keeps its depth.
 
         Args:
-            reach_m: distance from the axle.
             deep_m: depth in metres beyond which cells count.
         """
         if not self._readings:
@@ -743,11 +721,9 @@ class VelocityRamp:
 
         Args:
             forward_m_s: requested speed; a value that is not finite requests a stop of both.
-            turn_rad_s: requested turn rate.
             period_s: time since the last command, above 0.
 
-        Raises:
-            ArgumentError: the period is not a positive number.
+        Raises ArgumentError if the period is not a positive number.
         """
         if not (math.isfinite(period_s) and period_s > 0):
             raise ArgumentError(f"a period of {period_s} s", fix="give seconds since the last command, above 0")

@@ -69,8 +69,6 @@ class MotionState:
 
     Attributes:
         pose: (3,) x, y, yaw of `base` in the frame of the plan.
-        forward_m_s: measured forward speed.
-        turn_rad_s: measured turn rate.
     """
 
     pose: FloatArray
@@ -102,7 +100,6 @@ class ControlResult:
     """Command of a controller for one period.
 
     Attributes:
-        command: velocity command; a stop if there is a reason.
         reason: why the robot must stop; None while it drives.
         predicted: (T, 3) predicted poses; (0, 3) for a stop.
     """
@@ -136,9 +133,7 @@ class Controller(Protocol):
         within `follow.goal_m` and `goal_rad` of its end; `BLOCKED` waits; other reasons request another plan.
 
         Args:
-            state: current pose and velocity.
             plan: the same object until the plan changes.
-            field: costmap around the robot, in the frame of the plan.
             people: (P, 5) x, y, vx, vy, radius in that frame, with constant velocities.
         """
         ...
@@ -450,10 +445,7 @@ class Situation:
     """What a steering gets on a segment.
 
     Attributes:
-        state: current pose and velocity.
-        segment: the current segment.
         point: index of the segment's point at the robot.
-        field: costmap around the robot.
         people: (P, 5) as in `Controller.command`.
         margin_m: least distance to obstacles of any command.
     """
@@ -738,11 +730,9 @@ class OwnController:
     """Wraps a user's controller and checks its answers.
 
     Args:
-        part: the user's controller.
         goal_m, goal_rad: distance from the end of a plan that counts as arrived.
 
-    Raises:
-        PartError: in `command`, for an invalid answer.
+    Raises PartError in `command`, for an invalid answer.
     """
 
     def __init__(self, part: Controller, goal_m: float, goal_rad: float) -> None:

@@ -52,7 +52,6 @@ class StaticLayer:
     Attributes:
         state: (H, W) uint8 of `CellState`.
         speed_m_s: (H, W) float32 speed limits of zones, infinite elsewhere.
-        resolution_m: side of a cell.
         origin: x and y in `map` of the corner of cell (0, 0).
         is_assumed: (H, W) free floor that is unseen, but that a person said is free; None for none.
     """
@@ -138,12 +137,8 @@ class Costmap:
         cost: (H, W) float32 from 0, free, to 1, where the centre of rotation can never be. Between them it falls with
             the distance to obstacles.
         speed_m_s: (H, W) float32 speed limits of zones, infinite elsewhere.
-        resolution_m: side of a cell.
         origin: x and y in metres of the corner of cell (0, 0).
         frame: `map` or `odom`.
-        inscribed_m: inscribed radius of the footprint.
-        settings: of the costmap.
-        is_assumed: as in `StaticLayer`.
         dearness: (H, W) float32 factor of the cost of a metre; None for 1.
     """
 
@@ -177,14 +172,11 @@ class Costmap:
         """Return the costmap in `map` of a static layer and of live obstacles.
 
         Args:
-            static: of the map.
             footprint: its inscribed circle is where costs begin.
-            settings: None for the defaults.
             live: obstacles in addition to those of the map.
             T_map_live: (3,) x, y, yaw of their frame in `map`.
 
-        Raises:
-            ArgumentError: `T_map_live` is not finite.
+        Raises ArgumentError if `T_map_live` is not finite.
         """
         state = static.state
         if live is not None:
@@ -310,10 +302,8 @@ class LiveObstacles:
 
     Attributes:
         is_occupied: (N, N) row 0 has the least y.
-        resolution_m: side of a cell.
         origin: x and y in metres of the corner of cell (0, 0).
         frame: of its axes: `odom` or `map`.
-        stamp_s: of the newest image; None before the first.
         is_standing: (N, N) those that were seen first some time ago, and not cleared since.
     """
 
@@ -345,12 +335,8 @@ class FloorNow:
     """All that is known of the floor at one moment, as a value that any thread may use.
 
     Attributes:
-        layer: static layer of the map.
-        obstacles: of the live layer.
         T_map_odom: (3,) x, y, yaw of `odom` in `map`.
         hidden: (M, 3) x and y in the map of unseen floor near the robot, and how near the camera must look, metres.
-        footprint: of the robot.
-        settings: of costmaps.
     """
 
     layer: StaticLayer
@@ -406,8 +392,6 @@ class KnownFloor:
     """Floor of a fixed map, extended by the floor that the robot itself drives over.
 
     Args:
-        grid: of the map.
-        edits: edits of the map by people.
         T_map_keyframe: (K, 4, 4) poses of keyframes that edits are anchored to.
         driven: sections (K, 3) of x, y, yaw of an earlier drive, about straight between poses. Unknown floor under the
             outline there, and 5 cm beside it, is free.
@@ -472,19 +456,11 @@ class GrowingFloor:
     It is free where the robot stood, and within a radius of its start, because a person looked at it.
 
     Args:
-        localization: source of the keyframes.
-        calibration: of the robot.
-        footprint: of the robot.
         trusted_m: radius around the start of free floor that the camera cannot see from there.
-        settings: of occupancy; None for the defaults.
         holds: (N, 2) places that the layer must include, even unseen, such as a goal beyond all known floor.
         worker: computes the grid; None for at once. The caller closes it.
 
-    Attributes:
-        grid: grid of the camera alone.
-
-    Raises:
-        MapError: the calibration does not say where the camera sits on the base.
+    Raises MapError if the calibration does not say where the camera sits on the base.
     """
 
     is_fixed = has_keep_out = False

@@ -43,7 +43,6 @@ class _Viewpoint:
     """A viewpoint to drive to.
 
     Attributes:
-        view: (3,) x, y, yaw.
         gain: number of unseen cells that it showed when it was chosen.
     """
 
@@ -59,10 +58,7 @@ class Exploration:
     sees what is behind them.
 
     Args:
-        footprint: of the robot.
-        margin_m: least clearance of plans.
         near_m: distance from the axle to the nearest floor that its camera sees.
-        half_view_rad: half of its field of view.
     """
 
     def __init__(self, footprint: Footprint, margin_m: float, near_m: float, half_view_rad: float) -> None:
@@ -252,7 +248,6 @@ class ViewSector:
 
         Args:
             marked: (H, W) of `marks`.
-            resolution_m: side of a cell.
             cells: (P, 2) row and column; .5 is the centre of a cell.
 
         Returns:

@@ -76,9 +76,6 @@ class Navigator(OneCaller):
 
     Args:
         robot: the robot to drive; the caller opens and closes it.
-        localization: source of the pose.
-        floor: the known part of the building.
-        settings: all settings of navigation; None for the defaults.
         planning: worker that computes plans, in step (for simulators) or in a thread; None for in step. The caller
             closes it.
         planner, controller: replacements of the built-in ones; limits and collision monitor still apply.
@@ -86,12 +83,7 @@ class Navigator(OneCaller):
             person has looked. Otherwise a robot whose camera sees the floor farther away only does not move.
         on_transition: callback for each change of state.
 
-    Attributes:
-        state: current state.
-        monitor: the collision monitor, which decides on the final command.
-
-    Raises:
-        ArgumentError, MapError, CalibrationError: as `Senses`; ArgumentError also for a part without its method.
+    Raises ArgumentError, MapError, CalibrationError as `Senses`; ArgumentError also for a part without its method.
     """
 
     def __init__(
@@ -523,29 +515,17 @@ class Navigator(OneCaller):
 class NavigationTask:
     """Goals, plan, recovery attempts and timers of one task.
 
-    Args:
-        goals: goals of the task.
-        now_s: start time.
-
     Attributes:
-        plan: the plan that is driven; None until there is one for the next goal.
         planned_s, checked_s: when the plan was made, and when it was last checked against the surroundings.
         T_map_odom: (3,) x, y, yaw of `odom` in `map` at the request of the plan.
         replan_reason: why another plan was requested while this one is driven.
         wants_replan: whether another plan is still to be requested.
-        goal_change: why the last goal reached differs from the requested one.
         beside: the same for the first goal where the robot stopped outside the tolerance; empty without any.
         behaviour: current recovery behaviour; None without any.
-        is_lost: whether the behaviour searches for the robot's pose.
         awaits_way: whether the behaviour waits for a blocked path to become free.
         is_refused: whether the map forbids the behaviour's command, because an obstacle is too near.
-        tries: recovery attempts since the last progress.
         passes_hidden: whether plans may cross unseen floor, as no other path was found since the last progress.
-        skips: goals skipped since the last plan or recovery.
-        searches: searches for the pose since it was last known.
-        known_s: when the pose was last known.
         why_first: reason of the first failed plan since the last plan or progress; empty without any.
-        transitions: all changes of state.
     """
 
     def __init__(self, goals: Goals, now_s: float) -> None:

@@ -228,9 +228,7 @@ class Drivable:
     """A costmap and a footprint in the form of the kernels, with the cost of driving.
 
     Attributes:
-        costmap, footprint: as given.
         margins_m: (K,) of the outlines, from the wanted one to the least.
-        cells, shape, rules: values for kernels.
     """
 
     costmap: Costmap

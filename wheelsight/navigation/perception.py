@@ -51,7 +51,6 @@ class DepthView:
     """A depth frame in the form that the collision monitor uses.
 
     Attributes:
-        stamp_s: time of the frame.
         points: (N, 2) in `base` of obstacles between floor and the robot's height, and of edges where the floor ends.
         camera: x and y of the camera in `base`.
         first_rad: bearing in `base` of the right end of the view.
@@ -85,10 +84,7 @@ class DepthView:
         Args:
             stamp_s: time of the frame.
             points: (N, 2) in `base`.
-            camera: x and y in `base`.
-            half_angle_rad: half of the field of view.
             reach_m: distances of the nearest and farthest visible floor.
-            columns: number of columns.
         """
         points = np.asarray(points, float).reshape(-1, 2)
         step_rad = 2 * half_angle_rad / columns
@@ -133,18 +129,15 @@ class DepthViewer:
     """Extracts from depth images the obstacles, the ends of the floor, and how far the floor is visible.
 
     Args:
-        calibration: of the robot: its depth camera, and the mount of it over the floor.
         footprint: of the robot; points within it are the robot itself.
-        settings: limits between floor and obstacles; None for the defaults.
 
     Attributes:
         near_m: distance from the axle to the nearest floor that is visible at all bearings.
         half_rad: half of the field of view that all rows share.
         camera: x and y of the camera in `base`.
 
-    Raises:
-        CalibrationError: there is no camera.
-        MapError: the mount of the camera is unknown, or the camera sees no floor.
+    Raises CalibrationError if there is no camera, and MapError if the mount of the camera is unknown, or the camera
+    sees no floor.
     """
 
     def __init__(
@@ -174,8 +167,7 @@ class DepthViewer:
     def view(self, depth_m: ArrayLike, stamp_s: float) -> DepthView:
         """Return the view of a depth image (H, W) in metres; pixels that are 0 or not finite have no depth.
 
-        Raises:
-            ArgumentError: the image has another size.
+        Raises ArgumentError if the image has another size.
         """
         depth = checked_depth(depth_m, self._camera)
         far_m = self._heights.far_m
@@ -264,15 +256,7 @@ class LiveLayer:
     all its occupied layers. Outside the view it stays until the robot is half the layer's size away. An obstacle that
     was seen only briefly is removed sooner, as it may be a person. The robot's own place is free.
 
-    Args:
-        calibration: of the robot: its depth camera, and the mount of it over the floor.
-        footprint: of the robot.
-        settings: limits between floor and obstacles; None for the defaults.
-        frame: frame of the poses.
-
-    Raises:
-        CalibrationError: there is no camera.
-        MapError: the mount of the camera is unknown.
+    Raises CalibrationError if there is no camera, and MapError if the mount of the camera is unknown.
     """
 
     def __init__(
@@ -309,10 +293,8 @@ class LiveLayer:
         Args:
             depth_m: (H, W) metres; values that are not finite and over 0 have no depth.
             pose: (3,) x, y, yaw of `base` in the layer's frame at that time.
-            stamp_s: time of the image.
 
-        Raises:
-            ArgumentError: the image has another size, or pose or stamp is not finite. The layer stays as it is.
+        Raises ArgumentError if the image has another size, or pose or stamp is not finite. The layer stays as it is.
         """
         depth, at = checked_depth(depth_m, self._camera), np.asarray(pose, float)
         if at.shape != (3,) or not np.isfinite(at).all() or not math.isfinite(stamp_s):
@@ -354,9 +336,7 @@ class LiveLayer:
         """Remove such obstacles within a camera's view only. Real ones return with the next image.
 
         Args:
-            stood_s: as in `clear`.
             eye: (3,) x, y and heading of the camera in the layer's frame.
-            half_view_rad: half of its field of view.
         """
         x, y, yaw = map(float, np.asarray(eye, float))
         rows, columns = np.indices(self._left.shape[:2])
@@ -378,7 +358,6 @@ class LiveLayer:
 
         Args:
             eye: (3,) x, y and heading of the camera in the layer's frame.
-            half_view_rad: half of its field of view.
             near_m: distance of the nearest visible floor; nearer obstacles may be below the view.
         """
         x, y, yaw = map(float, np.asarray(eye, float))
@@ -475,7 +454,6 @@ class Person:
         position: (2,) metres.
         velocity: (2,) metres per second.
         covariance: (4, 4) of both.
-        radius_m: radius of a circle that encloses the person.
     """
 
     position: FloatArray
@@ -495,9 +473,6 @@ class PeopleTracker:
     """Tracks people in `odom` by nearest neighbours and a Kalman filter each.
 
     `odom` never jumps. Objects that stand are no people; they stay in the live layer.
-
-    Args:
-        far_m: range of the camera.
     """
 
     def __init__(self, far_m: float = 4.5) -> None:
@@ -513,7 +488,6 @@ class PeopleTracker:
         """Update the tracks with a frame.
 
         Args:
-            view: of the frame.
             pose: (3,) x, y, yaw of the base in `odom` at its time.
             is_on_floor: (N,) whether each point lies on free floor of the map, away from obstacles.
         """
@@ -593,9 +567,7 @@ def detections_in(view: DepthView, is_on_floor: BoolArray, far_m: float) -> list
     """Return the objects in a view that may be people.
 
     Args:
-        view: of the frame.
         is_on_floor: (N,) whether each point lies on free floor of the map.
-        far_m: range of the camera.
     """
     if not is_on_floor.any():
         return []
@@ -658,15 +630,8 @@ class PersonTrack:
 
     From Bar-Shalom, Li, Kirubarajan: Estimation, 6.2.2.
 
-    Args:
-        stamp_s: time of the first observation.
-        position: (2,) its place, metres.
-        covariance: (2, 2) of the place.
-
     Attributes:
-        stamp_s: time of the state.
         state: (4,) x, y, vx, vy.
-        covariance: (4, 4).
     """
 
     def __init__(self, stamp_s: float, position: FloatArray, covariance: FloatArray) -> None:

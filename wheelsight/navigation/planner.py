@@ -50,8 +50,6 @@ class Planner:
     places take long.
 
     Args:
-        footprint: of the robot.
-        settings: None for the defaults.
         limits: of the robot; a limit of zero excludes the motion from plans.
     """
 
@@ -82,7 +80,6 @@ class Planner:
         """Return a path from a start to a goal, or why there is none; it raises nothing for any start and goal.
 
         Args:
-            costmap: in the frame of start and goal.
             start: (3,) x, y, yaw of `base`.
             goal: the same, or (2,) for any heading.
         """
@@ -334,12 +331,7 @@ class PlanReason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PlanFailure:
-    """A failure to plan: the robot must stop.
-
-    Attributes:
-        reason: why there is no plan.
-        detail: the same in words, with figures.
-    """
+    """A failure to plan: the robot must stop."""
 
     reason: PlanReason
     detail: str
@@ -357,7 +349,6 @@ class Plan:
         poses: (N, 3) x, y, yaw of `base`, dense: between two of them no point of the robot moves farther than twice the
             least margin. A turn in place keeps x and y.
         directions: (N,) 1 if a pose is reached forward, -1 if backward; a turn in place keeps the one before.
-        length_m: length of the path of the centre of rotation.
         least_clearance_m: of the footprint over all poses, at most 0.5 m; 0 if the start is too near to an obstacle.
         goal: (3,) end of the path.
         goal_change: why the end differs from the requested goal; empty if it does not.
@@ -392,8 +383,7 @@ class Plan:
             yaw: heading at the end, radians; None for the direction of the last part.
             frame: of the places and of the costmap.
 
-        Raises:
-            ArgumentError: other shapes, or numbers that are not finite.
+        Raises ArgumentError for other shapes, or numbers that are not finite.
         """
         xy = np.asarray(places, float)
         if xy.ndim != 2 or xy.shape[1] != 2 or not np.isfinite(xy).all():
@@ -558,9 +548,7 @@ def way_out(
     `_NEARER_M`. At a clear start it is that pose alone.
 
     Args:
-        drivable, outline: costmap and footprint.
         start: (3,) x, y, yaw.
-        settings: of the planner.
         is_wide: whether clear means the wanted margin instead of the least one.
     """
     pose, most = np.array([[*start, 1.0]]), 0.0 if is_wide else 1.0
@@ -616,11 +604,9 @@ def goal_near(
     grid, with three headings to each side.
 
     Args:
-        drivable: costmap and footprint.
         goal: (3,) x, y, yaw; a yaw of NaN is any heading.
         labels: (H, W) of `components`.
         label: of the component where the robot is.
-        settings: of the planner.
     """
     costmap = drivable.costmap
     row, column = costmap.cells_at(goal[:2]).tolist()
@@ -700,8 +686,7 @@ def cost_to_go(metre_cost: Float32Array, resolution_m: float, goal: tuple[int, i
         resolution_m: side of a cell.
         goal: row and column.
 
-    Raises:
-        ArgumentError: the goal is outside, or a cost is below 1 or NaN.
+    Raises ArgumentError if the goal is outside, or a cost is below 1 or NaN.
     """
     if metre_cost.ndim != 2 or not all(0 <= at < size for at, size in zip(goal, metre_cost.shape, strict=True)):
         raise ArgumentError(f"cell {goal} of {metre_cost.shape}", fix="give row and column of a cell")

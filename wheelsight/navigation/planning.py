@@ -67,10 +67,7 @@ class Planning:
     """Computes the plans of one robot in a worker.
 
     Args:
-        senses: sensor data of the robot.
-        footprint, settings: of the robot.
         worker: computes the plans; None for in step, with the duration that the settings give. The caller closes it.
-        own: a user's planner, in place of the built-in one.
     """
 
     def __init__(
@@ -143,9 +140,7 @@ class Planning:
         """Check the next metres of a plan. A blocked place is recorded, so that later plans avoid it if they can.
 
         Args:
-            plan: the plan that is driven.
             T_map_odom: (3,) x, y, yaw of `odom` in `map` at its request.
-            now_s: time of the check.
         """
         where = self._senses.where
         assert where.odom_pose is not None
@@ -190,9 +185,6 @@ class Planning:
         In a growing map it may help, and obstacles besides those of the map may leave.
 
         Args:
-            found: the plan or failure.
-            costmap: in which it was searched.
-            floor: the map and everything besides it.
             pose, goal: (3,) in the map.
         """
         if isinstance(found, Plan) or found.reason.is_for_good or not self._senses.floor.is_fixed:
@@ -232,13 +224,7 @@ class Planning:
 
 
 class CautiousPlanner:
-    """Plans paths that cross only floor that the robot's camera sees before, if there are any.
-
-    Args:
-        footprint, settings: of the robot.
-        view: predicts what the camera sees along a path.
-        own: a user's planner, in place of the built-in one.
-    """
+    """Plans paths that cross only floor that the robot's camera sees before, if there are any."""
 
     def __init__(
         self, footprint: Footprint, settings: NavigationSettings, view: PlanView, own: PathPlanner | None = None
@@ -257,10 +243,8 @@ class CautiousPlanner:
         """Return a plan from a pose (3,) through goals, or the failure.
 
         Args:
-            costmap: of all standing obstacles.
             avoiding: returns the same costmap with more obstacles at (N, 2).
             hidden: (M, 3) unseen floor as in `FloorNow`; empty if it does not matter.
-            pose, goals: as `RoutePlanner.plan`.
 
         Returns:
             It, and whether it crosses floor near the robot that no camera will have seen by then, as none avoids it.
@@ -293,12 +277,7 @@ class CautiousPlanner:
 
 
 class RoutePlanner:
-    """Computes one plan through several poses, and checks whether the rest of it is free.
-
-    Args:
-        footprint, settings: of the robot.
-        own: a user's planner, in place of the built-in one.
-    """
+    """Computes one plan through several poses, and checks whether the rest of it is free."""
 
     def __init__(self, footprint: Footprint, settings: NavigationSettings, own: PathPlanner | None = None) -> None:
         self._footprint, self._settings = footprint, settings
@@ -440,10 +419,6 @@ class PlanView:
     """Tests whether the camera sees the floor along a plan before the robot drives over it.
 
     Unseen floor beside a robot blocks a turn into it, but not a path that comes round and faces it.
-
-    Args:
-        footprint: of the robot.
-        eye: its camera.
     """
 
     def __init__(self, footprint: Footprint, eye: Eye) -> None:
@@ -511,10 +486,8 @@ class PoseGoals:
 
     Args:
         goals: each (3,) x, y, yaw in the map, or (2,) for any heading.
-        name: in words.
 
-    Raises:
-        ArgumentError: there is no goal, or one is not finite.
+    Raises ArgumentError if there is no goal, or one is not finite.
     """
 
     def __init__(self, goals: Sequence[ArrayLike], name: str = "") -> None:
@@ -558,10 +531,8 @@ class RecordedPath:
 
     Args:
         way: (N, 3) x, y, yaw in the map.
-        name: in words.
 
-    Raises:
-        ArgumentError: there are no poses, or one is not finite.
+    Raises ArgumentError if there are no poses, or one is not finite.
     """
 
     def __init__(self, way: ArrayLike, name: str = "a recorded way") -> None:

@@ -79,18 +79,12 @@ class Senses:
 
     Args:
         calibration: of the robot; with wheels and a mounted depth camera.
-        localization: source of the pose.
-        floor: the known part of the building.
-        monitor: gets all sensor data.
-        footprint, settings: of the robot.
 
     Attributes:
-        where: pose of the robot.
         avoids_hidden: whether unseen floor beside the robot counts as an obstacle. False if no path exists otherwise,
             as at a bend of a narrow corridor.
 
-    Raises:
-        ArgumentError, MapError, CalibrationError: there are no wheels, no camera, or no mount of the camera.
+    Raises ArgumentError, MapError, CalibrationError if there are no wheels, no camera, or no mount of the camera.
     """
 
     def __init__(
@@ -367,7 +361,6 @@ class WheelSpeed:
     """Velocity of the base by its encoders.
 
     Attributes:
-        stamp_s: time of the reading.
         forward_m_s, turn_rad_s: means over a short time until then.
         rolled: metres along the arc and radians since the reading before. Integrated means of speeds would lag behind
             by half of their window.
@@ -385,7 +378,6 @@ class WhereNow:
     Wheels carry it for a limited time and way; `is_silent` becomes true if the localization does not answer by then.
 
     Args:
-        wheels: wheels of the calibration.
         unproven_m: way on which a start pose from the user is valid although nothing is recognized.
     """
 
@@ -450,7 +442,6 @@ class WhereNow:
         """Process an estimate.
 
         Args:
-            estimate: of the localization.
             recognised: number of recognitions of an earlier map; None if there is no recognition.
         """
         self._answer = estimate
@@ -605,7 +596,6 @@ class HeldPlace:
         T_map_base: (3, 3) pose of the base.
         T_wheels: (3, 3) the wheels' own pose at the same time, in a frame of its own.
         sigma_m: standard deviation along the larger horizontal axis, by the localization.
-        stamp_s: time of the pose.
     """
 
     T_map_base: FloatArray

@@ -282,8 +282,7 @@ class Footprint:
     def of(cls, corners: ArrayLike) -> Footprint:
         """Return the footprint with corners (N, 2) of a convex outline, in either order.
 
-        Raises:
-            ArgumentError: fewer than three corners, not finite, not convex, or without the centre of rotation.
+        Raises ArgumentError for fewer than three corners, and if they are not finite or convex, or leave out the axle.
         """
         points = np.asarray(corners, float)
         if points.ndim != 2 or points.shape[1:] != (2,) or len(points) < 3 or not np.isfinite(points).all():

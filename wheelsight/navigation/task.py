@@ -41,13 +41,7 @@ class NavigationReason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """A change of state.
-
-    Attributes:
-        stamp_s: time of the change.
-        before, after: the states.
-        why: reason in words.
-    """
+    """A change of state."""
 
     stamp_s: float
     before: NavigationState
@@ -70,17 +64,12 @@ class Feedback:
     """State and progress of a task after a step.
 
     Attributes:
-        stamp_s: time of the step.
-        state: state of the navigator.
-        status: status of the localization.
         pose: (3,) x, y, yaw of the base in the map; None if unknown.
         forward_m_s, turn_rad_s: velocity by the wheels.
         goal: (3,) current goal; None without a plan.
         to_go_m: distance left along the plan; None without one.
-        plan: current plan, or None.
         predicted: (T, 3) poses that the controller predicts.
         monitor: result of the collision monitor for the last command.
-        doing: current activity in words.
         goals_left: number of goals left, including this one.
         robot_stop: why the robot stopped by itself; empty if it did not.
         stays_at: (2,) in the map of an obstacle that may be gone, but has no depth behind it to clear it; None without
@@ -124,14 +113,10 @@ class NavigationResult:
     Attributes:
         has_arrived: whether all goals were reached, within `follow.goal_m` and `goal_rad`.
         reason: why the task ended otherwise; None on arrival.
-        detail: the same in words.
         goal_change: why the end of the last plan differs from the requested goal; empty if it does not.
-        transitions: all changes of state, in order.
         time_s: duration, by the clock of the stamps.
         way_m: distance driven, by the wheels.
         planned_m: length of the first plan; 0 without one.
-        plans: number of plans.
-        recoveries: number of recovery behaviours.
     """
 
     has_arrived: bool

@@ -56,8 +56,7 @@ class Describer(Protocol):
 def size_of(frame: RgbdFrame) -> FrameSize:
     """Return height and width of the colour image, then of the depth image.
 
-    Raises:
-        PlaceError: the images' shape or type is not as RgbdFrame requires.
+    Raises PlaceError if the images' shape or type is not as RgbdFrame requires.
     """
     color, depth_m = frame.color, frame.depth_m
     if color.ndim != 3 or color.shape[2] != 3 or color.dtype != np.uint8 or not color.size:
@@ -90,8 +89,7 @@ def _frame_error(frame: RgbdFrame, problem: str, fix: str) -> PlaceError:
 def describer_from(settings: Mapping[str, Any]) -> Describer:
     """Return the describer with these `settings`.
 
-    Raises:
-        PlaceError: the kind is unknown, or a setting is unknown or impossible.
+    Raises PlaceError if the kind is unknown, or a setting is unknown or impossible.
     """
     others = {name: value for name, value in settings.items() if name != "kind"}
     whose, fix = "description settings: ", "train the model again"

@@ -69,12 +69,9 @@ class Forest:
         roots: (T,) index of each tree's root.
         left, right: (M,) index of the child for a feature up to the threshold, and above it; -1 in leaves.
         feature: (M,) index of the feature that is compared.
-        threshold: (M,) threshold.
         share: (M, A) share of each area among the training frames that reached the node.
-        size: number of features D.
 
-    Raises:
-        PlaceError: the arrays are not trees.
+    Raises PlaceError if the arrays are not trees.
     """
 
     roots: Int32Array
@@ -114,8 +111,7 @@ def grow_forest(
     over √D features drawn at each node. The out-of-bag accuracy uses, for each frame, the trees trained without it;
     frames in all trees are left out. Similar neighbouring frames make it too optimistic; held-out blocks do not.
 
-    Raises:
-        ConfigError: scikit-learn is not installed.
+    Raises ConfigError if scikit-learn is not installed.
     """
     grown = needed("sklearn.ensemble").RandomForestClassifier(
         settings.trees,
@@ -211,7 +207,6 @@ def fit_scale(probabilities: FloatArray, labels: IntArray) -> ProbabilityScale:
     """Return the scale with the least log loss on probabilities (N, A) of frames not used in training.
 
     Args:
-        probabilities: output of the forest.
         labels: (N,) indices of the true areas.
     """
     from scipy.optimize import minimize
@@ -375,14 +370,10 @@ class PlaceModel:
     """A forest with its describer, calibration and evaluation.
 
     Attributes:
-        forest: the trees.
         area_names: (A,) in the order of the probabilities.
-        describer: turns frames into the forest's features.
         scale: calibration of the forest's probabilities.
         least_confidence: areas with a lower probability are not named.
         area_shares: (A,) of the training frames: the prior probabilities.
-        settings: settings of the training.
-        figures: results on held-out blocks.
         frame_size: required height and width of colour, then of depth; None: any.
     """
 
@@ -399,8 +390,7 @@ class PlaceModel:
     def predict(self, frame: RgbdFrame) -> PlaceMatch:
         """Return the area of a frame.
 
-        Raises:
-            PlaceError: images of another size or type than in training.
+        Raises PlaceError for images of another size or type than in training.
         """
         size = size_of(frame)
         if self.frame_size is not None and size != self.frame_size:
@@ -451,10 +441,8 @@ class PlaceModel:
     def load(cls, path: StrPath, areas: AreaMap | Sequence[str] | None = None) -> PlaceModel:
         """Read a model written by `save`, and check it against `areas`, if given.
 
-        Raises:
-            PlaceError: the file is missing, not a model, has other contents than plain values and arrays (rejected
-                before they are created), is of another version, or has other areas.
-            ConfigError: skops is not installed.
+        Raises PlaceError if the file is missing, not a model, has other contents than plain values and arrays (rejected
+        before they are created), is of another version, or has other areas, and ConfigError if skops is not installed.
         """
         path, skops_io = Path(path), needed("skops.io")
         data = read_bytes(path, _FILE, PlaceError)

@@ -162,14 +162,12 @@ class Recognizer:
         """Read a file written by `save`.
 
         Args:
-            path: the file.
             on_disk: the function given to `save`.
             settings: required settings; None: any.
             most_keyframes: largest number of keyframes, as many as its map has; None: as many as fit in 1 GB.
 
-        Raises:
-            MapError: the file or the descriptors `on_disk` do not match, it has other settings, or its arrays are
-                larger than its keyframes need. Such a file is not unpacked.
+        Raises MapError if the file or the descriptors `on_disk` do not match, it has other settings, or its arrays are
+        larger than its keyframes need. Such a file is not unpacked.
         """
         path = Path(path)
         data = read_bytes(path, _FILE, MapError)
@@ -212,9 +210,8 @@ def _arrays_of(
 ) -> tuple[RecognitionSettings, dict[str, NDArray[Any]], bool]:
     """Return the settings of a file, its arrays, each no larger than its keyframes need, and whether it is old.
 
-    Raises:
-        MapError: it is of another format, of other settings, or larger than its keyframes need.
-        ValueError, KeyError: it is damaged.
+    Raises MapError if it is of another format, of other settings, or larger than its keyframes need, and ValueError,
+    KeyError if it is damaged.
     """
     written = file.read("format", _LONGEST_TEXT).tobytes().decode(errors="replace")
     if written not in (FORMAT, _FIRST_FORMAT):
@@ -268,7 +265,6 @@ class ViewMaker:
 
     Args:
         calibration: calibration of the cameras. Raises CalibrationError as `FeatureExtractor` does.
-        settings: settings of dense odometry, whose grid is used.
     """
 
     def __init__(self, calibration: Calibration, settings: DenseSettings | None = None) -> None:

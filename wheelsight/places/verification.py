@@ -99,7 +99,6 @@ class VerifiedPlace:
     """A view that shows the place of a keyframe.
 
     Attributes:
-        keyframe: the keyframe.
         T_keyframe_camera: (4, 4) pose of the view.
         covariance: (6, 6) of the left perturbation (v, ω) of `T_keyframe_camera`.
         shared: (6, 6) part of it that is the view's own error, common to all keyframes.
@@ -129,8 +128,6 @@ class RefusedPlace:
     """A refused candidate.
 
     Attributes:
-        keyframe: the candidate.
-        reason: reason of the refusal.
         matches, inliers: as in `VerifiedPlace`, as far as computed.
     """
 
@@ -142,11 +139,6 @@ class RefusedPlace:
 
 class PlaceVerifier:
     """Compares a view with candidates one by one: keypoints, then surfaces, then free space.
-
-    Args:
-        calibration: calibration of the camera of both.
-        settings: settings, or None for the defaults.
-        views: makes views of that camera.
 
     Attributes:
         refusals: number of refusals by reason.

@@ -35,8 +35,6 @@ class OdometryKeyframe:
     """A keyframe with its odometry.
 
     Attributes:
-        number: index in the store; consecutive, from 0.
-        stamp_s: stamp of its frame, seconds.
         T_odom_keyframe: (4, 4).
         covariance: (6, 6) of the left perturbation (v, ω) of T_odom_keyframe; it grows along the way.
         begins: whether it begins a piece with an unknown pose in the map.
@@ -65,8 +63,6 @@ class Revisit:
     """A revisit: odometry tracks an earlier keyframe again, so no new one is made.
 
     Attributes:
-        number: index of the keyframe.
-        stamp_s: stamp of the frame, seconds.
         T_odom_keyframe: (4, 4) pose of the keyframe by that frame.
         covariance: (6, 6) of the left perturbation (v, ω) of the frame's pose in odom.
         of_motion: (6, 6) of the left perturbation of the frame's motion relative to the keyframe.
@@ -100,12 +96,9 @@ class KeyframePlace:
     """Pose of a keyframe in the map, with covariance.
 
     Attributes:
-        number: index of the keyframe.
         T_odom_keyframe: (4, 4) odometry pose, as it was added.
         covariance_odom: (6, 6) of the left perturbation (v, ω) of T_odom_keyframe, as it was added.
-        T_map_keyframe: (4, 4).
         covariance: (6, 6) of the left perturbation (v, ω) of T_map_keyframe.
-        newest: newest keyframe at that time.
     """
 
     number: KeyframeId

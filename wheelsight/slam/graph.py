@@ -27,7 +27,6 @@ class RelativePose:
     """An edge: the measured pose of one keyframe relative to another.
 
     Attributes:
-        first, second: the keyframes.
         T_first_second: (4, 4), as measured.
         covariance: (6, 6) of its left perturbation (v, ω), positive definite.
         is_loop: whether it may be an outlier, so that a Cauchy kernel limits its weight.
@@ -51,7 +50,6 @@ class Prior:
     """A prior on the pose of a keyframe in the map.
 
     Attributes:
-        keyframe: index of the keyframe.
         T_map_keyframe: (4, 4).
         covariance: (6, 6) of its left perturbation (v, ω), positive definite.
     """
@@ -218,7 +216,6 @@ def step_edge(
     """Return the edge between successive keyframes, from poses (4, 4) with covariances (6, 6) that grow along the way.
 
     Args:
-        ends: the two keyframes.
         before, now: odometry pose and covariance of the first and the second keyframe.
     """
     T_step, _ = motions.between(*before, *now)

@@ -52,15 +52,12 @@ class ClosedLoops:
         stamps_s: (N,) stamps of this drive's keyframes, seconds.
         T_odom_keyframe: (N, 4, 4) poses from odometry alone.
         T_map_keyframe: (M, 4, 4) final poses of all keyframes. The last N belong to this drive.
-        edges: edges of the graph.
-        loops: the decision on each loop.
         refused: number of candidates that failed verification, by reason.
         unseen: number of keyframes that were not compared, for lack of time.
         pieces: number of pieces with unknown relative pose; 1 if all are joined.
         is_in_map: (N,) whether the pose of each keyframe in the map is known.
         begins: (N,) whether a keyframe begins a piece, so that odometry does not link it to the previous one.
         processing_s: (N,) processing time of each keyframe in the thread, seconds.
-        revisits: revisits of this drive's keyframes by odometry, in order of time.
     """
 
     stamps_s: FloatArray
@@ -97,9 +94,7 @@ class KeyframeResult:
     """The thread's result for one keyframe.
 
     Attributes:
-        update: poses of all keyframes, if loops moved any.
         place: pose of the keyframe in the map with its covariance; None while its piece is not joined to the map.
-        ties: loops of the keyframe that the graph keeps.
     """
 
     update: PoseUpdate | None
@@ -115,9 +110,6 @@ class LiveLoops:
 
     Args:
         store: the keyframes. Poses are never changed here; `due` stores which keyframes loops link.
-        calibration: calibration of the camera.
-        settings: loop settings, or None for the defaults.
-        recognition: recognition settings, or None for the defaults.
         known: map of an earlier drive. The store contains its keyframes.
         waits: whether `due` blocks until a due result is ready, so that a recording gives reproducible poses. A driving
             robot does not wait and takes the finished results.
@@ -274,10 +266,8 @@ class Correction:
     """A trajectory corrected by matches.
 
     Attributes:
-        corrected: final trajectory in the map frame, without covariances.
         rows: (K,) trajectory rows of this drive's keyframes.
         T_map_keyframe: (M, 4, 4) body poses at all keyframes. The last K belong to this drive.
-        loops: the decision on each match.
         unused: number of matches that did not reach the gate, by reason.
     """
 
@@ -301,13 +291,10 @@ def correct(
     interpolated for the poses between them.
 
     Args:
-        odometry: odometry trajectory, with covariances that grow along it.
-        matches: matches to check.
         stated: odometry noise stated by the recording, used instead of the trajectory's covariances.
         graph: empty graph to use; None for GTSAM's, or for the built-in solver without GTSAM.
 
-    Raises:
-        ArgumentError: the trajectory has no poses, or neither it nor the recording has covariances.
+    Raises ArgumentError if the trajectory has no poses, or neither it nor the recording has covariances.
     """
     C = _covariances(odometry, stated)
     placed, unused = _rows_of_matches(matches, odometry)

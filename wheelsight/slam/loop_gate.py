@@ -49,8 +49,6 @@ class LoopDecision:
     """A loop and the decision on it.
 
     Attributes:
-        loop: as offered.
-        is_kept: whether the graph uses it.
         chi2: its latest squared Mahalanobis distance; infinite if the graph cannot compute the covariance.
         limit: largest chi2 that passes the gate.
         cluster: number of its cluster of consistent loops as of the last review; -1 before one.
@@ -75,7 +73,6 @@ class LoopReport:
     """All loops and the decisions on them.
 
     Attributes:
-        decisions: in the order in which they were offered.
         reviews: number of reviews of all loops.
         overturned: number of reviews in which another hypothesis replaced the current one.
     """
@@ -327,10 +324,8 @@ def clusters_of(loops: Sequence[RelativePose], T: FloatArray, nearby: int, proba
     A cluster links neighbouring loops that agree on the relative pose of their two stretches of keyframes.
 
     Args:
-        loops: loops between keyframes.
         T: (N, 4, 4) keyframe poses. Only those of neighbours are compared, which odometry knows well.
         nearby: largest distance of neighbours at either end, in keyframes.
-        probability: probability that two true loops agree.
     """
     first, second = (np.array([getattr(loop, end) for loop in loops], np.int64) for end in ("first", "second"))
     order = np.argsort(first, kind="stable")

@@ -47,7 +47,6 @@ class LoopDetector(Protocol):
         An exception ends the run by a `PartError`, and so does the number of a keyframe not passed in before.
 
         Args:
-            number: permanent number of the keyframe.
             keyframe: its images `grey` and `depth_m`, keypoints and stamp.
         """
         ...
@@ -59,15 +58,9 @@ class PlaceWatcher:
     It uses one thread, since odometry needs the others.
 
     Args:
-        store: the keyframes, with keypoints.
-        calibration: calibration of their camera.
         apart_s: least time between the two keyframes of a loop, seconds.
-        recognition: recognition settings, or None for the defaults.
         recognizer: recognizer with the keyframes of an earlier drive; None for a new one.
         detector: source of candidates in place of the recognizer, which still learns all keyframes for the next drive.
-
-    Attributes:
-        recognizer: recognizer with all keyframes seen.
     """
 
     def __init__(
@@ -202,7 +195,6 @@ class KnownMap:
 
     Attributes:
         store: the keyframes. Those of the new drive are added to it.
-        recognizer: recognizer with the keyframes.
         edges: edges between them; empty if the map is fixed.
         T_map_camera: (4, 4) given start pose of the camera; None: the start is to be recognized.
         covariance: (6, 6) of the left perturbation (v, ω) of T_map_camera.

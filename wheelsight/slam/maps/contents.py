@@ -38,10 +38,8 @@ class MapParts:
     """Keyframes of a new map, numbered from 0 without gaps, with poses and edges. Their records stay in the old maps.
 
     Attributes:
-        where: journal and record of each keyframe.
         places: pose of each keyframe when it was added.
         T_map_keyframe: (N, 4, 4) current poses.
-        edges: valid edges.
         camera_px: width and height of the camera.
     """
 
@@ -128,10 +126,8 @@ def transferred(folder: MapFolder, kept: IntArray, first: int = 0, *, is_same_fr
     """Return the annotations of a map for a new map made of its parts; see `MapEdits.transferred`. Raises MapError.
 
     Args:
-        folder: the annotated map.
         kept: kept rows of the new map's parts, in ascending order.
         first: row of the folder's first keyframe in these parts.
-        is_same_frame: whether the new map has the folder's frame.
     """
     there = np.flatnonzero(are_there(folder))
     numbers = np.full(len(folder.store), -1)
@@ -165,9 +161,6 @@ def write_parts(
     """Write parts into an empty map.
 
     Args:
-        parts: what to write.
-        new: see `map_being_made`.
-        made: recognizer, surfels and annotations of the keyframes.
         on_keyframe: called with the current task, the number of finished keyframes, and their total.
 
     Raises MapError if a keyframe cannot be read, and OutputError.
@@ -241,14 +234,11 @@ def occupancy_of(
     Only the largest piece connected by certain edges is used, since the relative poses of the others are unknown.
 
     Args:
-        folder: an open map.
-        settings: occupancy settings, or None for the map's.
         on_keyframe: called with the number of keyframes read and their total, if any are read.
         mapper: mapper of these settings that already has some of the keyframes.
 
-    Raises:
-        MapError: the calibration has no camera mount, a keyframe or the edits cannot be read, or the grid would be too
-            large.
+    Raises MapError if the calibration has no camera mount, a keyframe or the edits cannot be read, or the grid would be
+    too large.
     """
     made = mapper or OccupancyMapper(folder.calibration, settings or folder.settings.occupancy)
     together = in_largest_piece(folder)
@@ -312,19 +302,15 @@ class MapInfo:
     """Figures of a map folder.
 
     Attributes:
-        header: header of the map.
         keyframes: number of readable keyframes.
         edges, loops: number of odometry edges and of loops between them.
-        parts: number of connected components.
         begin_s, end_s: stamps of the first and the last keyframe; None without any.
         length_m: path length from keyframe to keyframe, by current poses.
-        bytes: size of all files.
         keyframe_bytes: mean size of a keyframe, with its pose, edges and moves.
         surfel_bytes, recognition_bytes, occupancy_bytes: sizes of these files; None if missing.
         edits: number of zones and wiped obstacles; None if their file cannot be read.
         areas: names of areas, from the same file; likewise.
         places: names of poses; likewise.
-        health: damage found.
     """
 
     header: MapHeader

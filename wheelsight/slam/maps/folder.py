@@ -71,10 +71,6 @@ class MapFolder:
     Nothing is rewritten in place: each writer begins its own journals. Not thread-safe.
 
     Attributes:
-        path: the folder.
-        header: header of the map.
-        calibration: calibration of the robot that made it.
-        settings: settings for writing and reading.
         contents: contents of its journals at opening.
         store: its keyframes at opening.
     """
@@ -112,16 +108,11 @@ class MapFolder:
         """Begin a map in an empty or missing folder.
 
         Args:
-            path: the folder.
-            calibration: calibration of the robot, with a camera.
-            settings: settings, or None for the defaults.
-            source: name of the recording or live source.
             depth_factor: depth units per metre, if different from the recording format's.
             unfinished: what makes the map until `finish`, one of `journal.MAKERS`; "": it is always finished.
 
-        Raises:
-            OutputError: the folder is not empty, or cannot be made or written.
-            CalibrationError: there is no camera.
+        Raises OutputError if the folder is not empty, or cannot be made or written, and CalibrationError if there is no
+        camera.
         """
         settings, path = settings or SessionSettings(), Path(path)
         header = MapHeader.new(MapCamera.of(calibration, depth_factor), source, unfinished)
@@ -148,16 +139,12 @@ class MapFolder:
         """Read a map.
 
         Args:
-            path: the folder.
             read_only: whether appending is disabled.
-            settings: settings, or None for the defaults.
             is_incomplete_read: whether to accept the output of an interrupted rebuild, merge or prune.
 
-        Raises:
-            MapError: it is not a map, of a newer version, incomplete, damaged too much, or being written by another
-                run.
-            CalibrationError: its calibration is damaged.
-            OutputError: it is opened for writing and not writable.
+        Raises MapError if it is not a map, of a newer version, incomplete, damaged too much, or being written by
+        another run, CalibrationError if its calibration is damaged, and OutputError if it is opened for writing and not
+        writable.
         """
         path, settings = Path(path), settings or SessionSettings()
         header = read_header(path)
@@ -198,14 +185,11 @@ class MapFolder:
         """Write a keyframe, and return its journal and record. Of records with the same number, the last is valid.
 
         Args:
-            number: number of the keyframe in the map.
-            keyframe: its images, keypoints and stamp.
             T_map_keyframe: (4, 4) current pose.
             T_odom_keyframe: (4, 4) pose in odom, if known.
 
-        Raises:
-            OutputError: it cannot be written, or the map is read-only.
-            ArgumentError: a pose is not a rigid motion.
+        Raises OutputError if it cannot be written, or the map is read-only, and ArgumentError if a pose is not a rigid
+        motion.
         """
         for T in (T_map_keyframe, T_odom_keyframe):
             if T is not None and not se3.is_valid(T):
@@ -450,9 +434,7 @@ def _remove(files: Iterable[Path]) -> None:
 def discard_map(path: StrPath) -> None:
     """Remove a map; other files in its folder remain.
 
-    Raises:
-        MapError: another run writes it.
-        OutputError: it cannot be removed.
+    Raises MapError if another run writes it, and OutputError if it cannot be removed.
     """
     path = Path(path)
     if not is_there(path / HEADER_FILE) and not _is_bare(path):
@@ -483,9 +465,7 @@ class MapLock:
 
     The system releases the lock when the process ends, even after a kill.
 
-    Raises:
-        MapError: another run writes the map.
-        OutputError: the folder is not writable.
+    Raises MapError if another run writes the map, and OutputError if the folder is not writable.
     """
 
     def __init__(self, folder: StrPath) -> None:

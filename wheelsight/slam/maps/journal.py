@@ -88,7 +88,6 @@ class JournalContents:
     """Contents of a journal.
 
     Attributes:
-        path: the file.
         records: valid records in order, with their content.
         damages: invalid parts between them.
         torn_bytes: number of bytes dropped at the end.
@@ -105,8 +104,7 @@ class JournalWriter:
 
     Writes are unbuffered: appended data survives a kill of the process. After `flush`, it survives a loss of power.
 
-    Raises:
-        OutputError: the file cannot be made or written; also raised by each method.
+    Raises OutputError if the file cannot be made or written; also raised by each method.
     """
 
     def __init__(self, path: StrPath) -> None:
@@ -150,9 +148,8 @@ class JournalWriter:
 def read_journal(path: StrPath) -> JournalContents:
     """Return all valid records of a journal.
 
-    Raises:
-        MapError: it cannot be read, is not a journal, is of a newer version, has too many records, or is damaged in
-            more places than disk damage explains.
+    Raises MapError if it cannot be read, is not a journal, is of a newer version, has too many records, or is damaged
+    in more places than disk damage explains.
     """
     path = Path(path)
     data = memoryview(read_bytes(path, _JOURNAL, MapError))
@@ -252,7 +249,6 @@ class Place:
     """Pose of a keyframe when it was added.
 
     Attributes:
-        stamp_s: stamp of the keyframe, seconds.
         T_map_keyframe: (4, 4) at that time.
         T_odom_keyframe: (4, 4) pose in odom, or None.
     """
@@ -353,11 +349,9 @@ class Health:
     Attributes:
         torn_bytes: number of bytes dropped at the ends of journals, after a kill or a loss of power.
         dropped: number of keyframes at the end that are incomplete.
-        damages: invalid bytes between valid records.
         missing: keyframes lost to damage.
         beyond: keyframes left out for an impossibly large number.
         unfinished: what was making the map, see `MapHeader`; "" if it is finished.
-        is_being_made: whether a process is still making it.
     """
 
     torn_bytes: int = 0
@@ -419,9 +413,7 @@ class FolderContents:
         where: journal and record of each valid keyframe, by number.
         places: pose of each keyframe when it was added, by number.
         T_map_keyframe: (N, 4, 4) current poses; NaN if lost to damage.
-        edges: valid edges.
         edge_count: number of edges, with withdrawn ones.
-        health: damage found.
     """
 
     where: dict[int, tuple[Path, Record]]
@@ -602,12 +594,8 @@ class MapHeader:
     """Header of a map folder.
 
     Attributes:
-        camera: camera of the map.
-        made_by: the program and its version.
         made: time of creation, ISO 8601 in UTC.
-        source: name of the recording or live source.
         unfinished: what makes the map, or was interrupted: one of `MAKERS`; "" if it is finished.
-        version: version of the format.
     """
 
     camera: MapCamera

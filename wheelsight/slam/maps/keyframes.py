@@ -42,7 +42,6 @@ class KeptKeyframes(KeyframeStore):
     Args:
         where: journal and record of each keyframe, by number.
         T_map_keyframe: (N, 4, 4) poses of all; NaN if the pose is lost too.
-        memory_keyframes: largest number of keyframes in memory.
         camera_px: width and height of the map's camera; larger images are rejected.
     """
 

@@ -53,7 +53,6 @@ class MergedMap:
     """A map made of two.
 
     Attributes:
-        folder: the new map, open to read.
         keyframes: number of keyframes from the first and the second map.
         loops: number of loops between the maps that are kept, and of all loops that are refused.
         left_out: number of keyframes of both maps whose pose relative to the first map is unknown.
@@ -83,13 +82,10 @@ def merge(
     Args:
         first, second: open maps of one camera.
         out: folder that is empty, missing, or left by an interrupted merge, rebuild or prune.
-        recognition, surfels: settings, or None for the defaults.
         on_keyframe: called with the current task, the number of finished keyframes, and their total.
 
-    Raises:
-        MapError: the cameras differ, no keyframe of the second map is recognized in the first, or a keyframe cannot be
-            read. Nothing is written.
-        OutputError: the folder cannot be written.
+    Raises MapError if the cameras differ, no keyframe of the second map is recognized in the first, or a keyframe
+    cannot be read; then nothing is written. Raises OutputError if the folder cannot be written.
     """
     why = first.header.camera.why_other(second.header.camera)
     if why is not None:
@@ -153,8 +149,6 @@ def _joined_graph(
         both: keyframes of both maps.
         count: number of keyframes of the first map.
         pieces: (N,) piece of each keyframe.
-        watcher: recognizes keyframes of the first map.
-        on_keyframe: as in `merge`.
     """
     graph, recognised = PieceGraph(), 0
     for T_map_keyframe, piece in zip(both.T_map_keyframe, pieces.tolist(), strict=True):
@@ -178,7 +172,6 @@ class PrunedMap:
     """A map without redundant keyframes.
 
     Attributes:
-        folder: the new map, open to read.
         left_out: number of removed keyframes.
     """
 
@@ -198,14 +191,10 @@ def prune(
     `without`. Its surfels move to the keyframe that shows the same view.
 
     Args:
-        folder: an open map; it remains unchanged.
         out: folder that is empty, missing, or left by an interrupted merge, rebuild or prune.
-        recognition: settings, or None for the defaults.
         on_keyframe: called with the current task, the number of finished keyframes, and their total.
 
-    Raises:
-        MapError: there are no keyframes, or one cannot be read.
-        OutputError: the folder cannot be written.
+    Raises MapError if there are no keyframes, or one cannot be read, and OutputError if the folder cannot be written.
     """
     make_room(out)
     parts = MapParts.of(folder)
@@ -266,16 +255,12 @@ def rebuild(
     Withdrawn edges, outdated poses and lost keyframes are left out.
 
     Args:
-        folder: an open map; it remains unchanged.
         out: folder that is empty, missing, or left by an interrupted merge, rebuild or prune.
-        surfels, recognition: settings, or None for the defaults.
         on_keyframe: called with the current task, the number of finished keyframes, and their total.
 
     Returns the new map, open to read.
 
-    Raises:
-        MapError: there are no keyframes, or one cannot be read.
-        OutputError: the folder cannot be written.
+    Raises MapError if there are no keyframes, or one cannot be read, and OutputError if the folder cannot be written.
     """
     make_room(out)
     annotations = MapAnnotations(current_edits(folder), current_named_poses(folder))
@@ -303,12 +288,9 @@ def fuse_keyframes(
     """Return surfels fused from all keyframes in order of their stamps, grey, since keyframes have no colour.
 
     Args:
-        folder: an open map.
-        settings: surfel settings, or None for the defaults.
         on_keyframe: called with the number of finished keyframes and their total.
 
-    Raises:
-        MapError: there are no keyframes, or one cannot be read.
+    Raises MapError if there are no keyframes, or one cannot be read.
     """
     places = folder.contents.places
     stamps_s = {number: places[number].stamp_s for number in folder.store}

@@ -34,7 +34,6 @@ class SeenKeyframe:
     """A keyframe with its odometry at the frame it was made of.
 
     Attributes:
-        number: number of the keyframe.
         T_odom_keyframe: (4, 4), or None if the estimate has none.
         covariance: (6, 6) of its left perturbation (v, ω), or None.
     """
@@ -153,7 +152,6 @@ class MapWriter:
         Does not raise. A second call has no effect.
 
         Args:
-            surfel_map: surfel map of the keyframes.
             recognizer: recognizer of the keyframes, in place of the writer's own.
         """
         if self._is_closed:
