@@ -42,9 +42,9 @@ def test_a_map_is_explored_and_driven_in(tmp_path: Path) -> None:
     with simulator(config) as robot, exploring(robot, config, folder, in_step=False, trusts_floor=True) as drive:
         drive.navigator.explore()
         led(drive.navigator, 250)
-        store = not_none(drive.navigator.senses.keyframes)
+        store = not_none(drive.navigator.senses.localization.keyframes)
         seen, free_m2 = len(store), drive.grid.free_m2()
-        assert drive.navigator.senses.recognised is None
+        assert drive.navigator.senses.localization.recognised is None
     assert not multiprocessing.active_children()
     assert seen > 2
     assert free_m2 > 2.0
@@ -61,6 +61,6 @@ def test_a_map_is_explored_and_driven_in(tmp_path: Path) -> None:
         led(drive.navigator, 60)
         off = not_none(drive.navigator.feedback.pose)[:2] - (T_map_world @ robot.T_world_base)[:2, 3]
         np.testing.assert_allclose(off, 0.0, atol=0.15)
-        assert drive.navigator.senses.recognised is not None
+        assert drive.navigator.senses.localization.recognised is not None
         assert not robot.contacts
     assert not multiprocessing.active_children()

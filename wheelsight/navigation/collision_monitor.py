@@ -174,6 +174,9 @@ class CollisionMonitor:
 
     It knows no plans, maps and controllers. It checks the arcs that the robot drives until it stands against obstacles
     and unseen floor. It also stops the robot if any of its data are old or inconsistent.
+
+    Attributes:
+        has_wheel_fault: whether wheels did not follow their commands; it stays so until `clear_fault`.
     """
 
     def __init__(
@@ -191,16 +194,11 @@ class CollisionMonitor:
         self._any_frame_s, self._blind_way_m = -np.inf, 0.0
         self._measured = (0.0, 0.0)
         self._is_frame_sound, self._are_wheels_sound = True, True
-        self._are_wheels_off = False
-
-    @property
-    def has_wheel_fault(self) -> bool:
-        """Whether wheels did not follow their commands; it stays so until `clear_fault`."""
-        return self._are_wheels_off
+        self.has_wheel_fault = False
 
     def clear_fault(self) -> None:
         """Permit driving again after a person has checked the wheels."""
-        self._are_wheels_off = False
+        self.has_wheel_fault = False
         self._wheels.reset()
 
     def trust_floor(self, radius_m: float) -> None:
@@ -228,7 +226,7 @@ class CollisionMonitor:
         self._blind_way_m += abs(forward_m_s) * min(stamp_s - self._wheels_s, _GAP_S)
         self.memory.add_reading(stamp_s, forward_m_s, turn_rad_s, rolled)
         self._wheels_s, self._measured = stamp_s, (forward_m_s, turn_rad_s)
-        self._are_wheels_off |= self._wheels.is_off(forward_m_s, turn_rad_s, stamp_s)
+        self.has_wheel_fault |= self._wheels.is_off(forward_m_s, turn_rad_s, stamp_s)
 
     def add_view(self, view: DepthView) -> None:
         """Process a depth frame, in order. A frame with too little depth does not count."""
@@ -278,7 +276,7 @@ class CollisionMonitor:
             MonitorReason.FROM_AHEAD: newest_s > now_s + _AHEAD_S,
             MonitorReason.NO_WHEELS: now_s - self._wheels_s > s.encoder_age_s,
             MonitorReason.NO_FRAME: is_old and not backs_up,
-            MonitorReason.WHEELS_OFF: self._are_wheels_off,
+            MonitorReason.WHEELS_OFF: self.has_wheel_fault,
             MonitorReason.STATUS: status in _STATUS_TO_STAND,
         }
         return next((reason for reason, is_so in wrong.items() if is_so), None)
@@ -330,15 +328,14 @@ class CollisionMonitor:
     ) -> list[tuple[float, MonitorReason | None]]:
         """Judge unseen floor along the requested arc."""
         s = self._settings
-        about = self.memory.unseen_about(pose, now_s, self._look_m(twist))
-        ground = UnseenGround(about.never_m, about.is_old, about.first, _CELL_M, pose)
+        ground, hidden_m = self.memory.unseen_about(pose, now_s, self._look_m(twist))
         # It moves forward or turns, and its front is no deeper in unseen floor than a corner's lead. Floor that the
         # robot has crossed counts as seen, which alone would let it drive on and on. So its front must also stay within
         # `blind_m` of floor that a camera has seen.
         forward, turn = self._measured
         is_led_by_its_front = forward >= _LEAST_M_S or (forward >= -_LEAST_M_S and abs(turn) >= _LEAST_RAD_S)
         front = self._edge[self._edge[:, 0] >= 0]
-        hidden = ground._replace(deep_m=about.hidden_m)
+        hidden = ground._replace(deep_m=hidden_m)
         if is_led_by_its_front and deepest_m(front, ground) <= _LEAD_M and deepest_m(front, hidden) <= s.blind_m:
             self.memory.cover(pose, now_s)
         arc, steps = self._arc(twist)
@@ -484,22 +481,6 @@ AIR_M = 0.5
 _REMEMBER_S, _REMEMBER_M = 600.0, 10.0
 # History of wheel poses, for late frames.
 _HISTORY_S = 1.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class UnseenFloor:
-    """Unseen floor around a robot, in cells; rows along x, columns along y.
-
-    Attributes:
-        never_m: (m, m) depth in metres into floor that was never seen nor driven over.
-        is_old: (m, m) 1 where it was not seen lately.
-        hidden_m: (m, m) depth in metres into floor that no camera has seen, not even the air over it.
-    """
-
-    never_m: Float32Array
-    is_old: ByteArray
-    hidden_m: Float32Array
-    first: tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -669,10 +650,11 @@ class FloorMemory:
         out, first = self._unseen(last.pose, last.stamp_s, reach_m)
         return np.where(out[..., 0] > 0, _deep_m(out[..., 2]), 0), first
 
-    def unseen_about(self, pose: Pose, now_s: float, reach_m: float) -> UnseenFloor:
-        """Return the unseen floor within reach of a pose."""
+    def unseen_about(self, pose: Pose, now_s: float, reach_m: float) -> tuple[UnseenGround, Float32Array]:
+        """Return the unseen floor within reach of a pose, and (m, m) the depth in floor that no camera has seen."""
         out, first = self._unseen(pose, now_s, reach_m)
-        return UnseenFloor(_deep_m(out[..., 0]), np.ascontiguousarray(out[..., 1]), _deep_m(out[..., 2]), first)
+        ground = UnseenGround(_deep_m(out[..., 0]), np.ascontiguousarray(out[..., 1]), first, _CELL_M, pose)
+        return ground, _deep_m(out[..., 2])
 
     def _unseen(self, pose: Pose, now_s: float, reach_m: float) -> tuple[ByteArray, tuple[int, int]]:
         """Return (m, m, 3), 1 for floor never driven or seen, not seen lately, and never seen; and the first cell."""
@@ -704,17 +686,12 @@ class VelocityRamp:
 
     def __init__(self, limits: RobotLimits | None = None) -> None:
         self._limits = limits or RobotLimits()
-        self._given = STOP
+        self.given = STOP
         self._acceleration_m_s2 = 0.0
-
-    @property
-    def given(self) -> VelocityCommand:
-        """Last command."""
-        return self._given
 
     def follow(self, driven: VelocityCommand) -> None:
         """Continue from a command that was reduced after the ramp."""
-        self._given, self._acceleration_m_s2 = driven, 0.0
+        self.given, self._acceleration_m_s2 = driven, 0.0
 
     def step(self, forward_m_s: float, turn_rad_s: float, period_s: float) -> VelocityCommand:
         """Return the command one period after the last one.
@@ -734,13 +711,13 @@ class VelocityRamp:
         forward = self._forward(wanted, period_s)
         turn = min(max(turn_rad_s, -most.turn_rad_s), most.turn_rad_s)
         change = most.turn_acceleration_rad_s2 * period_s
-        before = self._given.turn_rad_s
-        self._given = VelocityCommand(forward, before + min(max(turn - before, -change), change))
-        return self._given
+        before = self.given.turn_rad_s
+        self.given = VelocityCommand(forward, before + min(max(turn - before, -change), change))
+        return self.given
 
     def _forward(self, wanted: float, period_s: float) -> float:
         """Return the next forward speed within acceleration, braking and jerk."""
-        speed, limits = self._given.forward_m_s, self._limits
+        speed, limits = self.given.forward_m_s, self._limits
         slows = speed * (wanted - speed) < 0
         if slows:
             # Stop at zero: the other direction begins with its own acceleration.

@@ -183,32 +183,6 @@ WEIGHTS = RolloutWeights(
 )
 
 
-class MppiController:
-    """A `Controller` by model predictive path integral control (Williams et al. 2017).
-
-    It looks some seconds ahead, and drives around obstacles and where people go. It draws command sequences around the
-    last one, rolls each out through the robot's dynamics, and takes their mean by exp(-cost). If that mean collides,
-    as between sequences that pass an obstacle on either side, it takes the cheapest sequence instead.
-
-    Equal inputs in equal order give equal commands, as the noise is drawn once.
-    """
-
-    def __init__(
-        self,
-        footprint: Footprint,
-        limits: RobotLimits | None = None,
-        settings: MppiSettings | None = None,
-        follow: FollowSettings | None = None,
-    ) -> None:
-        limits, follow = limits or RobotLimits(), follow or FollowSettings()
-        steering = Rollouts(outline_of(footprint), limits, (settings or MppiSettings()).rollouts, follow)
-        self._follower = PathFollower(footprint, limits, follow, steering)
-
-    def command(self, state: MotionState, plan: DrivenPath, field: CostField, people: FloatArray) -> ControlResult:
-        """See `Controller.command`."""
-        return self._follower.command(state, plan, field, people)
-
-
 class Rollouts:
     """Steering by rollouts of command sequences."""
 
@@ -318,26 +292,6 @@ _CURVE_M, _NEAR_M, _NEAR_M_S = 0.9, 0.2, 0.15
 # Of the check of the free way: reaction time before it brakes, the share of the base's braking that is assumed, and the
 # spacing of the poses of an arc, a cell of most maps.
 _AHEAD_S, _BRAKING_SHARE, _STEP_M = 0.3, 0.5, 0.05
-
-
-class PurePursuitController:
-    """A `Controller` by regulated pure pursuit, which steers along arcs to a point ahead on the path.
-
-    From Macenski, Singh, Martín, Ginés: Regulated pure pursuit for robot path tracking, Autonomous Robots 2023. It
-    slows down in curves, near obstacles and toward the end of a segment. Here it also drives no faster than it can
-    stop before an obstacle on its arc.
-    """
-
-    def __init__(
-        self, footprint: Footprint, limits: RobotLimits | None = None, follow: FollowSettings | None = None
-    ) -> None:
-        limits, follow = limits or RobotLimits(), follow or FollowSettings()
-        steering = _Arcs(outline_of(footprint), limits, follow)
-        self._follower = PathFollower(footprint, limits, follow, steering)
-
-    def command(self, state: MotionState, plan: DrivenPath, field: CostField, people: FloatArray) -> ControlResult:
-        """See `Controller.command`."""
-        return self._follower.command(state, plan, field, people)
 
 
 class _Arcs:
@@ -471,26 +425,14 @@ class Situation:
         return float(self.segment.length_m - along - self.segment.direction * (dx * c + dy * s))
 
 
-class Steering(Protocol):
-    """Computes commands along a segment."""
-
-    def steer(self, situation: Situation) -> ControlResult:
-        """Return the command of a period."""
-        ...
-
-    def forget(self) -> None:
-        """Clear its state: the robot stands, or another segment begins."""
-        ...
-
-
 class PathFollower:
     """Drives a robot along the segments of a plan, with a steering for each, and turns it in place between them."""
 
-    def __init__(self, footprint: Footprint, limits: RobotLimits, settings: FollowSettings, steering: Steering) -> None:
-        self._outline = outline_of(footprint)
-        self._limits = limits
-        self._settings = settings
-        self._steering = steering
+    def __init__(
+        self, footprint: Footprint, limits: RobotLimits, settings: FollowSettings, steering: Rollouts | _Arcs
+    ) -> None:
+        self._outline, self._limits = outline_of(footprint), limits
+        self._settings, self._steering = settings, steering
         self._poses: FloatArray | None = None
         self._segments: tuple[Segment, ...] = ()
         self._index, self._point = 0, 0
@@ -724,6 +666,44 @@ class _Cutter:
             self.segments.append(Segment(0, np.empty((0, 5)), np.array([*self._nodes[-1], pose[2]])))
         self._yaw, self._nodes = float(pose[2]), [pose[:2]]
         self._headings, self._direction = [], 0
+
+
+class MppiController(PathFollower):
+    """A `Controller` by model predictive path integral control (Williams et al. 2017).
+
+    It looks some seconds ahead, and drives around obstacles and where people go. It draws command sequences around the
+    last one, rolls each out through the robot's dynamics, and takes their mean by exp(-cost). If that mean collides,
+    as between sequences that pass an obstacle on either side, it takes the cheapest sequence instead.
+
+    Equal inputs in equal order give equal commands, as the noise is drawn once.
+    """
+
+    def __init__(
+        self,
+        footprint: Footprint,
+        limits: RobotLimits | None = None,
+        settings: MppiSettings | None = None,
+        follow: FollowSettings | None = None,
+    ) -> None:
+        limits, follow = limits or RobotLimits(), follow or FollowSettings()
+        steering = Rollouts(outline_of(footprint), limits, (settings or MppiSettings()).rollouts, follow)
+        super().__init__(footprint, limits, follow, steering)
+
+
+class PurePursuitController(PathFollower):
+    """A `Controller` by regulated pure pursuit, which steers along arcs to a point ahead on the path.
+
+    From Macenski, Singh, Martín, Ginés: Regulated pure pursuit for robot path tracking, Autonomous Robots 2023. It
+    slows down in curves, near obstacles and toward the end of a segment. Here it also drives no faster than it can
+    stop before an obstacle on its arc.
+    """
+
+    def __init__(
+        self, footprint: Footprint, limits: RobotLimits | None = None, follow: FollowSettings | None = None
+    ) -> None:
+        limits, follow = limits or RobotLimits(), follow or FollowSettings()
+        steering = _Arcs(outline_of(footprint), limits, follow)
+        super().__init__(footprint, limits, follow, steering)
 
 
 class OwnController:

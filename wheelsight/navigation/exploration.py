@@ -61,6 +61,8 @@ class Exploration:
         near_m: distance from the axle to the nearest floor that its camera sees.
     """
 
+    is_asked_for = False  # a place beside a viewpoint shows as much
+
     def __init__(self, footprint: Footprint, margin_m: float, near_m: float, half_view_rad: float) -> None:
         self._footprint = footprint
         # Least distance of the footprint's centre line to obstacles.
@@ -74,11 +76,6 @@ class Exploration:
         self._turns = TURNS
         self.left = 1
         self.name = "explore"
-
-    @property
-    def is_asked_for(self) -> bool:
-        """False, as a place beside a viewpoint shows as much."""
-        return False
 
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
         """Return the next poses of a full turn at first, then the best viewpoint; see `Goals`."""

@@ -47,7 +47,7 @@ from wheelsight.navigation.planning import (
     to_go_m,
 )
 from wheelsight.navigation.senses import Senses, WhereNow
-from wheelsight.navigation.settings import Footprint, NavigationSettings, NavigatorSettings
+from wheelsight.navigation.settings import NavigationSettings, NavigatorSettings
 from wheelsight.navigation.task import (
     Feedback,
     NavigationReason,
@@ -83,6 +83,9 @@ class Navigator(OneCaller):
             person has looked. Otherwise a robot whose camera sees the floor farther away only does not move.
         on_transition: callback for each change of state.
 
+    Attributes:
+        result: of the last task; None until it is complete.
+
     Raises ArgumentError, MapError, CalibrationError as `Senses`; ArgumentError also for a part without its method.
     """
 
@@ -103,30 +106,20 @@ class Navigator(OneCaller):
         for name, part, method in (("planner", planner, "plan"), ("controller", controller, "command")):
             if part is not None:
                 need_method(name, part, method)
-        self._footprint = s.footprint.outline
+        self.footprint = s.footprint.outline
         self._robot = robot
         self._chain = ControlChain(s)
         self.monitor = self._chain.monitor
-        self._senses = Senses(robot.calibration, localization, floor, self.monitor, self._footprint, s)
-        self.monitor.trust_floor(self._senses.near_m if trusts_floor else 0.0)
-        self._planning = Planning(self._senses, self._footprint, s, planning, planner)
-        self._controller = controller_of(self._footprint, s, controller)
+        self.senses = Senses(robot.calibration, localization, floor, self.monitor, self.footprint, s)
+        self.monitor.trust_floor(self.senses.near_m if trusts_floor else 0.0)
+        self._planning = Planning(self.senses, self.footprint, s, planning, planner)
+        self._controller = controller_of(self.footprint, s, controller)
         self._on_transition = on_transition
         self.state = NavigationState.IDLE
         self._task: NavigationTask | None = None
         self._predicted: FloatArray = np.empty((0, 3))
-        self._result: NavigationResult | None = None
+        self.result: NavigationResult | None = None
         self._stepped_s, self._is_halted = -math.inf, False
-
-    @property
-    def footprint(self) -> Footprint:
-        """Outline of the robot."""
-        return self._footprint
-
-    @property
-    def senses(self) -> Senses:
-        """Sensor data and the surroundings derived from it."""
-        return self._senses
 
     def go_to_pose(self, goal: ArrayLike, name: str = "") -> None:
         """Start to drive to x, y, yaw (3,) in the map, or to x and y (2,). Raises ArgumentError if it is not a pose."""
@@ -142,8 +135,8 @@ class Navigator(OneCaller):
 
     def explore(self) -> None:
         """Start to explore all reachable floor of a growing map."""
-        margin_m, senses = self.settings.planner.margin_m, self._senses
-        self.begin(Exploration(self._footprint, margin_m, senses.near_m, senses.half_view_rad))
+        margin_m, senses = self.settings.planner.margin_m, self.senses
+        self.begin(Exploration(self.footprint, margin_m, senses.near_m, senses.half_view_rad))
 
     @one_at_a_time
     def why_no_goal(self, goal: ArrayLike) -> str:
@@ -160,13 +153,12 @@ class Navigator(OneCaller):
     @one_at_a_time
     def begin(self, goals: Goals) -> None:
         """Start a task. Cancels the current one."""
-        if not self.is_task_complete():
-            self.cancel_task()
-        self._result = None
+        self.cancel_task()
+        self.result = None
         self._planning.drop()
         self._task, self._stepped_s = NavigationTask(goals, self._robot.now_s), self._robot.now_s
         self._become(NavigationState.PLANNING, f"to {goals.name}")
-        if self._senses.where.is_known:
+        if self.senses.where.is_known:
             # The plan is ready a period earlier if it is requested now.
             self._planning.ask(goals, self._robot.now_s)
 
@@ -185,7 +177,7 @@ class Navigator(OneCaller):
         at = checked_goal(np.asarray(xy, float).ravel()[:2])
         if not 0 < radius_m < math.inf:
             raise ArgumentError(f"a radius of {radius_m} m", fix="over 0, finite")
-        self._senses.clear_near(at[:2], radius_m)
+        self.senses.clear_near(at[:2], radius_m)
         if self._task is not None:
             self._task.checked_s = -math.inf
 
@@ -197,11 +189,6 @@ class Navigator(OneCaller):
     def is_task_complete(self) -> bool:
         """Return whether no task is active."""
         return self.state in (NavigationState.IDLE, NavigationState.ARRIVED, NavigationState.FAILED)
-
-    @property
-    def result(self) -> NavigationResult | None:
-        """Result of the last task; None until it is complete."""
-        return self._result
 
     def go_to(self, goal: ArrayLike, on_step: Callable[[Feedback], None] = lambda feedback: None) -> NavigationResult:
         """Drive to a goal and stop; `on_step` gets each period's feedback. Raises as `go_to_pose` and the robot do."""
@@ -218,8 +205,8 @@ class Navigator(OneCaller):
         until_s = self._robot.now_s + _STOPPING_S
         while not self._stands() and self._robot.now_s < until_s:
             on_step(self.step())
-        assert self._result is not None
-        return self._result
+        assert self.result is not None
+        return self.result
 
     @one_at_a_time
     def step(self) -> Feedback:
@@ -233,14 +220,14 @@ class Navigator(OneCaller):
         self._stepped_s, most_s = now_s, self.settings.navigator.held_s
         silent = None
         try:
-            self._senses.update(events, now_s)
+            self.senses.update(events, now_s)
         except WheelsightError as error:
             silent = MonitorReason.LOCALIZATION_SILENT
             self._fail(NavigationReason.LOCALIZATION, str(error))
         if now_s - before_s > most_s and math.isfinite(before_s):
             self._fail(NavigationReason.SILENT, f"the program stood still for {now_s - before_s:.1f} s")
         silent = silent or self._silent_part(now_s)
-        if self._task is not None and self._task.silent_for_s(now_s, silent is not None) > most_s:
+        if self._task is not None and self._task.seconds("silent", now_s, is_met=silent is not None) > most_s:
             self._fail(NavigationReason.SILENT, f"{silent}, for {most_s:g} s")
         asked = STOP if silent else self._decide(now_s)
         # A part that is silent while the robot moves removes the motors' voltage until the part answers again.
@@ -248,18 +235,17 @@ class Navigator(OneCaller):
         if self._is_halted and not self._robot.stop_reason:
             with suppress(WheelsightError):  # a controller that does not confirm stops by its own watchdog
                 self._robot.stop()
-        stands_by_itself = bool(self._robot.stop_reason)
-        status = self._senses.where.driving_status
+        status, stands_by_itself = self.senses.where.driving_status, bool(self._robot.stop_reason)
         self._chain.ask(asked, now_s, status, stands_by_itself=stands_by_itself, silent=silent)
         return self.feedback
 
     def _silent_part(self, now_s: float) -> MonitorReason | None:
         """Return the part whose answer is overdue. The planner counts only while the robot drives or brakes."""
-        if self._senses.where.is_silent:
+        if self.senses.where.is_silent:
             return MonitorReason.LOCALIZATION_SILENT
         if self.monitor.is_camera_silent(now_s):
             return MonitorReason.CAMERA_SILENT
-        if self._senses.floor.is_silent(now_s):
+        if self.senses.floor.is_silent(now_s):
             return MonitorReason.FLOOR_SILENT
         is_driving = self.state is NavigationState.DRIVING or self._is_moving()
         return MonitorReason.PLANNER_SILENT if is_driving and self._planning.is_silent(now_s) else None
@@ -271,7 +257,7 @@ class Navigator(OneCaller):
     @property
     def feedback(self) -> Feedback:
         """State and progress of the task."""
-        where, state, task = self._senses.where, self._senses.where.state, self._task
+        where, state, task = self.senses.where, self.senses.where.state, self._task
         plan = task.plan if task is not None and not self.is_task_complete() else None
         return Feedback(
             stamp_s=self._robot.now_s,
@@ -289,7 +275,7 @@ class Navigator(OneCaller):
             goals_left=0 if task is None else task.goals.left,
             # For a stop by the navigator itself, the monitor has the reason.
             robot_stop="" if self._is_halted and self._robot.stop_reason == STOPPED else self._robot.stop_reason,
-            stays_at=None if self.is_task_complete() else self._senses.what_stays(),
+            stays_at=None if self.is_task_complete() else self.senses.what_stays(),
             has_wheel_fault=self.monitor.has_wheel_fault,
         )
 
@@ -299,29 +285,25 @@ class Navigator(OneCaller):
         task = self._task
         if task is None or self.is_task_complete():
             return STOP
-        meets_people = bool(self._senses.people(now_s))
-        task.roll(now_s, self._senses.where, meets_people=meets_people)
+        task.roll(now_s, self.senses.where, meets_people=bool(self.senses.people(now_s)))
         if self._chain.checked.reason is MonitorReason.WHEELS_OFF:
             return self._fail(NavigationReason.DISOBEYS, "look at the wheels, then clear the fault")
-        if task.stopped_for_s(now_s, bool(self._robot.stop_reason)) > self.settings.navigator.held_s:
+        if task.seconds("stopped", now_s, is_met=bool(self._robot.stop_reason)) > self.settings.navigator.held_s:
             return self._fail(NavigationReason.ROBOT_STOPPED, self._robot.stop_reason)
         why_over = task.why_over(now_s, self.settings)
         if why_over is not None:
             return self._fail(*why_over)
         if self._robot.stop_reason:
             return STOP
-        self._senses.avoids_hidden = not task.passes_hidden and self.state is not NavigationState.RECOVERING
-        ways = {
-            NavigationState.PLANNING: self._plan,
-            NavigationState.DRIVING: self._drive,
-            NavigationState.RECOVERING: self._recover,
-        }
-        return ways[self.state](task, now_s)
+        self.senses.avoids_hidden = not task.passes_hidden and self.state is not NavigationState.RECOVERING
+        if self.state is NavigationState.RECOVERING:
+            return self._recover(task, now_s)
+        return self._drive(task, now_s) if self.state is NavigationState.DRIVING else self._plan(task, now_s)
 
     def _plan(self, task: NavigationTask, now_s: float) -> VelocityCommand:
         """Wait for a plan and drive it, or recover if there is none."""
-        if not self._senses.where.is_known:
-            return self._look_about(task, self._senses.where.why_unknown)
+        if not self.senses.where.is_known:
+            return self._look_about(task, self.senses.where.why_unknown)
         if not self._planning.is_asked:
             self._planning.ask(task.goals, now_s)
         planned = self._planning.answer(now_s)
@@ -340,13 +322,12 @@ class Navigator(OneCaller):
             return self._fail(NavigationReason.BESIDE, task.beside)
         if planned.found is None:
             self._become(NavigationState.ARRIVED, task.goals.name)
-            self._result = task.result(True, None, task.goals.name, self._robot.now_s)
+            self.result = task.result(True, None, task.goals.name, self._robot.now_s)
             return STOP
         if isinstance(planned.found, PlanFailure):
             return self._without_plan(task, planned.found)
-        if self._senses.floor.is_fixed and task.await_way(
-            planned.found, self._senses.where, self.settings.behaviours.wait_s
-        ):
+        wait_s = self.settings.behaviours.wait_s
+        if self.senses.floor.is_fixed and task.await_way(planned.found, self.senses.where, wait_s):
             self._become(NavigationState.RECOVERING, task.doing)
             return STOP
         task.take(planned.found, now_s, planned.T_map_odom)
@@ -356,7 +337,7 @@ class Navigator(OneCaller):
     def _without_plan(self, task: NavigationTask, failure: PlanFailure) -> VelocityCommand:
         """Skip the goal, recover or give up. A plan may exist once people have left or more floor is visible."""
         why = f"{failure.reason}: {failure.detail}"
-        if not failure.reason.is_for_good and (stays := stays_words(self._senses.what_stays())):
+        if not failure.reason.is_for_good and (stays := stays_words(self.senses.what_stays())):
             why = f"{why}; {stays}"
         task.why_first = task.why_first or why
         if failure.reason.is_of_goal and task.goals.left > 1 and task.skips < _SKIPS and task.goals.missed():
@@ -370,13 +351,13 @@ class Navigator(OneCaller):
 
     def _drive(self, task: NavigationTask, now_s: float) -> VelocityCommand:
         """Follow the plan while it is valid."""
-        where = self._senses.where
-        state, local, plan = where.state, self._senses.local(), task.plan
+        where = self.senses.where
+        state, local, plan = where.state, self.senses.local(), task.plan
         if (why := where.why_unknown) or state is None or local is None or plan is None:
             return self._look_about(task, why)
         if now_s - task.checked_s >= _CHECK_S:
             task.checked_s = now_s
-            if task.goals.is_met(state.pose, self._senses.floor.layer):
+            if task.goals.is_met(state.pose, self.senses.floor.layer):
                 return self._reached(task)
             if not self._may_go_on(task, plan, now_s):
                 self._become(NavigationState.PLANNING, task.replan_reason)
@@ -387,7 +368,7 @@ class Navigator(OneCaller):
             command = self._take(task, planned, now_s)
             if self.state is not NavigationState.DRIVING or task.plan is None:
                 return command
-        people = discs_of(self._senses.people(now_s))
+        people = discs_of(self.senses.people(now_s))
         try:
             result = self._controller.command(state, plan if task.plan is None else task.plan, local.field, people)
         except PartError as error:
@@ -423,12 +404,12 @@ class Navigator(OneCaller):
             self._become(NavigationState.PLANNING, str(result.reason))
             return STOP
         is_held = result.reason is not None or self._chain.checked.state is MonitorState.STOPPED
-        if task.held_for_s(now_s, is_held) > self.settings.navigator.held_s:
+        if task.seconds("held", now_s, is_met=is_held) > self.settings.navigator.held_s:
             stopped_by = self._chain.stopped_by(now_s - self.settings.navigator.held_s - STUCK_S)
-            stays = stays_words(self._senses.what_stays())
+            stays = stays_words(self.senses.what_stays())
             why = f"{stopped_by or result.reason}{f'; {stays}' if stays else ''}"
             return self._get_out(task, why, stopped_by)
-        if task.loiters_s > _LOITER_S:
+        if now_s - task.since_s > _LOITER_S:
             return self._get_out(task, "it comes no farther")
         return result.command
 
@@ -437,8 +418,9 @@ class Navigator(OneCaller):
         self._planning.drop()
         if self._planning.is_busy:
             return STOP
-        if task.may_wait:
-            task.await_goal(beside_goal(self.settings.behaviours.wait_s))
+        if task.change and not task.has_waited:
+            task.recover(beside_goal(self.settings.behaviours.wait_s), is_lost=False)
+            task.has_waited = True
             self._become(NavigationState.RECOVERING, task.doing)
             return STOP
         task.reached((self.settings.follow.goal_m, self.settings.follow.goal_rad))
@@ -447,18 +429,18 @@ class Navigator(OneCaller):
 
     def _recover(self, task: NavigationTask, now_s: float) -> VelocityCommand:
         """Continue the recovery behaviour, then plan again."""
-        where = self._senses.where
+        where = self.senses.where
         if task.is_lost and (is_known := where.is_known):
             self._become(NavigationState.PLANNING, "it knows where it is")
             return STOP
         assert task.behaviour is not None
         command = task.behaviour.command(now_s, where.odom_pose)
         if command is not None:
-            task.is_refused = not self._senses.keeps_clear(command)
+            task.is_refused = not self.senses.keeps_clear(command)
             return STOP if task.is_refused else command
         if task.is_lost and not is_known:
             return self._look_about(task, f"still {where.why_unknown}")
-        self._senses.clear(only_ahead=task.awaits_way)
+        self.senses.clear(only_ahead=task.awaits_way)
         self._become(NavigationState.PLANNING, f"after it has done so: {task.behaviour.name}")
         return STOP
 
@@ -486,7 +468,7 @@ class Navigator(OneCaller):
     def _look_about(self, task: NavigationTask, why: str) -> VelocityCommand:
         """Start a behaviour that finds the robot's pose."""
         self._planning.drop()
-        task.search(self.settings, self._senses.where.status, self._chain.checked, self._senses.open_way())
+        task.search(self.settings, self.senses.where.status, self._chain.checked, self.senses.open_way())
         self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
         return STOP
 
@@ -495,7 +477,7 @@ class Navigator(OneCaller):
         task = self._task
         if task is not None and not self.is_task_complete():
             self._become(NavigationState.FAILED, f"{reason}: {detail}")
-            self._result = task.result(False, reason, detail, self._robot.now_s)
+            self.result = task.result(False, reason, detail, self._robot.now_s)
         return STOP
 
     def _become(self, state: NavigationState, why: str) -> None:
@@ -508,7 +490,7 @@ class Navigator(OneCaller):
 
     def _stands(self) -> bool:
         """Return whether the wheels stand still, or have given no reading yet."""
-        speed = self._senses.where.speed
+        speed = self.senses.where.speed
         return stands(speed.forward_m_s, speed.turn_rad_s) or not math.isfinite(speed.stamp_s)
 
 
@@ -533,21 +515,18 @@ class NavigationTask:
         self.plan: Plan | None = None
         self.planned_s = self.checked_s = -math.inf
         self.T_map_odom: FloatArray = np.zeros(3)
-        self.replan_reason = self.goal_change = self.beside = ""
-        self.wants_replan = False
+        self.replan_reason = self.goal_change = self.beside = self.why_first = ""
         self.behaviour: Behaviour | None = None
-        self.is_lost = self.awaits_way = self.is_refused = False
-        self.tries, self.skips, self.searches = 0, 0, 0
-        self.passes_hidden = self._has_waited = self._has_awaited_way = self._has_met_people = False
-        self.known_s = now_s
-        self.why_first = ""
+        self.is_lost = self.awaits_way = self.is_refused = self.wants_replan = False
+        self.tries = self.skips = self.searches = 0
+        self.passes_hidden = self.has_waited = self._has_awaited_way = self._has_met_people = False
         self.transitions: list[Transition] = []
-        self._begun_s = self._rolled_s = self._tried_s = now_s
+        self.known_s = self._begun_s = self._rolled_s = self._tried_s = now_s
         self._way_m = 0.0
         self._here = self._from = np.full(2, math.nan)
-        self._now_s = self._since_s = now_s
+        self._now_s = self.since_s = now_s
         self._planned_m, self._plans, self._recoveries = 0.0, 0, 0
-        self._held, self._stopped, self._silent = _Stopwatch(), _Stopwatch(), _Stopwatch()
+        self._since: dict[str, float] = {}
 
     @property
     def doing(self) -> str:
@@ -575,24 +554,20 @@ class NavigationTask:
 
     def restart_progress(self) -> None:
         """Measure progress from here and now."""
-        self._from, self._since_s = self._here, self._now_s
-
-    @property
-    def loiters_s(self) -> float:
-        """Seconds without progress, even if the robot moved."""
-        return self._now_s - self._since_s
+        self._from, self.since_s = self._here, self._now_s
 
     def take(self, plan: Plan, now_s: float, T_map_odom: FloatArray) -> None:
         """Drive a new plan."""
         self._plans += 1
         self._planned_m = self._planned_m or plan.length_m
         self.plan, self.planned_s, self.checked_s, self.T_map_odom = plan, now_s, now_s, T_map_odom
-        self.behaviour, self.skips, self._held, self.wants_replan = None, 0, _Stopwatch(), False
-        self.why_first = ""
+        self.behaviour, self.skips, self.wants_replan, self.why_first = None, 0, False, ""
+        self._since.pop("held", None)
 
     def recover(self, behaviour: Behaviour, *, is_lost: bool) -> None:
         """Start a recovery behaviour."""
-        self.behaviour, self.is_lost, self._held, self.skips = behaviour, is_lost, _Stopwatch(), 0
+        self.behaviour, self.is_lost, self.skips = behaviour, is_lost, 0
+        self._since.pop("held", None)
         self.awaits_way = self.is_refused = False
         self._recoveries += 1
         if is_lost:
@@ -645,16 +620,6 @@ class NavigationTask:
         sees = checked.reason is not MonitorReason.NO_FRAME
         self.recover(when_lost(self.searches, s, status, open_way, is_held=is_held, sees=sees), is_lost=True)
 
-    @property
-    def may_wait(self) -> bool:
-        """Return whether to wait for a person at the goal, once per goal."""
-        return bool(self._change) and not self._has_waited
-
-    def await_goal(self, behaviour: Behaviour) -> None:
-        """Wait for a person at the goal."""
-        self.recover(behaviour, is_lost=False)
-        self._has_waited = True
-
     def await_way(self, plan: Plan, where: WhereNow, wait_s: float) -> bool:
         """Wait, once per place, instead of driving a long detour; return whether it does so.
 
@@ -670,7 +635,7 @@ class NavigationTask:
         return True
 
     @property
-    def _change(self) -> str:
+    def change(self) -> str:
         """Why the plan's goal differs from the requested one; empty if it does not, or if no place was requested."""
         return self.plan.goal_change if self.plan is not None and self.goals.is_asked_for else ""
 
@@ -680,52 +645,24 @@ class NavigationTask:
         Args:
             tolerance: distance in metres and angle in radians that still count as an arrival.
         """
-        self.goal_change, plan = self._change, self.plan
+        self.goal_change, plan = self.change, self.plan
         if self.goal_change and plan is not None and not self.beside:
             is_beside = plan.goal_off_m > tolerance[0] or plan.goal_off_rad > tolerance[1]
             self.beside = self.goal_change if is_beside else ""
         self.plan = None
         self.goals.reached()
         self.restart_progress()
-        self._has_waited = False
+        self.has_waited = False
 
-    def held_for_s(self, now_s: float, is_held: bool) -> float:
-        """Return the seconds since the robot is held; 0 if it is not."""
-        return self._held.for_s(now_s, is_held)
-
-    def stopped_for_s(self, now_s: float, is_stopped: bool) -> float:
-        """Return the seconds since the robot stopped by itself; 0 if it did not."""
-        return self._stopped.for_s(now_s, is_stopped)
-
-    def silent_for_s(self, now_s: float, is_silent: bool) -> float:
-        """Return the seconds since a part of the program is silent; 0 if none is."""
-        return self._silent.for_s(now_s, is_silent)
+    def seconds(self, condition: str, now_s: float, *, is_met: bool) -> float:
+        """Return for how long a named condition has been met without a break; 0 if it is not."""
+        if is_met:
+            return now_s - self._since.setdefault(condition, now_s)
+        self._since.pop(condition, None)
+        return 0.0
 
     def result(self, has_arrived: bool, reason: NavigationReason | None, detail: str, now_s: float) -> NavigationResult:
         """Return the result of the task."""
-        return NavigationResult(
-            has_arrived,
-            reason,
-            detail,
-            self.goal_change,
-            tuple(self.transitions),
-            now_s - self._begun_s,
-            self._way_m,
-            self._planned_m,
-            self._plans,
-            self._recoveries,
-        )
-
-
-class _Stopwatch:
-    """Measures for how long a condition has held without a break."""
-
-    def __init__(self) -> None:
-        self._since_s: float | None = None
-
-    def for_s(self, now_s: float, is_so: bool) -> float:
-        if not is_so:
-            self._since_s = None
-        elif self._since_s is None:
-            self._since_s = now_s
-        return 0.0 if self._since_s is None else now_s - self._since_s
+        counts = self._way_m, self._planned_m, self._plans, self._recoveries
+        steps, time_s = tuple(self.transitions), now_s - self._begun_s
+        return NavigationResult(has_arrived, reason, detail, self.goal_change, steps, time_s, *counts)

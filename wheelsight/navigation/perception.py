@@ -571,20 +571,27 @@ def detections_in(view: DepthView, is_on_floor: BoolArray, far_m: float) -> list
     """
     if not is_on_floor.any():
         return []
-    seen = _Seen.of(view)
-    number = np.full(len(view.points), -1)
+    apart, number = view.points - view.camera, np.full(len(view.points), -1)
+    turned = (np.arctan2(apart[:, 1], apart[:, 0]) - view.first_rad) % (2 * np.pi)
+    column, ranges_m = np.floor(turned / view.step_rad).astype(int), np.hypot(*apart.T)
+
+    def is_whole(which: BoolArray) -> bool:
+        """Return whether neither the view's edge nor a nearer object cuts it: a cut would move with the camera."""
+        low, high = int(column[which].min()), int(column[which].max())
+        if low < _BESIDE or high >= len(view.seen_m) - _BESIDE or ranges_m[which].max() > far_m - _GAP_M:
+            return False
+        near = ~which & (ranges_m < ranges_m[which].min())
+        return not (near & (column >= low - _BESIDE) & (column <= high + _BESIDE)).any()
+
     # Points with gaps of at most `_GAP_M` between them are one object.
     points = view.points[is_on_floor]
     pairs = cKDTree(points).query_pairs(_GAP_M, output_type="ndarray")
     near = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), (len(points), len(points)))
     number[is_on_floor] = np.asarray(connected_components(near, directed=False)[1])
-    whole = [
-        which
-        for which in (number == at for at in range(int(number.max()) + 1))
-        if which.sum() >= _LEAST_POINTS and seen.is_whole(which, far_m)
-    ]
     camera, detections = np.array(view.camera), []
-    for which in whole:
+    for which in (number == at for at in range(int(number.max()) + 1)):
+        if which.sum() < _LEAST_POINTS or not is_whole(which):
+            continue
         points = view.points[which] - camera
         at = points.mean(axis=0)
         range_m = float(np.hypot(*at))
@@ -595,30 +602,6 @@ def detections_in(view: DepthView, is_on_floor: BoolArray, far_m: float) -> list
         off = SIGMA_M**2 * np.eye(2) + (_SIGMA_RAD * range_m) ** 2 * np.outer(across, across)
         detections.append(Detection(middle, off, max(_BODY_M, float(np.ptp(points @ across)) / 2)))
     return [detection for detection in detections if 2 * detection.radius_m <= _WIDEST_M]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    """Points of a view: column and distance from the camera (N,), and the number of columns."""
-
-    column: IntArray
-    range_m: FloatArray
-    columns: int
-
-    @classmethod
-    def of(cls, view: DepthView) -> _Seen:
-        """Return the points of a view."""
-        apart = view.points - view.camera
-        turned = (np.arctan2(apart[:, 1], apart[:, 0]) - view.first_rad) % (2 * np.pi)
-        return cls(np.floor(turned / view.step_rad).astype(int), np.hypot(*apart.T), len(view.seen_m))
-
-    def is_whole(self, which: BoolArray, far_m: float) -> bool:
-        """Return whether neither the view's edge nor a nearer object cuts it: a cut would move with the camera."""
-        low, high = int(self.column[which].min()), int(self.column[which].max())
-        if low < _BESIDE or high >= self.columns - _BESIDE or self.range_m[which].max() > far_m - _GAP_M:
-            return False
-        near = ~which & (self.range_m < self.range_m[which].min())
-        return not (near & (self.column >= low - _BESIDE) & (self.column <= high + _BESIDE)).any()
 
 
 # Observation matrix: positions.

@@ -191,7 +191,7 @@ class Planning:
             return found
         mapped, route = Costmap.of(floor.layer, floor.footprint, floor.settings), self._planner.route
         if found.reason in (PlanReason.START_OCCUPIED, PlanReason.START_UNKNOWN, PlanReason.START_OUTSIDE):
-            why = route.why_no_room(mapped)
+            why = route.planner.why_no_room(mapped)
             return PlanFailure(PlanReason.NO_ROOM_IN_MAP, why) if why else found
         is_of_place = found.reason in (PlanReason.GOAL_OCCUPIED, PlanReason.GOAL_UNKNOWN)
         if is_of_place and (in_wall := route.why_no_room_near(mapped, goal)) is not None:
@@ -201,7 +201,7 @@ class Planning:
         hopeless = PlanReason.UNREACHABLE, PlanReason.GOAL_OCCUPIED, PlanReason.GOAL_UNKNOWN
         if isinstance(alone, Plan) or alone.reason not in hopeless:
             return found
-        return PlanFailure(PlanReason.NO_WAY_IN_MAP, route.why_no_way(mapped, pose, goal))
+        return PlanFailure(PlanReason.NO_WAY_IN_MAP, route.planner.why_no_way(mapped, pose, goal))
 
     def _blocked_at(self, plan: Plan, reach_m: float) -> FloatArray | None:
         """Return the first blocked pose (3,) within `reach_m` along a plan; None without any."""
@@ -282,8 +282,8 @@ class RoutePlanner:
     def __init__(self, footprint: Footprint, settings: NavigationSettings, own: PathPlanner | None = None) -> None:
         self._footprint, self._settings = footprint, settings
         self._rules = settings.drivable
-        self._planner = Planner(footprint, self._rules, settings.limits)
-        self._path_planner: PathPlanner = self._planner if own is None else OwnPlanner(own)
+        self.planner = Planner(footprint, self._rules, settings.limits)
+        self._path_planner: PathPlanner = self.planner if own is None else OwnPlanner(own)
 
     def plan(self, costmap: Costmap, start: FloatArray, goals: Sequence[FloatArray]) -> Plan | PlanFailure:
         """Return a plan from a pose (3,) through poses (3,) in order; a yaw of NaN is any heading.
@@ -313,20 +313,12 @@ class RoutePlanner:
 
     def why_no_room_near(self, costmap: Costmap, goal: FloatArray) -> PlanFailure | None:
         """Return the failure `GOAL_IN_WALL` for a goal in an obstacle or on unknown floor of a map; None if one may."""
-        failure = self._planner.why_no_room_near(costmap, goal)
+        failure = self.planner.why_no_room_near(costmap, goal)
         if failure is None or failure.reason is PlanReason.GOAL_OUTSIDE:
             return failure
         is_unknown = failure.reason is PlanReason.GOAL_UNKNOWN
         what = "unknown floor" if is_unknown else "a wall, an obstacle or forbidden floor"
         return PlanFailure(PlanReason.GOAL_IN_WALL, f"{what} is at ({goal[0]:.2f}, {goal[1]:.2f}) m")
-
-    def why_no_way(self, costmap: Costmap, start: FloatArray, goal: FloatArray) -> str:
-        """See `Planner.why_no_way`."""
-        return self._planner.why_no_way(costmap, start, goal)
-
-    def why_no_room(self, costmap: Costmap) -> str:
-        """See `Planner.why_no_room`."""
-        return self._planner.why_no_room(costmap)
 
     def blocked_at(self, costmap: Costmap, plan: Plan, pose: FloatArray, reach_m: float) -> FloatArray | None:
         """Return the first pose (3,) within `reach_m` along a plan where the footprint collides; None without any."""
@@ -490,6 +482,8 @@ class PoseGoals:
     Raises ArgumentError if there is no goal, or one is not finite.
     """
 
+    is_asked_for = True
+
     def __init__(self, goals: Sequence[ArrayLike], name: str = "") -> None:
         self._left = [checked_goal(goal) for goal in goals]
         if not self._left:
@@ -500,11 +494,6 @@ class PoseGoals:
     def left(self) -> int:
         """See `Goals`."""
         return len(self._left)
-
-    @property
-    def is_asked_for(self) -> bool:
-        """See `Goals`."""
-        return True
 
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
         """See `Goals`."""
@@ -526,7 +515,7 @@ class PoseGoals:
         return False
 
 
-class RecordedPath:
+class RecordedPath(PoseGoals):
     """A path that was driven before, without a stop but at its end.
 
     Args:
@@ -547,16 +536,6 @@ class RecordedPath:
             self._left.append(poses[-1])
         self.name = name
 
-    @property
-    def left(self) -> int:
-        """See `Goals`."""
-        return len(self._left)
-
-    @property
-    def is_asked_for(self) -> bool:
-        """See `Goals`."""
-        return True
-
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
         """Return all poses that are not passed yet; see `Goals`."""
         self._pass(pose)
@@ -574,9 +553,6 @@ class RecordedPath:
         while len(left) > 1 and np.hypot(*(left[0][:2] - pose[:2])) < _PASSED_M:
             left = left[1:]
         self._left = left
-
-    def taken(self) -> None:
-        """Do nothing: the end is the same for each plan."""
 
     def reached(self) -> None:
         """See `Goals`."""

@@ -19,7 +19,6 @@ from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.estimates import Estimate, FusedEstimate, Status
 from wheelsight.core.geometry import FloatArray, se2, se3
-from wheelsight.core.keyframes import KeyframeStore
 from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand, WheelSpeeds, WheelTicks
 from wheelsight.core.robots import Localization
 from wheelsight.navigation.behaviours import OpenWay, keeps_clear, open_way
@@ -81,6 +80,9 @@ class Senses:
         calibration: of the robot; with wheels and a mounted depth camera.
 
     Attributes:
+        near_m: distance from the axle to the nearest floor that the camera sees.
+        half_view_rad: half of the camera's horizontal field of view.
+        eye: the camera, as it observes the floor along a path.
         avoids_hidden: whether unseen floor beside the robot counts as an obstacle. False if no path exists otherwise,
             as at a bend of a narrow corridor.
 
@@ -99,9 +101,11 @@ class Senses:
         if calibration.wheels is None:
             fix = "a robot with two driven wheels, calibrated: docs/wheel-calibration.md"
             raise ArgumentError(f"the calibration {calibration.lacks_two_wheels}", fix=fix)
-        self._localization, self._floor, self._monitor = localization, floor, monitor
+        self.localization, self.floor, self._monitor = localization, floor, monitor
         self._footprint, self._settings, self._outline = footprint, settings, outline_of(footprint)
         self._viewer = DepthViewer(calibration, footprint, settings.live)
+        self.near_m, self.half_view_rad = self._viewer.near_m, self._viewer.half_rad
+        self.eye = Eye(*self._viewer.camera, self.half_view_rad, AIR_M, CHECK_M)
         self._live = LiveLayer(calibration, footprint, settings.live)
         self.where = WhereNow(calibration.wheels, settings.hold.unproven_m)
         self.avoids_hidden = True
@@ -111,37 +115,6 @@ class Senses:
         self._unplaced: deque[FloatArray] | None = deque(maxlen=_PLACES)
         self._local: dict[bool, tuple[_LocalKey, Costmap]] = {}
         self._stays: tuple[float | None, FloatArray] = (None, np.empty((0, 2)))
-
-    @property
-    def near_m(self) -> float:
-        """Distance from the axle to the nearest floor that the camera sees."""
-        return self._viewer.near_m
-
-    @property
-    def half_view_rad(self) -> float:
-        """Half of the camera's horizontal field of view."""
-        return self._viewer.half_rad
-
-    @property
-    def eye(self) -> Eye:
-        """The camera, as it observes the floor along a path."""
-        x, y = self._viewer.camera
-        return Eye(x, y, self.half_view_rad, AIR_M, CHECK_M)
-
-    @property
-    def floor(self) -> Floor:
-        """The known part of the building."""
-        return self._floor
-
-    @property
-    def keyframes(self) -> KeyframeStore | None:
-        """Keyframes of the localization."""
-        return self._localization.keyframes
-
-    @property
-    def recognised(self) -> int | None:
-        """Number of recognitions of an earlier map by the localization."""
-        return self._localization.recognised
 
     def update(self, events: Sequence[Event], now_s: float) -> None:
         """Process all events of a period that ends now. Raises what the localization raises.
@@ -159,11 +132,11 @@ class Senses:
                 self._monitor.add_view(self._views[-1])
         for event in events:
             self.where.ask(event.stamp_s)
-        for event, estimate in self._localization.process(events):
+        for event, estimate in self.localization.process(events):
             self.where.processed(event.stamp_s)
             if estimate is None:
                 continue
-            self.where.answer(estimate, self._localization.recognised)
+            self.where.answer(estimate, self.localization.recognised)
             if isinstance(event, RgbdFrame) and estimate.T_odom_body is not None:
                 pose = planar_pose(estimate.T_odom_body)
                 if self._live.is_due(event.stamp_s):
@@ -177,14 +150,14 @@ class Senses:
         if state is None:
             if self._unplaced is not None and odom_pose is not None:
                 self._unplaced.append(odom_pose)
-            self._floor.update(None, now_s)
+            self.floor.update(None, now_s)
             return
         T_map_odom = se2.from_parts(*self.where.T_map_odom)
         for before in self._unplaced or ():
-            self._floor.update(np.array(se2.to_parts(T_map_odom @ se2.from_parts(*before))), now_s)
+            self.floor.update(np.array(se2.to_parts(T_map_odom @ se2.from_parts(*before))), now_s)
         # A robot that gets lost later may have been carried, so its wheels do not give its path to where it is found.
         self._unplaced = None
-        self._floor.update(state.pose, now_s)
+        self.floor.update(state.pose, now_s)
 
     def _follow_people(self, stamp_s: float, pose: FloatArray) -> None:
         """Track people with the frame that was taken at (3,) in `odom`, and remove them from the live layer."""
@@ -198,7 +171,7 @@ class Senses:
         view = self._views[0]
         # Whether the points lie on free floor of the map, away from its obstacles.
         T = se2.from_parts(*self.where.T_map_odom) @ se2.from_parts(*pose)
-        near = self._floor.layer.window(T[:2, 2], 2 * LIVE_SIZE_M)
+        near = self.floor.layer.window(T[:2, 2], 2 * LIVE_SIZE_M)
         reach = math.ceil(_BESIDE_M / near.resolution_m)
         beside = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
         is_thing = cv2.dilate((near.state == CellState.OCCUPIED).astype(np.uint8), beside) > 0
@@ -223,7 +196,7 @@ class Senses:
         local, state = self.local(), self.where.state
         if local is None or state is None:
             return True
-        is_blind = self._floor.is_fixed and command.forward_m_s < 0
+        is_blind = self.floor.is_fixed and command.forward_m_s < 0
         return keeps_clear(local, self._outline, state.pose, command, minds_unknown=is_blind)
 
     def open_way(self) -> OpenWay | None:
@@ -232,7 +205,7 @@ class Senses:
         It stays if the map has a keep-out zone, which may be anywhere around it.
         """
         pose, s = self.where.odom_pose, self._settings
-        if pose is None or self._floor.has_keep_out or not s.behaviours.search_m:
+        if pose is None or self.floor.has_keep_out or not s.behaviours.search_m:
             return None
         costmap = Costmap.of_live(self._obstacles(), self._footprint, s.costmap)
         return open_way(costmap, self._outline, pose, s.drivable.wanted_margin_m)
@@ -264,7 +237,7 @@ class Senses:
             return None
         stamp_s = self._live.obstacles().stamp_s
         if self._stays[0] != stamp_s:
-            near_m = self._viewer.near_m - self.eye.x
+            near_m = self.near_m - self.eye.x
             T_odom_eye = se2.from_parts(*pose) @ se2.from_parts(self.eye.x, self.eye.y, 0.0)
             places = self._live.not_seen_through(se2.to_parts(T_odom_eye), self.half_view_rad, near_m)
             self._stays = stamp_s, places
@@ -277,11 +250,9 @@ class Senses:
     def floor_now(self) -> FloorNow:
         """Return all that is known of the floor now, without people who pass by."""
         obstacles = self._obstacles()
-        obstacles = obstacles.standing() if self._floor.is_fixed else obstacles
+        obstacles = obstacles.standing() if self.floor.is_fixed else obstacles
         T_map_odom = self.where.T_map_odom
-        return FloorNow(
-            self._floor.layer, obstacles, T_map_odom, self.hidden(), self._footprint, self._settings.costmap
-        )
+        return FloorNow(self.floor.layer, obstacles, T_map_odom, self.hidden(), self._footprint, self._settings.costmap)
 
     def hidden(self, reach_m: float = math.inf) -> FloatArray:
         """Return floor near the robot that no camera has seen.
@@ -301,7 +272,7 @@ class Senses:
         found = []
         for state, deep_m in kinds:
             points = se2.apply(T_map_base, self._monitor.memory.hidden(reach_m, deep_m))
-            points = points[self._floor.layer.state_at(points) == state]
+            points = points[self.floor.layer.state_at(points) == state]
             found.append(np.column_stack([points, np.full(len(points), deep_m)]))
         return np.concatenate(found)
 
@@ -328,17 +299,17 @@ class Senses:
         state = self.where.state
         if state is None:
             return None
-        layer, T_map_odom = self._floor.layer, self.where.T_map_odom
+        layer, T_map_odom = self.floor.layer, self.where.T_map_odom
         # The window moves in steps of a quarter: the controller looks ahead by half of it.
         x, y = (round(float(at) / (LOCAL_M / 4)) for at in state.pose[:2])
         stamp_s = self._live.obstacles().stamp_s
-        made = _LocalKey(stamp_s, self.avoids_hidden, self._floor.revision, (x, y), tuple(T_map_odom.tolist()))
+        made = _LocalKey(stamp_s, self.avoids_hidden, self.floor.revision, (x, y), tuple(T_map_odom.tolist()))
         known = self._local.get(for_plans)
         if known is None or known[0] != made:
             window = layer.window((x * LOCAL_M / 4, y * LOCAL_M / 4), 1.5 * LOCAL_M)
             near_m = self._footprint.circumscribed_m + HIDDEN_M
             live = self._obstacles(self.hidden(near_m) if self.avoids_hidden and not for_plans else None)
-            live = live.standing() if for_plans and self._floor.is_fixed else live
+            live = live.standing() if for_plans and self.floor.is_fixed else live
             costmap = Costmap.of(window, self._footprint, self._settings.costmap, live, T_map_odom)
             outline = self._footprint.padded(self._settings.follow.margin_m + 2 * layer.resolution_m)
             known = self._local[for_plans] = (made, costmap.standing_at(outline, state.pose))

@@ -102,7 +102,7 @@ class DriveMaps:
         path = make_output_folder(self._out / name) / MAP_FOLDER
         how: dict[str, Any] = {"in_step": self._in_step, "takes_real_time": True, "trusts_floor": True}
         with exploring(robot, self._config, path, **how, on_transition=on_transition) as drive:
-            store = drive.navigator.senses.keyframes
+            store = drive.navigator.senses.localization.keyframes
             assert store is not None
             places = NewPlaces(store)
             yield Driven(drive.navigator, places, is_new=True)

@@ -192,7 +192,7 @@ class GoalDrive:
             clearance_m=kept.clearance_m,
             images=kept.images,
             people=kept.people,
-            recognised=self.navigator.senses.recognised,
+            recognised=self.navigator.senses.localization.recognised,
             grid=self._grid(),
             footprint=config.navigation.footprint.outline,
             config=config.to_dict(),
