@@ -13,7 +13,7 @@ from sklearn.ensemble import RandomForestClassifier
 from wheelsight.core.errors import PlaceError
 from wheelsight.places import Forest, ForestSettings, grow_forest
 from wheelsight.places import describer_kernels as compiled
-from wheelsight.places.model import flatten
+from wheelsight.places.training import flatten
 
 
 def entropy(labels: np.ndarray) -> float:

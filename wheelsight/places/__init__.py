@@ -27,7 +27,6 @@ from wheelsight.places.describers import (
     describer_from,
 )
 from wheelsight.places.model import (
-    CalibrationCurve,
     Forest,
     ForestSettings,
     HeldOutFigures,
@@ -35,19 +34,20 @@ from wheelsight.places.model import (
     PlaceModel,
     ProbabilityScale,
     Unknown,
-    calibration_curve,
-    fit_scale,
-    grow_forest,
-    held_out_folds,
-    log_loss,
 )
 from wheelsight.places.training import (
     Answers,
+    CalibrationCurve,
     DescribedFrames,
     Mistake,
     PlaceTrial,
     answer_all,
+    calibration_curve,
     describe_all,
+    fit_scale,
+    grow_forest,
+    held_out_folds,
+    log_loss,
     predictions_csv,
     train_places,
     try_places,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,22 +16,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.core.errors import PlaceError
-from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array, IntArray
 from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.runtime import needed
 from wheelsight.places.describers import Describer, FrameSize, has_depth, size_error, size_of
 from wheelsight.places.model import (
-    CalibrationCurve,
+    LEAST_PROBABILITY,
+    Forest,
     ForestSettings,
     HeldOutFigures,
     PlaceModel,
     ProbabilityScale,
     Unknown,
-    calibration_curve,
-    fit_scale,
-    grow_forest,
-    held_out_folds,
-    least_confidence,
-    log_loss,
 )
 
 
@@ -326,3 +323,179 @@ def _collect(
         raise PlaceError("there are no frames to look at", fix="give a recording with colour and depth")
     stamps_s, probabilities, areas, seen = zip(*rows, strict=True)
     return Answers(np.array(stamps_s), np.array(probabilities), np.array(areas, np.int64), np.array(seen))
+
+
+_NO_CHILD = -1
+# Below this product of trees and frames, starting threads takes longer than growing trees.
+_WORTH_THREADS = 20_000
+_STARTS = ((1.0, 1e-3), (1.0, 0.05), (0.5, 0.05), (2.0, 0.02), (1.0, 0.3))
+_THRESHOLDS = np.arange(50, 100) / 100
+_FEWEST_ANSWERS = 20
+
+
+def grow_forest(
+    features: Float32Array, labels: IntArray, area_count: int, settings: ForestSettings, out_of_bag: bool = False
+) -> tuple[Forest, float]:
+    """Return a forest trained on features (N, D) and areas (N,), and its out-of-bag accuracy, or NaN if not requested.
+
+    Each tree is trained on frames drawn with replacement. Splits maximise the information gain, eq. 6 of Trinh et al.,
+    over √D features drawn at each node. The out-of-bag accuracy uses, for each frame, the trees trained without it;
+    frames in all trees are left out. Similar neighbouring frames make it too optimistic; held-out blocks do not.
+
+    Raises ConfigError if scikit-learn is not installed.
+    """
+    grown = needed("sklearn.ensemble").RandomForestClassifier(
+        settings.trees,
+        criterion="entropy",
+        max_depth=settings.max_depth,
+        min_samples_leaf=settings.min_leaf,
+        max_features="sqrt",
+        oob_score=out_of_bag,
+        random_state=settings.seed,
+        n_jobs=-1 if settings.trees * len(features) > _WORTH_THREADS else 1,
+    )
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Some inputs do not have OOB scores")
+        grown.fit(features, labels)
+    accuracy = float("nan")
+    if out_of_bag:
+        votes = np.nan_to_num(grown.oob_decision_function_)
+        is_voted = votes.sum(axis=1) > 0
+        named = np.asarray(grown.classes_)[votes.argmax(axis=1)]
+        accuracy = float((named == labels)[is_voted].mean()) if is_voted.any() else float("nan")
+    return flatten(grown, area_count), accuracy
+
+
+def flatten(grown: Any, area_count: int) -> Forest:
+    """Return the Forest of a fitted RandomForestClassifier; areas without training frames have a share of 0."""
+    trees = [estimator.tree_ for estimator in grown.estimators_]
+    roots = np.cumsum([0, *(tree.node_count for tree in trees[:-1])]).astype(np.int32)
+
+    def children(name: str) -> Int32Array:
+        sides = [getattr(tree, name) for tree in trees]
+        moved = [np.where(side < 0, _NO_CHILD, side + root) for side, root in zip(sides, roots, strict=True)]
+        return np.concatenate(moved).astype(np.int32)
+
+    counted = np.concatenate([tree.value[:, 0, :] for tree in trees])
+    share = np.zeros((len(counted), area_count))
+    share[:, np.asarray(grown.classes_)] = counted / counted.sum(axis=1, keepdims=True)
+    return Forest(
+        roots,
+        children("children_left"),
+        children("children_right"),
+        np.maximum(np.concatenate([tree.feature for tree in trees]), 0).astype(np.int32),
+        np.concatenate([tree.threshold for tree in trees]),
+        share,
+        int(grown.n_features_in_),
+    )
+
+
+def fit_scale(probabilities: FloatArray, labels: IntArray) -> ProbabilityScale:
+    """Return the scale with the least log loss on probabilities (N, A) of frames not used in training.
+
+    Args:
+        labels: (N,) indices of the true areas.
+    """
+    from scipy.optimize import minimize
+
+    def scale_of(parameters: FloatArray) -> ProbabilityScale:
+        return ProbabilityScale(float(np.exp(parameters[0])), float(1 / (1 + np.exp(-parameters[1]))))
+
+    def loss(parameters: FloatArray) -> float:
+        return log_loss(scale_of(parameters).apply(probabilities), labels)
+
+    starts = [np.array([np.log(t), np.log(b / (1 - b))]) for t, b in _STARTS]
+    bounds = [(np.log(0.1), np.log(10.0)), (-9.0, 3.0)]
+    found = minimize(loss, min(starts, key=loss), method="L-BFGS-B", bounds=bounds)
+    return scale_of(min([found.x, *starts], key=loss))
+
+
+def log_loss(probabilities: FloatArray, labels: IntArray) -> float:
+    """Return the mean of -ln p of the true area, over N frames with probabilities (N, A)."""
+    true = probabilities[np.arange(len(labels)), labels]
+    return float(-np.log(np.maximum(true, LEAST_PROBABILITY)).mean())
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationCurve:
+    """Accuracy by confidence.
+
+    Attributes:
+        confidence: (B,) mean of the highest probability in each bin with frames.
+        accuracy: (B,) share of these frames whose most probable area is the true one.
+        count: (B,) number of frames.
+    """
+
+    confidence: FloatArray
+    accuracy: FloatArray
+    count: IntArray
+
+    @property
+    def error(self) -> float:
+        """Expected calibration error: mean difference of confidence and accuracy, weighted by frames."""
+        return float(np.average(np.abs(self.confidence - self.accuracy), weights=self.count))
+
+    @property
+    def is_overconfident(self) -> bool:
+        """Whether the mean confidence exceeds the accuracy, over all frames."""
+        return bool(np.average(self.confidence - self.accuracy, weights=self.count) > 0)
+
+
+def calibration_curve(probabilities: ArrayLike, labels: ArrayLike, bins: int = 10) -> CalibrationCurve:
+    """Return the curve of N ≥ 1 frames with probabilities (N, A) and true areas (N,), in `bins` bins of equal width."""
+    p, true = np.asarray(probabilities, float), np.asarray(labels)
+    confidence, is_right = p.max(axis=1), p.argmax(axis=1) == true
+    place = np.minimum((confidence * bins).astype(int), bins - 1)
+    count = np.bincount(place, minlength=bins)
+    sums = (np.bincount(place, weights=values, minlength=bins)[count > 0] for values in (confidence, is_right))
+    confidence, accuracy = (values / count[count > 0] for values in sums)
+    return CalibrationCurve(confidence, accuracy, count[count > 0])
+
+
+def least_confidence(probabilities: FloatArray, labels: IntArray, wanted_accuracy: float) -> float:
+    """Return the lowest confidence with the wanted accuracy above it; if there is none, the one with the best accuracy.
+
+    It is at least 0.5, so that a named area is more probable than all others together. Confidences that too few frames
+    (N, A) reach are left out.
+    """
+    confidence, is_right = probabilities.max(axis=1), probabilities.argmax(axis=1) == labels
+    best, best_accuracy = float(_THRESHOLDS[0]), -1.0
+    for threshold in _THRESHOLDS:
+        answered = confidence >= threshold
+        if np.count_nonzero(answered) < _FEWEST_ANSWERS:
+            break
+        accuracy = float(is_right[answered].mean())
+        if accuracy >= wanted_accuracy:
+            return float(threshold)
+        if accuracy > best_accuracy:
+            best, best_accuracy = float(threshold), accuracy
+    return best
+
+
+def held_out_folds(
+    labels: IntArray, folds: int, block_frames: int, gap_frames: int, drives: IntArray | None = None
+) -> list[tuple[BoolArray, BoolArray]]:
+    """Return training frames (N,) and test frames (N,) of each fold, for N frames in order of time.
+
+    Neighbouring frames are alike, so that a random split would be too optimistic. With several drives, whole drives are
+    held out. Otherwise, each area's frames are cut into blocks of about `block_frames`, at least one per fold, and
+    assigned to the folds in turn. Up to `gap_frames` on both sides of a held-out block, at most half its length, are
+    not used in training. Frames with label -1 are in no fold.
+    """
+    labelled = labels >= 0
+    if drives is not None and len(np.unique(drives)) > 1:
+        numbers = np.unique(drives, return_inverse=True)[1] % folds
+        return [(labelled & (numbers != k), labelled & (numbers == k)) for k in np.unique(numbers)]
+    split = []
+    for fold in range(folds):
+        tried, beside = np.zeros(len(labels), bool), np.zeros(len(labels), bool)
+        for area in np.unique(labels[labelled]):
+            frames = np.flatnonzero(labels == area)
+            rounds = max(round(len(frames) / (folds * block_frames)), 1)
+            for block in np.array_split(frames, folds * rounds)[fold::folds]:
+                tried[block] = True
+                gap = min(gap_frames, len(block) // 2)
+                for side in (block - gap, block + gap):
+                    beside[side[(side >= 0) & (side < len(labels))]] = True
+        split.append((labelled & ~tried & ~beside, tried))
+    return [(trained, tried) for trained, tried in split if tried.any() and trained.any()]
