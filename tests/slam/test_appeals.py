@@ -28,7 +28,7 @@ def known_map() -> PieceGraph:
     for number in range(2 * COUNT):
         is_new = number >= COUNT
         T = se3.exp([0.0, 9.0, 0.0, 0.0, 0.0, 1.0]) @ at(number) if is_new else at(number)
-        made.add(T, COUNT if is_new else 0)
+        made.add_pose(T, COUNT if is_new else 0)
         if number <= COUNT:
             made.add_prior(anchor(KeyframeId(number), T), until_joined=is_new)
         else:
@@ -45,7 +45,7 @@ def loop(along: int, off: FloatArray | None = None) -> RelativePose:
 
 def seen(made: PieceGraph, along: range, off: FloatArray | None = None) -> None:
     for number in along:
-        made.close([loop(number, off)])
+        made.offer([loop(number, off)])
 
 
 def off_m(made: PieceGraph) -> float:
@@ -69,7 +69,7 @@ def test_a_right_start_is_kept_against_one_thing_that_was_moved(count: int) -> N
     made = known_map()
     seen(made, range(2, 20))
     false = [loop(20 + number % 4, MOVED) for number in range(count)]
-    made.close(false)
+    made.offer(false)
     made.review()
     assert made.report().overturned == 0
     assert off_m(made) < 0.02

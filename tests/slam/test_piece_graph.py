@@ -28,7 +28,7 @@ def graph() -> PieceGraph:
     for number in range(2 * COUNT):
         piece = COUNT * (number // COUNT)
         T = at(number) if not piece else APART @ at(number)
-        made.add(T, piece)
+        made.add_pose(T, piece)
         if number % COUNT == 0:
             made.add_prior(anchor(KeyframeId(number), T), until_joined=bool(piece))
         else:
@@ -49,16 +49,16 @@ def wrong(seed: int) -> FloatArray:
 
 def test_two_loops_seen_from_apart_join() -> None:
     made = graph()
-    assert not made.close([loop(0, 5)])
-    assert made.close([loop(2, 7)])
+    assert not made.offer([loop(0, 5)])
+    assert made.offer([loop(2, 7)])
     assert set(made.pieces.tolist()) == {0}
     np.testing.assert_allclose(made.poses, [at(number) for number in range(2 * COUNT)], atol=1e-5)
 
 
 def test_one_view_does_not_bear_out_the_next_beside_it() -> None:
     made = graph()
-    assert not made.close([loop(0, 5), loop(1, 5), loop(1, 6)])  # 0.4 m apart
-    assert made.close([loop(2, 8)])
+    assert not made.offer([loop(0, 5), loop(1, 5), loop(1, 6)])  # 0.4 m apart
+    assert made.offer([loop(2, 8)])
 
 
 def test_loops_that_guess_along_a_corridor_bear_nothing_out() -> None:
@@ -67,8 +67,8 @@ def test_loops_that_guess_along_a_corridor_bear_nothing_out() -> None:
     on = se3.exp([2.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     unsure = np.diag([100.0, *np.diag(C)[1:]])
     guesses = [replace(loop(*ends, on), covariance=unsure) for ends in ((0, 5), (2, 7), (4, 9))]
-    assert not made.close(guesses)
-    assert made.close([loop(0, 5), loop(2, 7)])
+    assert not made.offer(guesses)
+    assert made.offer([loop(0, 5), loop(2, 7)])
     np.testing.assert_allclose(made.poses, [at(number) for number in range(2 * COUNT)], atol=1e-5)
 
 
@@ -76,7 +76,7 @@ def test_loops_that_guess_along_a_corridor_bear_nothing_out() -> None:
 def test_few_do_not_join_against_others(against: int) -> None:
     made = graph()
     false = [loop(number, 9, wrong(number)) for number in range(against)]
-    assert made.close([*false, loop(0, 5), loop(2, 7)]) == (against == 1)
+    assert made.offer([*false, loop(0, 5), loop(2, 7)]) == (against == 1)
     if against > 1:
-        assert made.close([loop(1, 6), loop(3, 8)])
+        assert made.offer([loop(1, 6), loop(3, 8)])
     np.testing.assert_allclose(made.poses, [at(number) for number in range(2 * COUNT)], atol=1e-5)

@@ -102,11 +102,11 @@ def driven(rng, solver, count, off, false):
     for k in range(count):
         T.append(T[-1] @ step)
         if k == 0 or rng.random() < 0.15:
-            made.add(T[k] @ se3.exp(rng.normal(0, 1, 6) * bool(k)), k)
+            made.add_pose(T[k] @ se3.exp(rng.normal(0, 1, 6) * bool(k)), k)
             made.add_prior(anchor(KeyframeId(k), made.poses[-1]), until_joined=bool(k))
         else:
             sigma = 10 ** rng.uniform(-6, 0)
-            made.add(se3.nearest(made.poses[-1] @ step), int(made.pieces[-1]))
+            made.add_pose(se3.nearest(made.poses[-1] @ step), int(made.pieces[-1]))
             made.add_edges([edge(k - 1, k, step, sigma**2 * np.eye(6))])
         loops = []
         for first in rng.integers(0, k, rng.integers(0, 4)) if k else []:
@@ -115,7 +115,7 @@ def driven(rng, solver, count, off, false):
             T_loop = se3.nearest(se3.exp(xi) @ se3.invert(T[first]) @ T[k])
             loops.append(edge(int(first), k, T_loop, sigma**2 * np.eye(6), is_loop=True))
         if loops:
-            made.close(loops)
+            made.offer(loops)
     made.review()
     return made
 

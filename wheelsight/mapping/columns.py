@@ -21,11 +21,12 @@ along the axis, so that a surface does not move.
 
 from __future__ import annotations
 
+import lzma
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, Protocol, Self
+from typing import IO, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,8 +138,8 @@ def surfels_of(columns: Columns, stamp_s: float, stable_confidence: float) -> Su
         grey=grey.astype(np.float32),
         confidence=_powers(columns["confidence"], stable_confidence, _PER_OCTAVE),
         variance_m2=_powers(columns["variance"], _VARIANCE_M2, _PER_OCTAVE),
-        first_s=_seen_s(stamp_s, columns["first_age"]),
-        last_s=_seen_s(stamp_s, columns["last_age"]),
+        first_s=np.asarray(stamp_s - _AGE_S * columns["first_age"], float),
+        last_s=np.asarray(stamp_s - _AGE_S * columns["last_age"], float),
         keyframe=columns["keyframe"].astype(np.int32),
     )
 
@@ -214,19 +215,7 @@ def _powers(logs: NDArray[Any], one: float, per_octave: int) -> Float32Array:
         return np.asarray(one * np.exp2(logs / per_octave), np.float32)
 
 
-def _seen_s(stamp_s: float, age: NDArray[Any]) -> FloatArray:
-    return np.asarray(stamp_s - _AGE_S * age, float)
-
-
 _ROWS_AT_ONCE = 1 << 16
-
-
-class Compressor(Protocol):
-    """A compressor such as `lzma.LZMACompressor`."""
-
-    def compress(self, data: bytes, /) -> bytes:
-        """Return the output available so far."""
-        ...
 
 
 class ColumnFiles:
@@ -261,7 +250,7 @@ class ColumnFiles:
             self._streams[name].write(steps_of(column, self._last[name][0]).tobytes())
             self._last[name] = column[-1:] if len(column) else self._last[name]
 
-    def compressed(self, compressor: Compressor) -> bytes:
+    def compressed(self, compressor: lzma.LZMACompressor) -> bytes:
         """Return all columns, packed as by `packed`, compressed."""
         pieces = []
         for name, dtype in COLUMNS:

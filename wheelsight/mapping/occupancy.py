@@ -207,7 +207,9 @@ class OccupancyMapper:
         self._bands = kernels.Bands(*map(float, (*bands, _BRIDGED_M, _HIDDEN_M)))
         self._errs = kernels.OccupancyNoise(n.constant_m, n.quadratic_per_m, _MARGIN_SIGMAS)
         self._reach = math.ceil(s.far_m / s.resolution_m) + 1
-        self._window = _window(2 * self._reach + 1, self._channels)
+        side, self._channels = 2 * self._reach + 1, s.layers + 2
+        seen, is_touched = np.zeros((side, side, self._channels), np.uint8), np.zeros((side, side), np.uint8)
+        self._window = kernels.Window(seen, is_touched, np.zeros((side * side, 2), np.int32), np.zeros(1, np.int64))
         self._low: IntArray  # row and column of cell (0, 0), relative to the map's origin
         self._log_odds: NDArray[np.int8]
         self._clear()
@@ -308,10 +310,6 @@ class OccupancyMapper:
         y_m, x_m = (size_m * (self._low + low)).tolist()
         return OccupancyGrid.of_kinds(kind[cut], is_free[cut], size_m, (x_m, y_m))
 
-    @property
-    def _channels(self) -> int:
-        return self.settings.layers + 2
-
     def _clear(self) -> None:
         self._low = np.zeros(2, np.int64)
         self._log_odds = np.zeros((0, 0, self._channels), np.int8)
@@ -358,12 +356,6 @@ class OccupancyMapper:
             (row, column), (rows, columns) = (old_low - low).tolist(), self._log_odds.shape[:2]
             larger[row : row + rows, column : column + columns] = self._log_odds
         self._low, self._log_odds = low, larger
-
-
-def _window(side: int, channels: int) -> kernels.Window:
-    """Return an empty window."""
-    seen, is_touched = np.zeros((side, side, channels), np.uint8), np.zeros((side, side), np.uint8)
-    return kernels.Window(seen, is_touched, np.zeros((side * side, 2), np.int32), np.zeros(1, np.int64))
 
 
 def _log_odds(probability: float) -> int:

@@ -190,7 +190,8 @@ class SurfelMap:
         self._load_near(pose)
         sensor = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
         shape, size = depth_m.shape, depth_m.size
-        camera = Camera(pose.T32, pose.grid32, *rays_of(pose.grid, shape), pose.pitch, sensor)
+        lens = pose.T.astype(np.float32), pose.grid.astype(np.float32), *rays_of(pose.grid, shape)
+        camera = Camera(*lens, np.float32(1 / min(pose.grid[:2])), sensor)  # with the size of a pixel at one metre
         reading = self._room("reading", (size, READING), np.float32)
         radius = self._room("radius", (size,), np.float32)
         looks = (color.reshape(-1, 3), grey.reshape(-1))
@@ -299,7 +300,7 @@ class SurfelMap:
         sizes = (_SMALLEST_PX, _LARGEST_PX, _SHOWN_COSINE)
         numbers = (far_m, self.settings.stable_confidence, least, vague_m2, *sizes)
         shown = view.RenderLimits._make((*map(np.float32, numbers), since_s))
-        lens = view.RenderCamera(pose.T32, pose.grid32, width, height)
+        lens = view.RenderCamera(pose.T.astype(np.float32), pose.grid.astype(np.float32), width, height)
         given = (InView(pages, blocks.page_fill), blocks.surfels, lens, shown, disks)
         share(len(pages), view.project_disks, after=given)
         near = self._room("near", (*shape, view.NEAR), np.float32)
@@ -575,21 +576,6 @@ class Pose:
 
     T: FloatArray
     grid: FloatArray
-
-    @property
-    def T32(self) -> Float32Array:
-        """T in single precision."""
-        return self.T.astype(np.float32)
-
-    @property
-    def grid32(self) -> Float32Array:
-        """Intrinsics in single precision."""
-        return self.grid.astype(np.float32)
-
-    @property
-    def pitch(self) -> np.float32:
-        """Size of a pixel at one metre."""
-        return np.float32(1 / min(self.grid[:2]))
 
 
 def rays_of(grid: FloatArray, shape: tuple[int, ...]) -> tuple[Float32Array, Float32Array]:

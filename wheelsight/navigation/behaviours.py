@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -33,21 +33,6 @@ _SEARCH_M_S, _LEAST_SEARCH_M = 0.2, 0.5
 _BACK_M, _UNSEEN_BACK_M, _BACK_M_S = 0.3, 0.8, 0.1
 
 
-class Behaviour(Protocol):
-    """A motion until it is complete; its command is requested once per period."""
-
-    @property
-    def name(self) -> str:
-        """Name for the log."""
-
-    def command(self, now_s: float, odom_pose: FloatArray | None) -> VelocityCommand | None:
-        """Return the command of a period; None once it is complete, or makes no more progress.
-
-        Args:
-            odom_pose: (3,) x, y, yaw in `odom`, or None if unknown.
-        """
-
-
 @dataclass
 class Wait:
     """Stand for some seconds."""
@@ -57,7 +42,12 @@ class Wait:
     _until_s: float = field(default=math.nan, init=False)
 
     def command(self, now_s: float, odom_pose: FloatArray | None) -> VelocityCommand | None:
-        """See `Behaviour`."""
+        """Return the command of a period; None once the behaviour is complete, or makes no more progress.
+
+        Args:
+            now_s: current time, by the clock of the stamps.
+            odom_pose: (3,) x, y, yaw in `odom`, or None if unknown.
+        """
         if math.isnan(self._until_s):
             self._until_s = now_s + self.seconds
         return STOP if now_s < self._until_s else None
@@ -77,7 +67,7 @@ class Turn:
         self._progress, self._left = _Progress(_LEAST_RAD), list(self.angles_rad)
 
     def command(self, now_s: float, odom_pose: FloatArray | None) -> VelocityCommand | None:
-        """See `Behaviour`."""
+        """See `Wait.command`."""
         if odom_pose is None or not self._left:
             return None
         yaw = float(odom_pose[2])
@@ -106,7 +96,7 @@ class Straight:
         self._progress = _Progress(_LEAST_M)
 
     def command(self, now_s: float, odom_pose: FloatArray | None) -> VelocityCommand | None:
-        """See `Behaviour`."""
+        """See `Wait.command`."""
         if odom_pose is None:
             return None
         if self._from is None:
@@ -125,13 +115,17 @@ class Series:
     name: str
 
     def command(self, now_s: float, odom_pose: FloatArray | None) -> VelocityCommand | None:
-        """See `Behaviour`."""
+        """See `Wait.command`."""
         while self.parts:
             command = self.parts[0].command(now_s, odom_pose)
             if command is not None:
                 return command
             self.parts = self.parts[1:]
         return None
+
+
+Behaviour: TypeAlias = Wait | Turn | Straight | Series
+"""A motion until it is complete; its command is requested once per period."""
 
 
 class _Progress:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from itertools import pairwise
-from typing import Protocol
+from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -362,32 +362,6 @@ _STAMP_M, _STAMP_RAD = 0.05, 0.1
 _BESIDE_M = 0.05
 
 
-class Floor(Protocol):
-    """Known part of the building's floor."""
-
-    @property
-    def revision(self) -> int:
-        """Number that changes with the layer."""
-
-    @property
-    def layer(self) -> StaticLayer:
-        """Static layer in the frame `map`."""
-
-    @property
-    def is_fixed(self) -> bool:
-        """Whether it comes from an earlier session, so that obstacles besides it are temporary."""
-
-    @property
-    def has_keep_out(self) -> bool:
-        """Whether it has a keep-out zone, which no camera sees."""
-
-    def update(self, pose: FloatArray | None, now_s: float) -> None:
-        """Update it for a robot at (3,) in the map; called once per period, so it must be fast."""
-
-    def is_silent(self, now_s: float) -> bool:
-        """Return whether its computation hangs."""
-
-
 class KnownFloor:
     """Floor of a fixed map, extended by the floor that the robot itself drives over.
 
@@ -399,7 +373,7 @@ class KnownFloor:
         trusted_m: radius around the start, in sight of it, where unknown floor is free, because a person looked at it.
     """
 
-    is_fixed = True
+    is_fixed = True  # obstacles besides those of the map are temporary
 
     def __init__(
         self,
@@ -551,6 +525,10 @@ class GrowingFloor:
         if self._trusted is None or self._trusted[0][0] is not self._seen or self._trusted[0][1:] != of[1:]:
             self._trusted = of, _in_sight(static, self._stood[0][:2], self._trusted_m)
         return known.with_floor(self._trusted[1], is_assumed=True)
+
+
+Floor: TypeAlias = KnownFloor | GrowingFloor
+"""The known part of the building's floor."""
 
 
 def _driven_over(static: StaticLayer, poses: FloatArray, footprint: Footprint) -> StaticLayer:

@@ -149,7 +149,9 @@ class Planner:
     def _from(self, drivable: Drivable, out: FloatArray, end: FloatArray) -> Plan | PlanFailure:
         """Plan from the end of a way out (N, 4) to a goal (3,), or beside it."""
         metre_cost = passable(drivable)
-        labels = components(metre_cost)
+        # Labels from 1 of cells connected by their edges; 0 where blocked.
+        _, found = cv2.connectedComponents(np.isfinite(metre_cost).astype(np.uint8), connectivity=4, ltype=cv2.CV_32S)
+        labels = found.astype(np.int32)
         row, column = drivable.costmap.cells_at(out[-1, :2]).tolist()
         aim = goal_near(drivable, end, labels, int(labels[row, column]), self.settings)
         if isinstance(aim, PlanFailure):
@@ -533,12 +535,6 @@ def passable(drivable: Drivable) -> Float32Array:
     return np.asarray(metre_cost, np.float32)
 
 
-def components(metre_cost: Float32Array) -> Int32Array:
-    """Return (H, W) labels from 1 of cells connected by their edges; 0 where blocked."""
-    _, labels = cv2.connectedComponents(np.isfinite(metre_cost).astype(np.uint8), connectivity=4, ltype=cv2.CV_32S)
-    return labels.astype(np.int32)
-
-
 def way_out(
     drivable: Drivable, outline: Outline, start: FloatArray, settings: PlannerSettings, *, is_wide: bool = False
 ) -> FloatArray | None:
@@ -605,7 +601,7 @@ def goal_near(
 
     Args:
         goal: (3,) x, y, yaw; a yaw of NaN is any heading.
-        labels: (H, W) of `components`.
+        labels: (H, W) number of the connected component of each cell; 0 where blocked.
         label: of the component where the robot is.
     """
     costmap = drivable.costmap

@@ -62,17 +62,6 @@ _BESIDE_M = 0.15
 _TRAIL_S, _TRAIL_M = 1.0, 0.15
 
 
-@dataclass(frozen=True, slots=True)
-class _LocalKey:
-    """What a local costmap depends on; an equal key means an equal costmap."""
-
-    frame_s: float | None
-    avoids_hidden: bool
-    revision: int
-    cell: tuple[int, int]
-    T_map_odom: tuple[float, float, float]
-
-
 class Senses:
     """Sensor data and surroundings of one robot. The collision monitor gets wheel readings and frames first.
 
@@ -113,7 +102,7 @@ class Senses:
         self._views: deque[DepthView] = deque(maxlen=_VIEWS)
         # Poses in `odom` from the start until the place in the map is known; None from then on.
         self._unplaced: deque[FloatArray] | None = deque(maxlen=_PLACES)
-        self._local: dict[bool, tuple[_LocalKey, Costmap]] = {}
+        self._local: dict[bool, tuple[object, Costmap]] = {}  # with what each depends on
         self._stays: tuple[float | None, FloatArray] = (None, np.empty((0, 2)))
 
     def update(self, events: Sequence[Event], now_s: float) -> None:
@@ -303,7 +292,7 @@ class Senses:
         # The window moves in steps of a quarter: the controller looks ahead by half of it.
         x, y = (round(float(at) / (LOCAL_M / 4)) for at in state.pose[:2])
         stamp_s = self._live.obstacles().stamp_s
-        made = _LocalKey(stamp_s, self.avoids_hidden, self.floor.revision, (x, y), tuple(T_map_odom.tolist()))
+        made = stamp_s, self.avoids_hidden, self.floor.revision, x, y, *T_map_odom.tolist()
         known = self._local.get(for_plans)
         if known is None or known[0] != made:
             window = layer.window((x * LOCAL_M / 4, y * LOCAL_M / 4), 1.5 * LOCAL_M)
@@ -356,12 +345,12 @@ class WhereNow:
         self._wheels, self._most_unproven_m = WheelOdometry(wheels), unproven_m
         self._held: HeldPlace | None = None
         self._track: deque[tuple[float, FloatArray]] = deque()
-        self._heard_s = self._answered_s = -math.inf
+        self._received_s = self._answered_s = -math.inf
         self._unanswered_m = 0.0
-        self._answer: Estimate | None = None
+        self.estimate: Estimate | None = None
         self._known_sigma_m = 0.0
         self._unproven_m: float | None = None
-        self._speed = WheelSpeed(-math.inf, 0.0, 0.0)
+        self.speed = WheelSpeed(-math.inf, 0.0, 0.0)
 
     def roll(self, reading: WheelTicks | WheelSpeeds) -> WheelSpeed | None:
         """Process a wheel reading. Return the speed of the base, or None if the reading gives none."""
@@ -386,12 +375,12 @@ class WhereNow:
         if answer.stamp_s - then_s >= _LEAST_S:
             speeds = se2.log(np.linalg.inv(T_then) @ T_now) / (answer.stamp_s - then_s)
             forward, turn = float(speeds[0]), float(speeds[2])
-        self._speed = WheelSpeed(answer.stamp_s, forward, turn, rolled=(float(way[0]), float(way[2])))
-        return self._speed
+        self.speed = WheelSpeed(answer.stamp_s, forward, turn, rolled=(float(way[0]), float(way[2])))
+        return self.speed
 
     def ask(self, stamp_s: float) -> None:
         """Record that the localization got an event with this stamp."""
-        self._heard_s = max(self._heard_s, stamp_s)
+        self._received_s = max(self._received_s, stamp_s)
 
     def processed(self, stamp_s: float) -> None:
         """Record that the localization has processed an event with this stamp, with or without an estimate."""
@@ -402,7 +391,7 @@ class WhereNow:
     @property
     def silent_s(self) -> float:
         """Seconds of events that the localization has not processed; 0 before its first answer."""
-        return max(self._heard_s - self._answered_s, 0.0) if math.isfinite(self._answered_s) else 0.0
+        return max(self._received_s - self._answered_s, 0.0) if math.isfinite(self._answered_s) else 0.0
 
     @property
     def is_silent(self) -> bool:
@@ -415,7 +404,7 @@ class WhereNow:
         Args:
             recognised: number of recognitions of an earlier map; None if there is no recognition.
         """
-        self._answer = estimate
+        self.estimate = estimate
         if recognised != 0:
             self._unproven_m = None
         elif self._unproven_m is None:
@@ -433,37 +422,27 @@ class WhereNow:
             self._held = HeldPlace(_planar(estimate.T_map_body), T_wheels, sigma_m, estimate.stamp_s)
 
     @property
-    def estimate(self) -> Estimate | None:
-        """Last estimate."""
-        return self._answer
-
-    @property
-    def speed(self) -> WheelSpeed:
-        """Speed by the last wheel reading."""
-        return self._speed
-
-    @property
     def status(self) -> Status:
         """Status of the last estimate, or `INITIALIZING` before it.
 
         Late estimates limit it to `COASTING`, and silence to `FAILING`.
         """
-        if self._answer is None:
+        if self.estimate is None:
             return Status.INITIALIZING
         if self.is_silent:
             return Status.FAILING
-        is_late = self.silent_s > COASTING_S and self._answer.status is Status.TRACKING
-        return Status.COASTING if is_late else self._answer.status
+        is_late = self.silent_s > COASTING_S and self.estimate.status is Status.TRACKING
+        return Status.COASTING if is_late else self.estimate.status
 
     @property
     def is_rolling(self) -> bool:
         """Whether the motion in `odom` is known, even without a place in the map."""
-        return self._answer is not None and self._answer.T_odom_body is not None and self.status is not Status.LOST
+        return self.estimate is not None and self.estimate.T_odom_body is not None and self.status is not Status.LOST
 
     @property
     def grown_sigma_m(self) -> float:
         """Growth of the position's standard deviation since the last tracked estimate, metres."""
-        known, answer = self._known_sigma_m, self._answer
+        known, answer = self._known_sigma_m, self.estimate
         return 0.0 if answer is None else math.sqrt(max(_sigma_m(answer) ** 2 - known**2, 0.0))
 
     @property
@@ -496,7 +475,7 @@ class WhereNow:
     @property
     def odom_pose(self) -> FloatArray | None:
         """(3,) x, y, yaw of the base in `odom` now; None while unknown."""
-        answer = self._answer
+        answer = self.estimate
         if answer is None or answer.T_odom_body is None:
             return None
         return _pose(_planar(answer.T_odom_body) @ self._since(answer.stamp_s))
@@ -506,7 +485,7 @@ class WhereNow:
         """(3,) x, y, yaw of `odom` in `map`."""
         held, odom_pose = self._held, self.odom_pose
         if held is None or odom_pose is None:
-            return np.zeros(3) if self._answer is None else _pose(_planar(self._answer.T_map_odom))
+            return np.zeros(3) if self.estimate is None else _pose(_planar(self.estimate.T_map_odom))
         return _pose(held.carried(self._rolled_at(math.inf)) @ se2.invert(se2.from_parts(*odom_pose)))
 
     @property
@@ -515,7 +494,7 @@ class WhereNow:
         if self._held is None:
             return None
         pose = _pose(self._held.carried(self._rolled_at(math.inf)))
-        return MotionState(pose, self._speed.forward_m_s, self._speed.turn_rad_s)
+        return MotionState(pose, self.speed.forward_m_s, self.speed.turn_rad_s)
 
     def _since(self, stamp_s: float) -> FloatArray:
         """Return (3, 3), the motion of the base since a stamp by the wheels; the identity if the stamp is too old."""

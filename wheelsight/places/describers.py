@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, Protocol, Self
+from typing import Any, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
 from pydantic import model_validator
@@ -28,29 +28,6 @@ from wheelsight.places.describer_kernels import (
 
 FrameSize = tuple[int, int, int, int]
 _LEAST_DEPTH_SHARE = 0.01
-
-
-class Describer(Protocol):
-    """Turns a frame into D features, without state between frames."""
-
-    @property
-    def kind(self) -> str:
-        """Name in saved models."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the features, in order."""
-
-    @property
-    def size(self) -> int:
-        """Number of features D."""
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Plain values saved with a model; `describer_from` makes the describer from them."""
-
-    def describe(self, frame: RgbdFrame) -> Float32Array:
-        """Return the features (D,). Raises PlaceError if the images are not as RgbdFrame requires."""
 
 
 def size_of(frame: RgbdFrame) -> FrameSize:
@@ -150,7 +127,7 @@ class HistogramDescriber:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Plain values saved with a model."""
+        """Plain values saved with a model; `describer_from` makes the describer from them."""
         return {"kind": self.kind, **self._settings.model_dump(mode="json")}
 
     def describe(self, frame: RgbdFrame) -> Float32Array:
@@ -254,3 +231,7 @@ class LayoutDescriber:
         describe_profile(depth_m, s.far_m, profile)
         describe_whole(color, depth_m, normals, s.far_m, grey, depth, sides)
         return np.concatenate([part.ravel() for part in (of_color, of_depth, profile, grey, depth, sides)])
+
+
+Describer: TypeAlias = HistogramDescriber | LayoutDescriber
+"""Turns a frame into D features, without state between frames."""

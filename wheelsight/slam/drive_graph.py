@@ -109,126 +109,6 @@ class KeyframePlace:
     newest: KeyframeId
 
 
-class DriveGraph:
-    """Pose graph of a drive. It may consist of pieces until a recognized place joins them.
-
-    Args:
-        known: map of an earlier drive. Without a start pose in it, the drive begins a separate piece.
-    """
-
-    def __init__(self, known: KnownMap | None = None) -> None:
-        self._graph = PieceGraph()
-        self._before: OdometryKeyframe | None = None
-        self._start = None if known is None else known.start
-        if known is not None:
-            for prior in known.priors(ANCHOR_SIGMA, _KNOWN_SIGMA_M, _KNOWN_SIGMA_RAD):
-                self._graph.add(prior.T_map_keyframe, piece=0)
-                self._graph.add_prior(prior)
-            self._graph.add_edges(known.edges)
-        self._reported: FloatArray = self._graph.poses  # keyframe poses that odometry has
-
-    @property
-    def poses(self) -> FloatArray:
-        """T_map_keyframe (N, 4, 4)."""
-        return self._graph.poses
-
-    @property
-    def pieces(self) -> IntArray:
-        """(N,) as `PoseUpdate.piece`."""
-        return self._graph.pieces
-
-    @property
-    def edges(self) -> tuple[RelativePose, ...]:
-        """Odometry edges and kept loops."""
-        return self._graph.edges
-
-    def report(self) -> LoopReport:
-        """Return the decisions on all loops so far."""
-        return self._graph.report()
-
-    def place(self, revisit: Revisit | None = None) -> KeyframePlace | None:
-        """Return the map pose of the newest keyframe, or of a revisited one with the revisit's uncertainty added.
-
-        None while its piece is not joined to the map, or if the covariance cannot be computed.
-        """
-        newest = self._before
-        asked = newest if revisit is None else revisit
-        if newest is None or asked is None or self._graph.pieces[asked.number] > 0:
-            return None
-        covariance = self._graph.covariance(asked.number)
-        if covariance is None:
-            return None
-        T_map_keyframe = self._graph.poses[asked.number]
-        if revisit is not None:
-            Ad = se3.adjoint(T_map_keyframe)
-            covariance = covariance + Ad @ revisit.of_motion @ Ad.T
-        odometry = asked.T_odom_keyframe, asked.covariance
-        return KeyframePlace(asked.number, *odometry, T_map_keyframe, covariance, newest.number)
-
-    def review(self) -> None:
-        """Review all loops; see `LoopCloser.review`."""
-        self._graph.review()
-
-    def add(self, keyframe: OdometryKeyframe) -> None:
-        """Add the next keyframe, with an odometry edge from the previous one unless it begins a piece."""
-        before, self._before = self._before, keyframe
-        number, T_odom_keyframe = keyframe.number, keyframe.T_odom_keyframe
-        if before is None and self._start is not None:
-            T_start, covariance = self._start
-            T_map_keyframe = T_start if keyframe.T_map_keyframe is None else keyframe.T_map_keyframe
-            self._begin(Prior(number, T_map_keyframe, covariance), piece=0)
-        elif before is None and not number:  # the map's origin
-            self._begin(anchor(number, T_odom_keyframe), piece=0)
-        elif before is None or keyframe.begins:  # fixed in odom until loops join the piece to another
-            self._begin(anchor(number, T_odom_keyframe), piece=number, until_joined=True)
-        else:
-            then, now = ((one.T_odom_keyframe, one.covariance) for one in (before, keyframe))
-            edge = step_edge((before.number, number), then, now)
-            if keyframe.motion is not None:
-                edge = along_floor(edge, keyframe.motion, up=before.T_odom_keyframe[2, :3])
-            self._graph.add(se3.nearest(self._graph.poses[-1] @ edge.T_first_second), int(self._graph.pieces[-1]))
-            self._graph.add_edges([edge])
-            step = edge.T_first_second if keyframe.T_before_now is None else keyframe.T_before_now
-            self._reported = np.concatenate([self._reported, self._reported[-1:] @ step])
-
-    def _begin(self, prior: Prior, piece: int, *, until_joined: bool = False) -> None:
-        """Add the first keyframe of a drive or of a piece, with its prior."""
-        self._graph.add(prior.T_map_keyframe, piece)
-        self._graph.add_prior(prior, until_joined=until_joined)
-        self._reported = np.concatenate([self._reported, prior.T_map_keyframe[None]])
-
-    def close(self, loops: Sequence[RelativePose]) -> PoseUpdate | None:
-        """Check loops, and return keyframe poses if any moved or pieces were joined, else None.
-
-        Poses may move without a loop as well: with wheels, the relative poses in odom are better than the camera's.
-        """
-        has_joined = bool(loops) and self._graph.close(loops)
-        shift_m = se3.view_shift_m(se3.invert(self._reported) @ self._graph.poses).max()
-        if not has_joined and shift_m <= _LEAST_SHIFT_M:
-            return None
-        self._reported = self._graph.poses
-        ends = [sorted((edge.first, edge.second)) for edge in self.edges if edge.is_loop]
-        return PoseUpdate(self._reported, self.pieces, np.array(ends, np.int64).reshape(-1, 2))
-
-    @property
-    def unjoined(self) -> tuple[KeyframeId, ...]:
-        """Keyframes of the last keyframe's piece while that is not joined to the map; else none."""
-        pieces = self._graph.pieces
-        alike = np.flatnonzero((pieces == pieces[-1]) & (pieces > 0))
-        return tuple(KeyframeId(int(number)) for number in alike)
-
-    def near(self, limit_m: float) -> tuple[KeyframeId, ...]:
-        """Return keyframes of the last one's piece within a distance of it, the nearest first.
-
-        A turn by a radian counts as 1.5 m.
-        """
-        poses, pieces = self._graph.poses, self._graph.pieces
-        apart_m = se3.view_shift_m(se3.invert(poses[:-1]) @ poses[-1])
-        apart_m[pieces[:-1] != pieces[-1]] = np.inf
-        order = np.argsort(apart_m)
-        return tuple(KeyframeId(int(number)) for number in order[: np.count_nonzero(apart_m < limit_m)])
-
-
 class PieceGraph:
     """Pose graph that may consist of pieces until recognized places join them.
 
@@ -268,7 +148,7 @@ class PieceGraph:
         if self._closer.report().decisions:
             self._closer.review()
 
-    def add(self, T_map_keyframe: FloatArray, piece: int) -> None:
+    def add_pose(self, T_map_keyframe: FloatArray, piece: int) -> None:
         """Add the next keyframe to a piece, with an initial pose (4, 4)."""
         self._graph.add(T_map_keyframe)
         self._piece.append(piece)
@@ -283,25 +163,20 @@ class PieceGraph:
         if until_joined:
             self._held[self._piece[prior.keyframe]] = prior
 
-    def covariance(self, keyframe: KeyframeId) -> FloatArray | None:
-        """Return (6, 6) of the left perturbation (v, ω) of a pose in its piece; None if it cannot be computed."""
-        return self._graph.marginal(keyframe)
-
-    def close(self, loops: Sequence[RelativePose]) -> bool:
+    def offer(self, loops: Sequence[RelativePose]) -> bool:
         """Check loops, and return whether they joined two pieces. The piece with the higher number moves."""
         self._graph.update()
         within = [loop for loop in loops if self._piece[loop.first] == self._piece[loop.second]]
         if within:
             self._closer.offer(within)
         across = [loop for loop in loops if self._piece[loop.first] != self._piece[loop.second]]
-        self._across += [loop for loop in across if self._constrains_all(loop)]
+        for loop in across:
+            # Its standard deviation in each direction must be within the limits for agreement.
+            variances = [np.linalg.eigvalsh(part)[-1] for part in (loop.covariance[:3, :3], loop.covariance[3:, 3:])]
+            if variances[0] <= _AGREE_M**2 and variances[1] <= _AGREE_RAD**2:
+                self._across.append(loop)
         self._across = self._across[-_MOST_ACROSS:]
         return self._join_pieces()
-
-    def _constrains_all(self, loop: RelativePose) -> bool:
-        """Return whether the loop's standard deviation in each direction is within the limits for agreement."""
-        variances = [np.linalg.eigvalsh(part)[-1] for part in (loop.covariance[:3, :3], loop.covariance[3:, 3:])]
-        return bool(variances[0] <= _AGREE_M**2 and variances[1] <= _AGREE_RAD**2)
 
     def _join_pieces(self) -> bool:
         """Join two pieces if loops agree and few contradict them; return whether any were joined."""
@@ -334,3 +209,100 @@ class PieceGraph:
         D = se3.invert(X @ T[other.second]) @ T[other.first] @ other.T_first_second
         is_near = np.linalg.norm(D[:3, 3]) <= _AGREE_M
         return bool(is_near and so3.angle(D[:3, :3]) <= _AGREE_RAD)
+
+
+class DriveGraph(PieceGraph):
+    """Pose graph of a drive. It may consist of pieces until a recognized place joins them.
+
+    Args:
+        known: map of an earlier drive. Without a start pose in it, the drive begins a separate piece.
+    """
+
+    def __init__(self, known: KnownMap | None = None) -> None:
+        super().__init__()
+        self._before: OdometryKeyframe | None = None
+        self._start = None if known is None else known.start
+        if known is not None:
+            for prior in known.priors(ANCHOR_SIGMA, _KNOWN_SIGMA_M, _KNOWN_SIGMA_RAD):
+                self.add_pose(prior.T_map_keyframe, piece=0)
+                self.add_prior(prior)
+            self.add_edges(known.edges)
+        self._reported: FloatArray = self.poses  # keyframe poses that odometry has
+
+    def place(self, revisit: Revisit | None = None) -> KeyframePlace | None:
+        """Return the map pose of the newest keyframe, or of a revisited one with the revisit's uncertainty added.
+
+        None while its piece is not joined to the map, or if the covariance cannot be computed.
+        """
+        newest = self._before
+        asked = newest if revisit is None else revisit
+        if newest is None or asked is None or self.pieces[asked.number] > 0:
+            return None
+        covariance = self._graph.marginal(asked.number)
+        if covariance is None:
+            return None
+        T_map_keyframe = self.poses[asked.number]
+        if revisit is not None:
+            Ad = se3.adjoint(T_map_keyframe)
+            covariance = covariance + Ad @ revisit.of_motion @ Ad.T
+        odometry = asked.T_odom_keyframe, asked.covariance
+        return KeyframePlace(asked.number, *odometry, T_map_keyframe, covariance, newest.number)
+
+    def add(self, keyframe: OdometryKeyframe) -> None:
+        """Add the next keyframe, with an odometry edge from the previous one unless it begins a piece."""
+        before, self._before = self._before, keyframe
+        number, T_odom_keyframe = keyframe.number, keyframe.T_odom_keyframe
+        if before is None and self._start is not None:
+            T_start, covariance = self._start
+            T_map_keyframe = T_start if keyframe.T_map_keyframe is None else keyframe.T_map_keyframe
+            self._begin(Prior(number, T_map_keyframe, covariance), piece=0)
+        elif before is None and not number:  # the map's origin
+            self._begin(anchor(number, T_odom_keyframe), piece=0)
+        elif before is None or keyframe.begins:  # fixed in odom until loops join the piece to another
+            self._begin(anchor(number, T_odom_keyframe), piece=number, until_joined=True)
+        else:
+            then, now = ((one.T_odom_keyframe, one.covariance) for one in (before, keyframe))
+            edge = step_edge((before.number, number), then, now)
+            if keyframe.motion is not None:
+                edge = along_floor(edge, keyframe.motion, up=before.T_odom_keyframe[2, :3])
+            self.add_pose(se3.nearest(self.poses[-1] @ edge.T_first_second), int(self.pieces[-1]))
+            self.add_edges([edge])
+            step = edge.T_first_second if keyframe.T_before_now is None else keyframe.T_before_now
+            self._reported = np.concatenate([self._reported, self._reported[-1:] @ step])
+
+    def _begin(self, prior: Prior, piece: int, *, until_joined: bool = False) -> None:
+        """Add the first keyframe of a drive or of a piece, with its prior."""
+        self.add_pose(prior.T_map_keyframe, piece)
+        self.add_prior(prior, until_joined=until_joined)
+        self._reported = np.concatenate([self._reported, prior.T_map_keyframe[None]])
+
+    def close(self, loops: Sequence[RelativePose]) -> PoseUpdate | None:
+        """Check loops, and return keyframe poses if any moved or pieces were joined, else None.
+
+        Poses may move without a loop as well: with wheels, the relative poses in odom are better than the camera's.
+        """
+        has_joined = bool(loops) and self.offer(loops)
+        shift_m = se3.view_shift_m(se3.invert(self._reported) @ self.poses).max()
+        if not has_joined and shift_m <= _LEAST_SHIFT_M:
+            return None
+        self._reported = self.poses
+        ends = [sorted((edge.first, edge.second)) for edge in self.edges if edge.is_loop]
+        return PoseUpdate(self._reported, self.pieces, np.array(ends, np.int64).reshape(-1, 2))
+
+    @property
+    def unjoined(self) -> tuple[KeyframeId, ...]:
+        """Keyframes of the last keyframe's piece while that is not joined to the map; else none."""
+        pieces = self.pieces
+        alike = np.flatnonzero((pieces == pieces[-1]) & (pieces > 0))
+        return tuple(KeyframeId(int(number)) for number in alike)
+
+    def near(self, limit_m: float) -> tuple[KeyframeId, ...]:
+        """Return keyframes of the last one's piece within a distance of it, the nearest first.
+
+        A turn by a radian counts as 1.5 m.
+        """
+        poses, pieces = self.poses, self.pieces
+        apart_m = se3.view_shift_m(se3.invert(poses[:-1]) @ poses[-1])
+        apart_m[pieces[:-1] != pieces[-1]] = np.inf
+        order = np.argsort(apart_m)
+        return tuple(KeyframeId(int(number)) for number in order[: np.count_nonzero(apart_m < limit_m)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy import sparse
@@ -111,11 +111,8 @@ class GtsamPoseGraph(PoseGraph):
         if self._own is None:
             # On long paths with loops of little weight, GTSAM's Cholesky factors lose precision; ours are LU.
             with suppress(RuntimeError):
-                is_current = self._isam is not None and self._held == (
-                    len(self),
-                    len(self._edges),
-                    len(self._priors),
-                )
+                counts = len(self), len(self._edges), len(self._priors)
+                is_current = self._isam is not None and self._held == counts
                 if not is_current and self._marginals is None and not self.unanchored().any():
                     self._marginals = self._gtsam.Marginals(self._factors(0, 0), self._values(0))
                 source = self._isam if is_current else self._marginals
@@ -172,16 +169,7 @@ _MOST_STEPS_OF_OWN, _STEPS_OF_OWN_UPDATE = 100, 3  # of optimise and update
 # Iterations end when the relative decrease of the cost is smaller.
 _LEAST_GAIN_OF_OWN = 1e-7
 _SIDE = np.arange(6)
-
-
-class _GraphArrays(NamedTuple):
-    edges: EdgeArrays
-    priors: tuple[IntArray, FloatArray, FloatArray]
-
-
-class _NormalEquations(NamedTuple):
-    information: sparse.csc_array
-    gradient: FloatArray
+_GraphArrays: TypeAlias = tuple[EdgeArrays, tuple[IntArray, FloatArray, FloatArray]]
 
 
 class OwnPoseGraph(PoseGraph):
@@ -193,7 +181,7 @@ class OwnPoseGraph(PoseGraph):
     def __init__(self) -> None:
         super().__init__()
         self._held_factor: tuple[SuperLU | None, IntArray] | None = None
-        self._problem: _GraphArrays | None = None
+        self._problem: _GraphArrays | None = None  # edges and priors
 
     def update(self) -> None:
         """Do some iterations from the current poses."""
@@ -210,12 +198,11 @@ class OwnPoseGraph(PoseGraph):
         problem, damping = self._as_arrays(), _FIRST_DAMPING
         cost = _cost(self._T, problem)
         for _ in range(most_steps):
-            linear, gain = _linearised(self._T, problem), 0.0
-            H = linear.information
+            (H, gradient), gain = _linearised(self._T, problem), 0.0
             while damping < _MOST_DAMPING:
                 factor = _factor((H + sparse.diags_array(damping * H.diagonal())).tocsc())
                 if factor is not None:
-                    T_tried = se3.exp(-factor.solve(linear.gradient).reshape(-1, 6)) @ self._T
+                    T_tried = se3.exp(-factor.solve(gradient).reshape(-1, 6)) @ self._T
                     cost_tried = _cost(T_tried, problem)
                     if cost_tried <= cost:
                         gain, damping = cost - cost_tried, max(damping / 10, _LEAST_DAMPING)
@@ -231,7 +218,7 @@ class OwnPoseGraph(PoseGraph):
         """See `PoseGraph`."""
         if self._held_factor is None:
             # Of keyframes connected to a prior: an unconnected one would make the whole matrix singular.
-            information, is_held = _linearised(self._T, self._as_arrays()).information, self.unanchored() == 0
+            information, is_held = _linearised(self._T, self._as_arrays())[0], self.unanchored() == 0
             of_held = np.flatnonzero(np.repeat(is_held, 6))
             factor = _factor(information[of_held][:, of_held].tocsc())
             self._held_factor = factor, np.where(is_held, np.cumsum(is_held) - 1, -1)
@@ -248,7 +235,7 @@ class OwnPoseGraph(PoseGraph):
     def _as_arrays(self) -> _GraphArrays:
         self._need_prior()
         if self._problem is None:
-            self._problem = _GraphArrays(arrays_of(self._edges), arrays_of_priors(self._priors))
+            self._problem = arrays_of(self._edges), arrays_of_priors(self._priors)
         return self._problem
 
     def _changed(self) -> None:
@@ -265,7 +252,7 @@ def _factor(information: sparse.csc_array) -> SuperLU | None:
 
 
 def _cost(T: FloatArray, problem: _GraphArrays) -> float:
-    edges, (at, T_inverse, W) = problem.edges, problem.priors
+    edges, (at, T_inverse, W) = problem
     chi2 = _squares(edge_errors(T, edges), edges.whitening)
     loss = np.where(edges.is_loop, cauchy_loss(chi2), chi2 / 2)
     return float(loss.sum() + _squares(se3.log(T[at] @ T_inverse), W).sum() / 2)
@@ -275,9 +262,9 @@ def _squares(errors: FloatArray, whitening: FloatArray) -> FloatArray:
     return np.asarray(((whitening @ errors[..., None])[..., 0] ** 2).sum(axis=-1))
 
 
-def _linearised(T: FloatArray, problem: _GraphArrays) -> _NormalEquations:
-    """Return the normal equations, with robust weights of loops."""
-    edges, (at, T_inverse, W_prior), n = problem.edges, problem.priors, len(T)
+def _linearised(T: FloatArray, problem: _GraphArrays) -> tuple[sparse.csc_array, FloatArray]:
+    """Return information and gradient of the normal equations, with robust weights of loops."""
+    (edges, (at, T_inverse, W_prior)), n = problem, len(T)
     r = edge_errors(T, edges)
     chi2 = _squares(r, edges.whitening)
     weight = np.where(edges.is_loop, 1 / (1 + chi2 / CAUCHY_SCALE**2), 1.0)
@@ -299,4 +286,4 @@ def _linearised(T: FloatArray, problem: _GraphArrays) -> _NormalEquations:
     j = np.broadcast_to((6 * columns[:, None] + _SIDE)[:, None, :], all_blocks.shape)
     # Blocks in the same place are summed.
     information = sparse.coo_array((all_blocks.ravel(), (i.ravel(), j.ravel())), shape=(6 * n, 6 * n)).tocsc()
-    return _NormalEquations(information, gradient.ravel())
+    return information, gradient.ravel()

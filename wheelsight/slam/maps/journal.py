@@ -428,15 +428,13 @@ def read_contents(folder: Path) -> FolderContents:
     """Return the contents of all journals. Raises MapError for an unreadable file or impossible contents."""
     where: dict[int, tuple[Path, Record]] = {}
     torn_bytes, damages = 0, list[Damage]()
-    for journal in _read(folder, KEYFRAMES):
+    for journal in map(read_journal, journals_of(folder, KEYFRAMES)):
         torn_bytes += journal.torn_bytes
         damages += journal.damages
-        found = (
-            record for record, _ in journal.records if record.kind in (RecordKind.KEYFRAME, RecordKind.FIRST_KEYFRAME)
-        )
-        where |= {record.key: (journal.path, record) for record in found}
+        kinds = RecordKind.KEYFRAME, RecordKind.FIRST_KEYFRAME
+        where |= {record.key: (journal.path, record) for record, _ in journal.records if record.kind in kinds}
     graph = _Graph()
-    for journal in _read(folder, GRAPH):
+    for journal in map(read_journal, journals_of(folder, GRAPH)):
         torn_bytes += journal.torn_bytes
         damages += journal.damages
         for record, content in journal.records:
@@ -489,11 +487,6 @@ class _Graph:
         elif record.kind == RecordKind.POSES:
             numbers, T = unpack_poses(content)
             self.T.update(zip(numbers.tolist(), T, strict=True))
-
-
-def _read(folder: Path, kind: str) -> Iterator[JournalContents]:
-    for path in journals_of(folder, kind):
-        yield read_journal(path)
 
 
 def _numbered(folder: Path, kind: str) -> Iterator[tuple[int, Path]]:
@@ -578,11 +571,8 @@ class MapCamera:
             if abs(mine - theirs) > _CAMERA_SHARE * size:
                 return f"its {name} is {mine:.1f} px, here {theirs:.1f}"
         if self.is_registered != other.is_registered:
-            return (
-                "its depth is registered to colour, here it is not"
-                if self.is_registered
-                else ("its depth is not registered to colour, here it is")
-            )
+            mine, here = ("", " not") if self.is_registered else (" not", "")
+            return f"its depth is{mine} registered to colour, here it is{here}"
         factors = self.depth_factor, other.depth_factor
         if factors[0] is not None and factors[1] is not None and abs(factors[0] / factors[1] - 1) > _CAMERA_SHARE:
             return f"its depth factor is {factors[0]:g}, here {factors[1]:g}"

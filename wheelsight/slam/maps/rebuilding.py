@@ -152,7 +152,7 @@ def _joined_graph(
     """
     graph, recognised = PieceGraph(), 0
     for T_map_keyframe, piece in zip(both.T_map_keyframe, pieces.tolist(), strict=True):
-        graph.add(T_map_keyframe, piece)
+        graph.add_pose(T_map_keyframe, piece)
     for piece, number in zip(*np.unique(pieces, return_index=True), strict=True):
         prior = anchor(KeyframeId(int(number)), both.T_map_keyframe[number])
         graph.add_prior(prior, until_joined=bool(piece))
@@ -161,7 +161,7 @@ def _joined_graph(
         found = watcher.recognised(KeyframeId(number))
         if found:
             recognised += 1
-            graph.close(found)
+            graph.offer(found)
         on_keyframe("recognising", done, len(both) - count)
     graph.review()
     return graph, recognised
