@@ -239,12 +239,7 @@ _CLEAR_M, _CLEAR_S, _STEP_S = 0.05, 0.8, 0.1
 
 
 def keeps_clear(
-    costmap: Costmap,
-    outline: Outline,
-    pose: FloatArray,
-    command: VelocityCommand,
-    *,
-    minds_unknown: bool = False,
+    costmap: Costmap, outline: Outline, pose: FloatArray, command: VelocityCommand, *, minds_unknown: bool = False
 ) -> bool:
     """Return whether a command, driven for `_CLEAR_S`, keeps a distance of `_CLEAR_M` from obstacles of the map.
 

@@ -534,10 +534,7 @@ class FloorMemory:
             last = self._readings[-1]
             step_s = stamp_s - last.stamp_s
             if rolled is None:
-                rolled = (
-                    step_s * (last.forward_m_s + forward_m_s) / 2,
-                    step_s * (last.turn_rad_s + turn_rad_s) / 2,
-                )
+                rolled = (step_s * (last.forward_m_s + forward_m_s) / 2, step_s * (last.turn_rad_s + turn_rad_s) / 2)
             pose = moved(last.pose, *rolled)
             self._way_m += abs(rolled[0]) + self._reach_m * abs(rolled[1])
         self._readings.append(_TimedPose(stamp_s, pose, forward_m_s, turn_rad_s))

@@ -21,15 +21,7 @@ from wheelsight.core.geometry import FloatArray
 from wheelsight.core.messages import STOP, VelocityCommand
 from wheelsight.core.robots import STOPPED, Localization, Robot
 from wheelsight.core.threads import OneCaller, Worker, one_at_a_time
-from wheelsight.navigation.behaviours import (
-    Behaviour,
-    OpenWay,
-    Wait,
-    beside_goal,
-    when_blocked,
-    when_lost,
-    when_unseen,
-)
+from wheelsight.navigation.behaviours import Behaviour, OpenWay, Wait, beside_goal, when_blocked, when_lost, when_unseen
 from wheelsight.navigation.collision_monitor import ControlChain, MonitorReason, MonitorResult, MonitorState
 from wheelsight.navigation.controllers import STUCK_S, Controller, ControlReason, ControlResult, controller_of, stands
 from wheelsight.navigation.costmap import Floor

@@ -55,11 +55,7 @@ class LiveLayerSettings(Settings):
         1.4, "height up to which objects are obstacles, metres", "a person who sits in a wheelchair", gt=0, le=5
     )
     far_m: float = setting(
-        4.5,
-        "range along the floor, metres: a Kinect's depth errs by 3 cm there",
-        "calculated",
-        gt=0,
-        le=30,
+        4.5, "range along the floor, metres: a Kinect's depth errs by 3 cm there", "calculated", gt=0, le=30
     )
 
 
@@ -75,11 +71,7 @@ class PlannerSettings(Settings):
         le=1,
     )
     wanted_margin_m: float = setting(
-        0.1,
-        "wanted clearance where there is room, metres: the error of the localization",
-        CHOSEN,
-        ge=0,
-        le=1,
+        0.1, "wanted clearance where there is room, metres: the error of the localization", CHOSEN, ge=0, le=1
     )
     nearness_cost: float = setting(
         1.0, "extra cost of a metre where the costmap's cost is 1; in proportion below", CHOSEN, ge=0, le=100
@@ -105,11 +97,7 @@ class FollowSettings(Settings):
         0.15, "time constant of the base's response to a command, besides its limits; measure it", CHOSEN, gt=0, le=1
     )
     margin_m: float = setting(
-        0.04,
-        "least distance of any command to obstacles; cells and their distances err by less",
-        CHOSEN,
-        ge=0,
-        le=1,
+        0.04, "least distance of any command to obstacles; cells and their distances err by less", CHOSEN, ge=0, le=1
     )
     people_margin_m: float = setting(0.15, "the same for people, who may step to either side", CHOSEN, ge=0, le=2)
     goal_m: float = setting(
@@ -214,11 +202,7 @@ class NavigatorSettings(Settings):
     )
     tries: int = setting(6, "recoveries without progress before it gives up", CHOSEN, ge=0, le=100)
     patience_s: float = setting(
-        120.0,
-        "time since the last progress before it gives up near people, who will leave",
-        CHOSEN,
-        ge=0,
-        le=3600,
+        120.0, "time since the last progress before it gives up near people, who will leave", CHOSEN, ge=0, le=3600
     )
     lost_s: float = setting(
         120.0,

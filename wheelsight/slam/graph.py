@@ -209,9 +209,7 @@ def anchor(keyframe: KeyframeId, T_map_keyframe: FloatArray) -> Prior:
 
 
 def step_edge(
-    ends: tuple[KeyframeId, KeyframeId],
-    before: tuple[FloatArray, FloatArray],
-    now: tuple[FloatArray, FloatArray],
+    ends: tuple[KeyframeId, KeyframeId], before: tuple[FloatArray, FloatArray], now: tuple[FloatArray, FloatArray]
 ) -> RelativePose:
     """Return the edge between successive keyframes, from poses (4, 4) with covariances (6, 6) that grow along the way.
 

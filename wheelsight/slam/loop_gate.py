@@ -13,14 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from wheelsight.core.geometry import BoolArray, FloatArray, IntArray, chi_square, se3
 from wheelsight.core.geometry.motion_kernels import is_definite
-from wheelsight.slam.graph import (
-    PoseGraph,
-    RelativePose,
-    arrays_of,
-    cauchy_loss,
-    edge_errors,
-    inverse_left_jacobian,
-)
+from wheelsight.slam.graph import PoseGraph, RelativePose, arrays_of, cauchy_loss, edge_errors, inverse_left_jacobian
 
 GATE_PROBABILITY = 0.999
 """Share of true loops that pass the chi-square gate, with correct covariances. Chosen."""

@@ -27,11 +27,7 @@ class LoopSettings(Settings):
         le=60,
     )
     apart_s: float = setting(
-        3.0,
-        "least time between two keyframes of a loop, seconds: odometry links recent ones",
-        CHOSEN,
-        ge=0,
-        le=3600,
+        3.0, "least time between two keyframes of a loop, seconds: odometry links recent ones", CHOSEN, ge=0, le=3600
     )
 
 
