@@ -74,9 +74,24 @@ def columns_of(surfels: Surfels, stamp_s: float, stable_confidence: float) -> Co
 
     The columns do not depend on the order of the surfels.
     """
-    u, v = _octahedral(surfels.normal)
+    # Octahedral coordinates of the normals; the lower half is folded outwards.
+    wide = surfels.normal.astype(float)
+    wide /= np.abs(wide).sum(axis=1, keepdims=True)
+    xy = wide[:, :2]
+    # With the sign of zeros, so that a normal on an edge is read as it was written.
+    outwards = np.copysign(1 - np.abs(xy[:, ::-1]), xy)
+    u, v = np.rint(_NORMAL_STEPS * np.where(wide[:, 2:] < 0, outwards, xy)).T
     radius = _logs(surfels.radius_m, _RADIUS_M, _PER_OCTAVE_OF_RADIUS)
-    first, second, along = _position_steps(surfels, _axes(u, v), _coarser(radius))
+    # Steps of positions along the next two axes and the main axis, after sliding in the surfel's plane.
+    main, rows = _axes(u, v)[0], np.arange(len(radius))
+    step_m = np.ldexp(STEP_M, _coarser(radius))
+    along_m, slope = surfels.position[rows, main].astype(float), surfels.normal[rows, main].astype(float)
+    steps = []
+    for turn in (1, 2):
+        at = (main + turn) % 3
+        across_m = surfels.position[rows, at].astype(float)
+        steps.append(np.rint(across_m / step_m))
+        along_m -= surfels.normal[rows, at] / slope * (steps[-1] * step_m - across_m)
     red, green, blue = np.rint(surfels.color).astype(np.int16).T
     confidence = _logs(surfels.confidence, stable_confidence, _PER_OCTAVE)
     # Rounded down, so that nothing expires earlier, and at most 34 years.
@@ -85,7 +100,7 @@ def columns_of(surfels: Surfels, stamp_s: float, stable_confidence: float) -> Co
         for seen_s in (surfels.first_s, surfels.last_s)
     ]
     found = (
-        *(surfels.keyframe, u, v, radius, first, second, along),
+        *(surfels.keyframe, u, v, radius, *steps, np.rint(along_m / STEP_M)),
         *(red - green, green, blue - green, np.rint(surfels.grey)),
         np.where(surfels.confidence >= stable_confidence, confidence, np.minimum(confidence, -1)),
         _logs(surfels.variance_m2, _VARIANCE_M2, _PER_OCTAVE),
@@ -102,21 +117,6 @@ def columns_of(surfels: Surfels, stamp_s: float, stable_confidence: float) -> Co
     strip = columns["across_2"] >> _STRIP_BITS
     order = np.lexsort((every, columns["across_2"], columns["across_1"], strip, surface))
     return {name: column[order] for name, column in columns.items()}
-
-
-def _position_steps(
-    surfels: Surfels, axes: tuple[IntArray, ByteArray], coarser: NDArray[Any]
-) -> tuple[FloatArray, ...]:
-    """Return steps (n,) of positions along the next two axes and the main axis, after sliding in the surfel's plane."""
-    rows, axis, step_m = np.arange(len(coarser)), axes[0], np.ldexp(STEP_M, coarser)
-    along_m, slope = surfels.position[rows, axis].astype(float), surfels.normal[rows, axis].astype(float)
-    steps = []
-    for turn in (1, 2):
-        at = (axis + turn) % 3
-        across_m = surfels.position[rows, at].astype(float)
-        steps.append(np.rint(across_m / step_m))
-        along_m -= surfels.normal[rows, at] / slope * (steps[-1] * step_m - across_m)
-    return *steps, np.rint(along_m / STEP_M)
 
 
 def surfels_of(columns: Columns, stamp_s: float, stable_confidence: float) -> Surfels:
@@ -172,17 +172,6 @@ def unpacked(data: bytes, dtype: str) -> NDArray[np.signedinteger]:
     unsigned = flat.view(f"<u{width}")
     step = (unsigned >> 1) ^ (np.zeros(1, unsigned.dtype) - (unsigned & 1))
     return np.cumsum(step, dtype=unsigned.dtype).view(dtype)
-
-
-def _octahedral(normal: Float32Array) -> tuple[FloatArray, FloatArray]:
-    """Return octahedral coordinates of normals (n, 3); the lower half is folded outwards."""
-    wide = normal.astype(float)
-    wide /= np.abs(wide).sum(axis=1, keepdims=True)
-    xy = wide[:, :2]
-    # With the sign of zeros, so that a normal on an edge is read as it was written.
-    outwards = np.copysign(1 - np.abs(xy[:, ::-1]), xy)
-    u, v = np.rint(_NORMAL_STEPS * np.where(wide[:, 2:] < 0, outwards, xy)).T
-    return u, v
 
 
 def _direction_of(u: NDArray[Any], v: NDArray[Any]) -> FloatArray:

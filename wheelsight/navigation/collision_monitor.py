@@ -704,31 +704,28 @@ class VelocityRamp:
         if not (math.isfinite(forward_m_s) and math.isfinite(turn_rad_s)):
             forward_m_s, turn_rad_s = 0.0, 0.0
         most = self._limits
-        wanted = min(max(forward_m_s, -most.backward_m_s), most.forward_m_s)
-        forward = self._forward(wanted, period_s)
         turn = min(max(turn_rad_s, -most.turn_rad_s), most.turn_rad_s)
         change = most.turn_acceleration_rad_s2 * period_s
         before = self.given.turn_rad_s
-        self.given = VelocityCommand(forward, before + min(max(turn - before, -change), change))
-        return self.given
-
-    def _forward(self, wanted: float, period_s: float) -> float:
-        """Return the next forward speed within acceleration, braking and jerk."""
-        speed, limits = self.given.forward_m_s, self._limits
-        slows = speed * (wanted - speed) < 0
-        if slows:
+        turn = before + min(max(turn - before, -change), change)
+        wanted = min(max(forward_m_s, -most.backward_m_s), most.forward_m_s)
+        speed = self.given.forward_m_s
+        if speed * (wanted - speed) < 0:  # it slows down
             # Stop at zero: the other direction begins with its own acceleration.
             wanted = wanted if wanted * speed > 0 else 0.0
-            change = limits.braking_m_s2 * period_s
+            change = most.braking_m_s2 * period_s
             self._acceleration_m_s2 = 0.0
-            return speed + min(max(wanted - speed, -change), change)
+            self.given = VelocityCommand(speed + min(max(wanted - speed, -change), change), turn)
+            return self.given
         sign = math.copysign(1.0, wanted - speed)
         # Speed gained while acceleration falls to zero with limited jerk: a² / 2j + a period / 2, in discrete steps.
         # Only the step that reaches the speed may exceed the jerk, by an eighth.
-        half = limits.jerk_m_s3 * period_s / 2
-        most = math.sqrt(half * half + 2 * limits.jerk_m_s3 * abs(wanted - speed)) - half
-        most = min(limits.acceleration_m_s2, most)
-        grown = max(self._acceleration_m_s2 * sign, 0.0) + limits.jerk_m_s3 * period_s
-        change = min(min(most, grown) * period_s, abs(wanted - speed))
+        half = most.jerk_m_s3 * period_s / 2
+        highest = math.sqrt(half * half + 2 * most.jerk_m_s3 * abs(wanted - speed)) - half
+        highest = min(most.acceleration_m_s2, highest)
+        grown = max(self._acceleration_m_s2 * sign, 0.0) + most.jerk_m_s3 * period_s
+        change = min(min(highest, grown) * period_s, abs(wanted - speed))
         self._acceleration_m_s2 = sign * change / period_s
-        return wanted if change == abs(wanted - speed) else speed + sign * change
+        forward = wanted if change == abs(wanted - speed) else speed + sign * change
+        self.given = VelocityCommand(forward, turn)
+        return self.given

@@ -305,8 +305,18 @@ class _Arcs:
 
     def steer(self, situation: Situation) -> ControlResult:
         """Return the command along an arc to the point ahead, at the highest permitted speed."""
-        curvature = self._curvature(situation)
-        direction = situation.segment.direction
+        # The curvature of the arc to the point ahead. Beyond a segment's end the path goes straight on.
+        segment, direction = situation.segment, situation.segment.direction
+        ahead_m = abs(situation.state.forward_m_s) * _LOOKAHEAD_S
+        ahead_m = min(max(ahead_m, _LEAST_LOOKAHEAD_M), _MOST_LOOKAHEAD_M)
+        along = segment.length_m - situation.rest_m + ahead_m
+        points = segment.points
+        target = np.array([np.interp(along, points[:, 4], points[:, k]) for k in (0, 1)])
+        beyond = max(along - segment.length_m, 0.0) * direction
+        dx, dy = target + beyond * points[-1, 2:4] - situation.state.pose[:2]
+        _, _, c, s = situation.pose
+        x, y = c * dx + s * dy, -s * dx + c * dy
+        curvature = float(2 * y / max(x * x + y * y, _LEAST_LOOKAHEAD_M**2 / 4))
         most = self._limits.forward_m_s if direction > 0 else self._limits.backward_m_s
         clearance = min(clearances(situation, self._outline))
         by_curve = most / max(_CURVE_M * abs(curvature), 1.0)
@@ -335,20 +345,6 @@ class _Arcs:
             pose = moved(pose, step_m, step_m * curvature)
             poses.append((pose[0], pose[1], np.arctan2(pose[3], pose[2])))
         return ControlResult(command, None, np.array(poses))
-
-    def _curvature(self, situation: Situation) -> float:
-        """Return the curvature of the arc to the point ahead. Beyond a segment's end the path goes straight on."""
-        segment = situation.segment
-        ahead_m = abs(situation.state.forward_m_s) * _LOOKAHEAD_S
-        ahead_m = min(max(ahead_m, _LEAST_LOOKAHEAD_M), _MOST_LOOKAHEAD_M)
-        along = segment.length_m - situation.rest_m + ahead_m
-        points = segment.points
-        target = np.array([np.interp(along, points[:, 4], points[:, k]) for k in (0, 1)])
-        beyond = max(along - segment.length_m, 0.0) * segment.direction
-        dx, dy = target + beyond * points[-1, 2:4] - situation.state.pose[:2]
-        _, _, c, s_ = situation.pose
-        x, y = c * dx + s_ * dy, -s_ * dx + c * dy
-        return float(2 * y / max(x * x + y * y, _LEAST_LOOKAHEAD_M**2 / 4))
 
 
 def _speed_to_stop(rest_m: float, lag_s: float) -> float:

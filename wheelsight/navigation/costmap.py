@@ -77,7 +77,15 @@ class StaticLayer:
         state[occupancy == FREE] = CellState.FREE
         # Values between free and occupied are unknown.
         state[occupancy >= OCCUPIED] = CellState.OCCUPIED
-        _fill_holes(state, grid.resolution_m)
+        # Small unknown areas with free floor all around are free: rays miss single cells, and each would keep a robot
+        # away by its own width. An area counts as small if no object could stand there unseen.
+        is_unknown = (state == CellState.UNKNOWN).astype(np.uint8)
+        _, labels, about, _ = cv2.connectedComponentsWithStats(is_unknown, connectivity=8)
+        is_small = np.asarray(about)[:, cv2.CC_STAT_AREA] * grid.resolution_m**2 <= _HOLE_M2
+        beside = cv2.dilate((state == CellState.OCCUPIED).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        is_small[np.unique(np.asarray(labels)[beside])] = False
+        is_small[0] = False
+        state[is_small[np.asarray(labels)]] = CellState.FREE
         return cls(state, edits.limits_m_s(edited, T_map_keyframe), grid.resolution_m, grid.origin)
 
     def window(self, xy: ArrayLike, size_m: float) -> StaticLayer:
@@ -271,21 +279,6 @@ def _made(
 def _unseen(state: ByteArray, is_assumed: BoolArray | None) -> BoolArray:
     is_unknown = state == CellState.UNKNOWN
     return np.asarray(is_unknown if is_assumed is None else is_unknown | (is_assumed & (state == CellState.FREE)))
-
-
-def _fill_holes(state: ByteArray, resolution_m: float) -> None:
-    """Set small unknown areas free if all floor around them is free.
-
-    Rays miss single cells, and each of them would keep a robot away by its own width. An area counts as small if no
-    object could stand there unseen.
-    """
-    is_unknown = (state == CellState.UNKNOWN).astype(np.uint8)
-    _, labels, about, _ = cv2.connectedComponentsWithStats(is_unknown, connectivity=8)
-    is_small = np.asarray(about)[:, cv2.CC_STAT_AREA] * resolution_m**2 <= _HOLE_M2
-    beside = cv2.dilate((state == CellState.OCCUPIED).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    is_small[np.unique(np.asarray(labels)[beside])] = False
-    is_small[0] = False
-    state[is_small[np.asarray(labels)]] = CellState.FREE
 
 
 def distances_m(is_lethal: BoolArray, resolution_m: float) -> Float32Array:

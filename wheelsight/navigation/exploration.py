@@ -143,7 +143,17 @@ class Exploration:
 
     def _best(self, pose: FloatArray, costmap: Costmap, is_wanted: BoolArray) -> _Viewpoint | None:
         """Return the viewpoint with the highest value; None if none shows enough."""
-        cells, ways_m = self._places(pose, costmap, is_wanted)
+        # Reachable cells (P, 2) near wanted floor, and path costs (P,) of the inscribed circle to them.
+        row, column = costmap.cells_at(pose[:2]).tolist()
+        metre = np.where(costmap.distance_m >= self._least_m, 1 + costmap.cost, np.inf).astype(np.float32)
+        metre[row, column] = 1.0
+        all_ways_m = cost_to_go(metre, costmap.resolution_m, (row, column))
+        is_close = distances_m(is_wanted, costmap.resolution_m) <= self._sight.far_m
+        step = max(1, round(_APART_M / costmap.resolution_m))
+        is_asked = np.zeros(is_wanted.shape, bool)
+        is_asked[row % step :: step, column % step :: step] = True
+        cells = np.argwhere(np.isfinite(all_ways_m) & is_close & is_asked)
+        ways_m = all_ways_m[cells[:, 0], cells[:, 1]]
         is_clear = self._is_about(self._is_wide(costmap.state, costmap.resolution_m), costmap.resolution_m)
         marked = marks(is_clear, is_wanted)
         gains, headings = self._sight.gains_m2(marked, costmap.resolution_m, np.asarray(cells + 0.5, float))
@@ -171,19 +181,6 @@ class Exploration:
         best, heading_of = np.unravel_index(int(worth.argmax()), worth.shape)
         view = np.array([*costmap.middle_of(cells[best]), headings[heading_of]])
         return _Viewpoint(view, len(self._seen_from(view, costmap, costmap.is_unseen)))
-
-    def _places(self, pose: FloatArray, costmap: Costmap, is_wanted: BoolArray) -> tuple[IntArray, FloatArray]:
-        """Return reachable cells (P, 2) near wanted floor, and path costs (P,) of the inscribed circle to them."""
-        row, column = costmap.cells_at(pose[:2]).tolist()
-        metre = np.where(costmap.distance_m >= self._least_m, 1 + costmap.cost, np.inf).astype(np.float32)
-        metre[row, column] = 1.0
-        ways_m = cost_to_go(metre, costmap.resolution_m, (row, column))
-        is_near = distances_m(is_wanted, costmap.resolution_m) <= self._sight.far_m
-        step = max(1, round(_APART_M / costmap.resolution_m))
-        is_asked = np.zeros(is_wanted.shape, bool)
-        is_asked[row % step :: step, column % step :: step] = True
-        cells = np.argwhere(np.isfinite(ways_m) & is_near & is_asked)
-        return cells, ways_m[cells[:, 0], cells[:, 1]]
 
     def _seen_from(self, view: FloatArray, of: Costmap | StaticLayer, is_wanted: BoolArray) -> IntArray:
         """Return wanted cells (N, 2) that a view shows."""

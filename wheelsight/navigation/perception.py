@@ -149,7 +149,17 @@ class DepthViewer:
         self._heights = ViewHeights(s.floor_m, _DROP_M, _TILT_RAD, s.height_m, s.far_m)
         ways = self._camera.rays() @ T_base_camera[:3, :3].T
         self._count = min(_VIEW_COLUMNS, ways.shape[1] // _LEAST_PIXELS)
-        self._first_rad, self._step_rad, columns = _bearings(ways, self._count)
+        # First bearing and step of the view that all rows share, and the index (h, w) of each pixel's bearing.
+        middle = float(np.arctan2(*ways.mean(axis=(0, 1))[1::-1]))
+        turned = np.arctan2(ways[..., 1], ways[..., 0]) - middle
+        bearing = (turned + np.pi) % (2 * np.pi) - np.pi
+        first, last = float(bearing.min(axis=1).max()), float(bearing.max(axis=1).min())
+        if last <= first or ways.shape[1] < _LEAST_COLUMNS:
+            raise MapError("the camera sees no floor ahead", fix="check T_base_camera in the calibration")
+        self._first_rad, self._step_rad = first + middle, (last - first) / self._count
+        numbers = np.floor((bearing - first) / self._step_rad)
+        numbers[(numbers < 0) | (numbers >= self._count)] = -1
+        columns = numbers.astype(np.int16)
         self.half_rad: float = self._step_rad * self._count / 2
         where = np.ascontiguousarray(T_base_camera[:3, 3])
         self.camera: tuple[float, float] = (float(where[0]), float(where[1]))
@@ -205,20 +215,6 @@ class DepthViewer:
         # Nearer than this, an obstacle is below the lowest ray.
         shows_m = np.asarray(self._near_m * np.maximum(1 - tops_m / float(self._rays.camera[2]), 0.0))
         return DepthView(stamp_s, points, self.camera, self._first_rad, self._step_rad, seen_m, self._near_m, shows_m)
-
-
-def _bearings(ways: FloatArray, count: int) -> tuple[float, float, IntArray]:
-    """Return first bearing and step of the view that all rows share, and the index (h, w) of each pixel's bearing."""
-    middle = float(np.arctan2(*ways.mean(axis=(0, 1))[1::-1]))
-    turned = np.arctan2(ways[..., 1], ways[..., 0]) - middle
-    bearing = (turned + np.pi) % (2 * np.pi) - np.pi
-    first, last = float(bearing.min(axis=1).max()), float(bearing.max(axis=1).min())
-    if last <= first or ways.shape[1] < _LEAST_COLUMNS:
-        raise MapError("the camera sees no floor ahead", fix="check T_base_camera in the calibration")
-    step = (last - first) / count
-    number = np.floor((bearing - first) / step)
-    number[(number < 0) | (number >= count)] = -1
-    return first + middle, step, number.astype(np.int16)
 
 
 # Side of the square around the robot, farther than the camera sees, and of a cell, as Nav2's maps have it; metres.

@@ -202,22 +202,17 @@ class LoopCloser:
         largest = np.argsort(-counts, kind="stable")[:_MOST_HYPOTHESES]
         for number in numbers[largest[counts[largest] >= _LEAST_MEMBERS]]:
             cluster = self._clusters == number
-            yield self._replacement(cluster, kept, T) or _Hypothesis(int(number), kept | cluster, T)
-
-    def _replacement(self, cluster: BoolArray, kept: BoolArray, T: FloatArray) -> _Hypothesis | None:
-        """Return a hypothesis that replaces the kept loops between two pieces by a cluster (L,).
-
-        None if odometry connects both ends of the cluster.
-        """
-        first, second = (np.array([getattr(loop, end) for loop in self._loops]) for end in ("first", "second"))
-        piece = self.graph.unanchored(without=self._loops)
-        ends = np.sort(np.column_stack([piece[first], piece[second]]), axis=1)
-        older, newer = ends[np.flatnonzero(cluster)[0]]
-        if older == newer:
-            return None
-        alternatives = kept & (ends == (older, newer)).all(axis=1)
-        middle = self._loops[np.flatnonzero(cluster)[np.count_nonzero(cluster) // 2]]
-        return _Hypothesis(-1, (kept & ~alternatives) | cluster, aligned_by(middle, piece == newer, T))
+            first, second = (np.array([getattr(loop, end) for loop in self._loops]) for end in ("first", "second"))
+            piece = self.graph.unanchored(without=self._loops)
+            ends = np.sort(np.column_stack([piece[first], piece[second]]), axis=1)
+            older, newer = ends[np.flatnonzero(cluster)[0]]
+            if older == newer:  # odometry connects both ends of the cluster
+                yield _Hypothesis(int(number), kept | cluster, T)
+                continue
+            # The cluster replaces the kept loops between two pieces.
+            alternatives = kept & (ends == (older, newer)).all(axis=1)
+            middle = self._loops[np.flatnonzero(cluster)[np.count_nonzero(cluster) // 2]]
+            yield _Hypothesis(-1, (kept & ~alternatives) | cluster, aligned_by(middle, piece == newer, T))
 
     def _cost(self, T: FloatArray, own: int) -> float:
         """Return the negative log-likelihood of odometry and all loops at poses (N, 4, 4), except of cluster `own`."""
@@ -258,26 +253,21 @@ class LoopCloser:
         limits = np.array(self._limit)
         for _ in range(_MOST_ROUNDS):
             self._chi2 = [chi_squared(self.graph, loop) for loop in self._loops]
-            kept = self._passing(np.array(self._chi2) / limits)
+            ratio = np.array(self._chi2) / limits
+            kept = ratio <= 1
+            # Loops with covariances that are too small may fail all at once, and disconnect a piece that has no other
+            # edges. The best of them stay, as few as connect the piece, and the others are checked against these.
+            order = np.argsort(ratio, kind="stable")
+            going = [number for number in order if self._kept[number] and not kept[number]]
+            piece = self.graph.unanchored(without=[self._loops[number] for number in going])
+            for number in going if piece.any() else []:
+                ends = sorted(piece[[self._loops[number].first, self._loops[number].second]])
+                if ends[0] != ends[1]:
+                    kept[number], piece[piece == ends[1]] = True, ends[0]
             if (kept == np.array(self._kept)).all():
                 return
             self._keep(kept)
             self.graph.optimise()
-
-    def _passing(self, ratio: FloatArray) -> BoolArray:
-        """Return (L,) loops whose chi-square ratio passes the gate, and those needed to keep the graph connected.
-
-        Loops with covariances that are too small may fail all at once, and disconnect a piece that has no other edges.
-        The best of them stay, as few as connect the piece, and the others are checked against these.
-        """
-        kept = ratio <= 1
-        going = [number for number in np.argsort(ratio, kind="stable") if self._kept[number] and not kept[number]]
-        piece = self.graph.unanchored(without=[self._loops[number] for number in going])
-        for number in going if piece.any() else []:
-            ends = sorted(piece[[self._loops[number].first, self._loops[number].second]])
-            if ends[0] != ends[1]:
-                kept[number], piece[piece == ends[1]] = True, ends[0]
-        return kept
 
 
 def _limits_of(loops: Sequence[RelativePose]) -> list[float]:

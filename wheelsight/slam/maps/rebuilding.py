@@ -200,8 +200,24 @@ def prune(
     parts = MapParts.of(folder)
     if not len(parts):
         raise MapError("has no keyframes", path=folder.path, fix=_FIX_EMPTY)
-    shown_by = _shown_by(parts, folder, lambda done, total: on_keyframe("comparing", done, total))
-    numbers = np.arange(len(parts))
+    # The keyframe that covers each one: itself, or an earlier one of the same piece that is kept.
+    views, store = ViewMaker(folder.calibration), parts.store(1)
+    pieces, noise = pieces_of(parts), folder.calibration.depth_noise
+    T, numbers, shown_by = parts.T_map_keyframe, np.arange(len(parts)), np.arange(len(parts))
+    levels: list[Level] = []
+    nearby = cKDTree(T[:, :3, 3]).query_ball_point(T[:, :3, 3], _NEAR_M, return_sorted=True)
+    for number in range(len(parts)):
+        levels.append(views.of_keyframe(store[KeyframeId(number)]).grid.levels[-1])
+        earlier = [k for k in nearby[number] if k < number and shown_by[k] == k and pieces[k] == pieces[number]]
+        found = 0.0
+        for other in earlier:
+            T_other_this = se3.invert(T[other]) @ T[number]
+            if so3.angle(T_other_this[:3, :3]) > _NEAR_RAD:
+                continue
+            share = shown_share(levels[number], levels[other], T_other_this, noise)
+            if share >= _COVERED and share > found:
+                found, shown_by[number] = share, other
+        on_keyframe("comparing", number + 1, len(parts))
     kept = np.flatnonzero(shown_by == numbers)
     edges = without(parts.edges, np.flatnonzero(shown_by != numbers).tolist())
     left = replace(parts, edges=edges).some(kept)
@@ -219,28 +235,6 @@ def prune(
         write_parts(left, new, made, on_keyframe)
         add_occupancy(new, on_keyframe)
     return PrunedMap(MapFolder.open(out, settings=folder.settings), len(parts) - len(left))
-
-
-def _shown_by(parts: MapParts, folder: MapFolder, on_keyframe: Callable[[int, int], None]) -> IntArray:
-    """Return (N,) the keyframe that covers each one: itself, or an earlier one of the same piece that is kept."""
-    views, store = ViewMaker(folder.calibration), parts.store(1)
-    pieces, noise = pieces_of(parts), folder.calibration.depth_noise
-    T, shown_by = parts.T_map_keyframe, np.arange(len(parts))
-    levels: list[Level] = []
-    nearby = cKDTree(T[:, :3, 3]).query_ball_point(T[:, :3, 3], _NEAR_M, return_sorted=True)
-    for number in range(len(parts)):
-        levels.append(views.of_keyframe(store[KeyframeId(number)]).grid.levels[-1])
-        earlier = [k for k in nearby[number] if k < number and shown_by[k] == k and pieces[k] == pieces[number]]
-        found = 0.0
-        for other in earlier:
-            T_other_this = se3.invert(T[other]) @ T[number]
-            if so3.angle(T_other_this[:3, :3]) > _NEAR_RAD:
-                continue
-            share = shown_share(levels[number], levels[other], T_other_this, noise)
-            if share >= _COVERED and share > found:
-                found, shown_by[number] = share, other
-        on_keyframe(number + 1, len(parts))
-    return shown_by
 
 
 def rebuild(
