@@ -43,7 +43,6 @@ from wheelsight.navigation.settings import (
     FollowSettings,
     Footprint,
     MppiSettings,
-    NavigationSettings,
     checked,
     outline_of,
 )
@@ -137,15 +136,6 @@ class Controller(Protocol):
             people: (P, 5) x, y, vx, vy, radius in that frame, with constant velocities.
         """
         ...
-
-
-def controller_of(footprint: Footprint, settings: NavigationSettings, own: Controller | None = None) -> Controller:
-    """Return a user's own controller, else the one that the settings name."""
-    if own is not None:
-        return OwnController(own, settings.follow.goal_m, settings.follow.goal_rad)
-    if settings.controller == "mppi":
-        return MppiController(footprint, settings.limits, settings.mppi, settings.follow)
-    return PurePursuitController(footprint, settings.limits, settings.follow)
 
 
 # Steps of a control period each (Nav2's default): 2.8 s ahead, more than a stop takes.
@@ -457,15 +447,9 @@ class PathFollower:
             points = self._segments[0].points if self._segments else np.empty((0, 5))
             points = points[points[:, 4] <= _FIRST_LOOK_M]
             self._point = int(np.hypot(*(points[:, :2] - state.pose[:2]).T).argmin()) if len(points) else 0
-        self._allow(state, field)
-        return self._follow(state, field, np.ascontiguousarray(people))
-
-    def _allow(self, state: MotionState, field: CostField) -> None:
-        """Set the least distance to obstacles for this plan. It is below the margin only if the plan begins so.
-
-        A path out of a tight place passes the obstacle, and a corner comes nearer before it becomes free. The distance
-        is fixed per plan rather than per period; otherwise the robot would come nearer each period.
-        """
+        # The least distance to obstacles for this plan is below the margin only if the plan begins so: a path out of a
+        # tight place passes the obstacle, and a corner comes nearer before it becomes free. It is fixed per plan rather
+        # than per period; otherwise the robot would come nearer each period.
         s, (x, y, yaw) = self._settings, map(float, state.pose)
         pose = (x, y, float(np.cos(yaw)), float(np.sin(yaw)))
         here = float(clearance_at(field, self._outline, pose, s.margin_m + _NEARER_M))
@@ -473,6 +457,7 @@ class PathFollower:
             self._margin_m = s.margin_m
         elif np.isnan(self._margin_m):
             self._margin_m = min(s.margin_m, here - _NEARER_M)
+        return self._follow(state, field, np.ascontiguousarray(people))
 
     def _follow(self, state: MotionState, field: CostField, people: FloatArray) -> ControlResult:
         """Drive the current segment, or the next one once it is complete."""

@@ -23,7 +23,16 @@ from wheelsight.core.robots import STOPPED, Localization, Robot
 from wheelsight.core.threads import OneCaller, Worker, one_at_a_time
 from wheelsight.navigation.behaviours import Behaviour, OpenWay, Wait, beside_goal, when_blocked, when_lost, when_unseen
 from wheelsight.navigation.collision_monitor import ControlChain, MonitorReason, MonitorResult, MonitorState
-from wheelsight.navigation.controllers import STUCK_S, Controller, ControlReason, ControlResult, controller_of, stands
+from wheelsight.navigation.controllers import (
+    STUCK_S,
+    Controller,
+    ControlReason,
+    ControlResult,
+    MppiController,
+    OwnController,
+    PurePursuitController,
+    stands,
+)
 from wheelsight.navigation.costmap import Floor
 from wheelsight.navigation.exploration import Exploration
 from wheelsight.navigation.perception import discs_of
@@ -105,7 +114,13 @@ class Navigator(OneCaller):
         self.senses = Senses(robot.calibration, localization, floor, self.monitor, self.footprint, s)
         self.monitor.trust_floor(self.senses.near_m if trusts_floor else 0.0)
         self._planning = Planning(self.senses, self.footprint, s, planning, planner)
-        self._controller = controller_of(self.footprint, s, controller)
+        self._controller: Controller
+        if controller is not None:
+            self._controller = OwnController(controller, s.follow.goal_m, s.follow.goal_rad)
+        elif s.controller == "mppi":
+            self._controller = MppiController(self.footprint, s.limits, s.mppi, s.follow)
+        else:
+            self._controller = PurePursuitController(self.footprint, s.limits, s.follow)
         self._on_transition = on_transition
         self.state = NavigationState.IDLE
         self._task: NavigationTask | None = None

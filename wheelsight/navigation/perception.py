@@ -530,7 +530,10 @@ class _Tracked:
         self.seen_s, self._radius_m = stamp_s, detection.radius_m
         self._middles.append(detection.middle)
         way_m = float(np.hypot(*(self._middles[-1] - self._middles[0])))
-        is_quick = self.track.speed_m_s >= _LEAST_M_S and self.track.speed_distance > sure
+        speed = self.track.state[2:]
+        # Squared Mahalanobis distance of the velocity from zero: χ² of two degrees of freedom if it stands.
+        distance = float(speed @ np.linalg.solve(self.track.covariance[2:, 2:], speed))
+        is_quick = float(np.hypot(*speed)) >= _LEAST_M_S and distance > sure
         self.walks = len(self._middles) == _FRAMES and is_quick and way_m >= _WAY_M
 
     def person(self, now_s: float) -> Person:
@@ -645,13 +648,3 @@ class PersonTrack:
         left = np.eye(4) - K @ _SEEN
         # Joseph's form stays symmetric and positive definite.
         self.covariance = left @ self.covariance @ left.T + K @ covariance @ K.T
-
-    @property
-    def speed_m_s(self) -> float:
-        """Speed."""
-        return float(np.hypot(*self.state[2:]))
-
-    @property
-    def speed_distance(self) -> float:
-        """Squared Mahalanobis distance of the velocity from zero: χ² of two degrees of freedom if it stands."""
-        return float(self.state[2:] @ np.linalg.solve(self.covariance[2:, 2:], self.state[2:]))

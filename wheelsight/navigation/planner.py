@@ -225,7 +225,11 @@ class Planner:
             drivable.cells, drivable.shape, drivable.rules, known, np.ascontiguousarray(start[:3]), goal.pose, tree
         )
         if how == NOTHING_LEFT:
-            last = nearest_heading(tree.pose[:count], goal.pose, drivable.rules.place_m)
+            # The state near the goal with the nearest heading.
+            reached = tree.pose[:count]
+            near = np.flatnonzero(np.hypot(*(reached[:, :2] - goal.pose[:2]).T) <= drivable.rules.place_m)
+            turned = [_turn(goal.pose[2], yaw) for yaw in reached[near, 2]]
+            last = int(near[np.argmin(turned)]) if len(near) else -1
             if last < 0:
                 none = f"of {count} places and headings that can be reached none leads there"
                 return PlanFailure(PlanReason.UNREACHABLE, f"{none}: too narrow, or no room to turn")
@@ -649,13 +653,6 @@ def beside(goal: FloatArray, pose: FloatArray, why: str) -> PlanGoal:
     """Return a pose (3,) as a replacement of a goal (3,), with its offset."""
     away_m, turned = float(np.hypot(*(pose - goal)[:2])), _turn(goal[2], pose[2])
     return PlanGoal(pose.copy(), f"{why}: {away_m:.2f} m and {math.degrees(turned):.0f}° beside it", away_m, turned)
-
-
-def nearest_heading(poses: FloatArray, goal: FloatArray, reach_m: float) -> int:
-    """Return the index of the pose (N, 3) within reach of a goal (3,) with the nearest heading; -1 without any."""
-    near = np.flatnonzero(np.hypot(*(poses[:, :2] - goal[:2]).T) <= reach_m)
-    turned = [_turn(goal[2], yaw) for yaw in poses[near, 2]]
-    return int(near[np.argmin(turned)]) if len(near) else -1
 
 
 def _turn(one: float, other: float) -> float:

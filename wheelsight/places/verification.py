@@ -239,7 +239,9 @@ class PlaceVerifier:
 
         Systematic errors of the camera's points grow with the distance between both views.
         """
-        points = shown_points(view, other, T_keyframe_camera, self._noise)[::_EVERY]
+        # Points of the view, in the frame of the keyframe, whose surface the keyframe shows too.
+        points, surface_m, within_m, _, _ = _met(view, other, T_keyframe_camera, self._noise)
+        points = points[np.abs(points[:, 2] - surface_m) <= within_m][::_EVERY]
         if len(points) < _LEAST:
             return np.full((6, 6), np.nan)
         off = place_errors(self._calibration, T_keyframe_camera, points)
@@ -301,15 +303,6 @@ def shown_share(seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise
     """
     points, surface_m, within_m, _, count = _met(seen, by, T_by_seen, noise)
     return int(np.count_nonzero(np.abs(points[:, 2] - surface_m) <= within_m)) / max(count, 1)
-
-
-def shown_points(seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise) -> FloatArray:
-    """Return points (N, 3) of one view, in the frame of another, whose surface the other shows too.
-
-    `T_by_seen` (4, 4) maps the first view's points into the other one.
-    """
-    points, surface_m, within_m, _, _ = _met(seen, by, T_by_seen, noise)
-    return np.asarray(points[np.abs(points[:, 2] - surface_m) <= within_m])
 
 
 def _one_way(seen: Level, by: Level, T_by_seen: FloatArray, noise: DepthNoise) -> Intrusion:

@@ -288,13 +288,6 @@ def arrays_of(edges: Sequence[RelativePose]) -> EdgeArrays:
     )
 
 
-def arrays_of_priors(priors: Sequence[Prior]) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return keyframes (P,), inverses of the poses (P, 4, 4), and roots of information (P, 6, 6)."""
-    T = np.array([prior.T_map_keyframe for prior in priors], float).reshape(-1, 4, 4)
-    C = np.array([prior.covariance for prior in priors], float).reshape(-1, 6, 6)
-    return np.array([prior.keyframe for prior in priors], np.int64), se3.invert(T), whitening_of(C)
-
-
 def whitening_of(covariances: FloatArray) -> FloatArray:
     """Return W (..., 6, 6) with WᵀW = C⁻¹."""
     return np.linalg.inv(np.linalg.cholesky(covariances)) if len(covariances) else covariances

@@ -16,7 +16,7 @@ from wheelsight.core.errors import MapError, PartError
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.core.settings import RecognitionSettings
-from wheelsight.places.recognition import Recognizer, SeenView, ViewMaker
+from wheelsight.places.recognition import Recognizer, ViewMaker
 from wheelsight.places.verification import PlaceVerifier, VerifiedPlace
 from wheelsight.slam.graph import Prior, RelativePose
 from wheelsight.vision.dense import DenseSettings
@@ -124,13 +124,23 @@ class PlaceWatcher:
         view = self._views.of_keyframe(keyframe)
         found: list[RelativePose] = []
         named = None if self._detector is None else self._named(self._detector, number, keyframe, {*but})
+        # Keyframes that look like the view, and some near it.
+        alike = (
+            [one.keyframe for one in self.recognizer.candidates(view, _CANDIDATES, but)]
+            if named is None
+            else named[:_CANDIDATES]
+        )
+        known_ones = set(self.recognizer.keyframes)
+        others = [one for one in near if one in known_ones and one not in but and one not in alike]
+        left = max(_CANDIDATES - min(_NEAR_CANDIDATES, len(others)), 0)
+        here = *alike[:left], *others[: _CANDIDATES - min(left, len(alike))][:_NEAR_CANDIDATES]
         elsewhere: Sequence[KeyframeId] = ()
         if unjoined and named is not None:
             elsewhere = [one for one in named if one not in unjoined][:_CANDIDATES_UNJOINED]
         elif unjoined:
-            alike = self.recognizer.candidates(view, _CANDIDATES_UNJOINED, {*but, *unjoined})
-            elsewhere = [one.keyframe for one in alike]
-        for candidate in dict.fromkeys((*elsewhere, *self._candidates(view, but, near, named))):
+            found_there = self.recognizer.candidates(view, _CANDIDATES_UNJOINED, {*but, *unjoined})
+            elsewhere = [one.keyframe for one in found_there]
+        for candidate in dict.fromkeys((*elsewhere, *here)):
             try:
                 known = self._store.as_of(candidate, number)
             except MapError:  # unreadable on disk: the drive continues without it
@@ -169,24 +179,6 @@ class PlaceWatcher:
                 raise PartError(f"{name} answered {one!r} at keyframe {number}: it was not shown", fix=fix)
         self._shown.add(number)
         return [KeyframeId(int(one)) for one in dict.fromkeys(numbers) if one not in but]
-
-    def _candidates(
-        self,
-        view: SeenView,
-        but: Collection[KeyframeId],
-        near: Sequence[KeyframeId],
-        named: Sequence[KeyframeId] | None,
-    ) -> tuple[KeyframeId, ...]:
-        """Return keyframes that look like a view, and some near it, each once."""
-        alike = (
-            [one.keyframe for one in self.recognizer.candidates(view, _CANDIDATES, but)]
-            if named is None
-            else list(named[:_CANDIDATES])
-        )
-        known = set(self.recognizer.keyframes)
-        others = [one for one in near if one in known and one not in but and one not in alike]
-        left = max(_CANDIDATES - min(_NEAR_CANDIDATES, len(others)), 0)
-        return (*alike[:left], *others[: _CANDIDATES - min(left, len(alike))][:_NEAR_CANDIDATES])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

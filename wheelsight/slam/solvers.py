@@ -20,11 +20,11 @@ from wheelsight.slam.graph import (
     Prior,
     RelativePose,
     arrays_of,
-    arrays_of_priors,
     cauchy_loss,
     edge_errors,
     edge_jacobians,
     inverse_left_jacobian,
+    whitening_of,
 )
 
 # GTSAM's tangents are (ω, v) and its perturbations multiply from the right. They are converted exactly.
@@ -235,7 +235,11 @@ class OwnPoseGraph(PoseGraph):
     def _as_arrays(self) -> _GraphArrays:
         self._need_prior()
         if self._problem is None:
-            self._problem = arrays_of(self._edges), arrays_of_priors(self._priors)
+            # Of priors: keyframes (P,), inverses of the poses (P, 4, 4), and roots of information (P, 6, 6).
+            T = np.array([prior.T_map_keyframe for prior in self._priors], float)
+            C = np.array([prior.covariance for prior in self._priors], float)
+            keyframes = np.array([prior.keyframe for prior in self._priors], np.int64)
+            self._problem = arrays_of(self._edges), (keyframes, se3.invert(T), whitening_of(C))
         return self._problem
 
     def _changed(self) -> None:
