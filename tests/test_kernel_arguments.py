@@ -6,9 +6,10 @@ import ast
 from pathlib import Path
 
 import pytest
+from sources import PACKAGES
 
 ROOT = Path(__file__).resolve().parent.parent
-FILES = sorted(path for package in ("wheelsight", "wheelsight_sim") for path in (ROOT / package).rglob("*_kernels.py"))
+FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*_kernels.py"))
 MOST = 8
 
 

@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from sources import PACKAGES
 
 import wheelsight
 from wheelsight.app.run.kernels import kernel_files
@@ -18,7 +19,7 @@ from wheelsight.core.compiled import made_of
 
 ROOT = Path(wheelsight.__file__).parent.parent
 SIMULATOR = ROOT / "wheelsight_sim"
-FILES = sorted(path for package in ("wheelsight", "wheelsight_sim") for path in (ROOT / package).rglob("*_kernels.py"))
+FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*_kernels.py"))
 
 
 def module_of(path: Path) -> str:
@@ -41,7 +42,7 @@ def imported(path: Path) -> set[Path]:
 
 def file_of(name: str) -> Path | None:
     path = ROOT.joinpath(*name.split(".")).with_suffix(".py")
-    return path if name.startswith(("wheelsight.", "wheelsight_sim.")) and path.exists() else None
+    return path if name.partition(".")[0] in PACKAGES and path.exists() else None
 
 
 def test_the_painter_is_made_of_all_files() -> None:

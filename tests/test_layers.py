@@ -9,7 +9,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
-from sources import imports_in
+from sources import BESIDE, imports_in
 
 PACKAGE = Path(__file__).resolve().parent.parent / "wheelsight"
 LAYERS = (
@@ -127,20 +127,27 @@ def test_a_circle_is_found(back: str) -> None:
     assert set(found) == {"wheelsight.places.model", "wheelsight.places.forest"}
 
 
-def test_the_simulator_is_loaded_by_the_applications_alone_and_knows_none_of_them() -> None:
-    simulator = PACKAGE.parent / "wheelsight_sim"
+# Parts of wheelsight that load a package beside it: applications alone, but for localizers of papers.
+USERS = {"wheelsight_papers": {"app", "estimation"}}
+
+
+@pytest.mark.parametrize("beside", BESIDE)
+def test_a_package_beside_is_loaded_by_the_applications_alone(beside: str) -> None:
     users = {
         path.relative_to(PACKAGE).parts[0]
         for path in SOURCES
         for _, name in imports_of(path.read_text(encoding="utf-8"))
-        if name.partition(".")[0] == "wheelsight_sim"
+        if name.partition(".")[0] == beside
     }
-    assert users == {"app"}
+    assert users <= USERS.get(beside, {"app"})
+
+
+def test_the_simulator_knows_no_application() -> None:
     used = {
         name
-        for path in simulator.rglob("*.py")
+        for path in (PACKAGE.parent / "wheelsight_sim").rglob("*.py")
         for _, name in imports_of(path.read_text(encoding="utf-8"))
-        if layer_of(name) == "app"
+        if layer_of(name) == "app" or name.partition(".")[0] in {*BESIDE} - {"wheelsight_sim"}
     }
     assert used == set()
 

@@ -11,9 +11,10 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import sources
+from sources import ROOT
 
 import wheelsight
-import wheelsight_sim
 
 IMPORTED_AS = {"scikit-image": "skimage", "scikit-learn": "sklearn"}
 # Parts without a page of their own: users type the command line, readers use inputs, the page on geometry shows each
@@ -26,8 +27,8 @@ NO_PAGE = (
     "wheelsight_sim.worlds",
 )
 PACKAGES = sorted(
-    path.parent.relative_to(folder.parent).as_posix().replace("/", ".")
-    for folder in (Path(wheelsight.__file__).parent, Path(wheelsight_sim.__file__).parent)
+    path.parent.relative_to(ROOT).as_posix().replace("/", ".")
+    for folder in (ROOT / name for name in sources.PACKAGES)
     for path in folder.rglob("__init__.py")
 )
 

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sources import PACKAGES
 
-import wheelsight
-import wheelsight_sim
 from wheelsight import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -30,17 +29,17 @@ _ANSWERS = tuple(
 def packages() -> list[str]:
     below = [
         module.name
-        for root in (wheelsight, wheelsight_sim)
+        for root in map(importlib.import_module, PACKAGES)
         for module in pkgutil.walk_packages(root.__path__, f"{root.__name__}.")
         if module.ispkg and module.name not in _NOT_IMPORTED
     ]
-    return list(dict.fromkeys(["wheelsight", "wheelsight_sim", *below, *documented()]))
+    return list(dict.fromkeys([*PACKAGES, *below, *documented()]))
 
 
 def documented() -> list[str]:
     """Modules that the pages of the API show, and those that examples on pages import."""
     text = "\n".join(path.read_text(encoding="utf-8") for path in sorted(DOCS.rglob("*.md")))
-    shown = re.findall(r"^(?:::: |from )(wheelsight(?:_sim)?\.[\w.]+)", text, re.MULTILINE)
+    shown = re.findall(r"^(?:::: |from )(wheelsight(?:_\w+)?\.[\w.]+)", text, re.MULTILINE)
     return sorted({name for name in shown if is_module(name)})
 
 
@@ -71,7 +70,7 @@ def test_what_takes_a_path_takes_text(package: str) -> None:
     wrong = []
     for name, function in functions_of(package):
         for parameter, kind in getattr(function, "__annotations__", {}).items():
-            is_ours = function.__module__.startswith(("wheelsight.", "wheelsight_sim.")) and name not in _ANSWERS
+            is_ours = function.__module__.partition(".")[0] in PACKAGES and name not in _ANSWERS
             takes_text = "StrPath" in str(kind) or "PathLike" in str(kind)
             if is_ours and parameter != "return" and re.search(r"\bPath\b", str(kind)) and not takes_text:
                 wrong.append(f"{name}({parameter}: {kind})")

@@ -6,8 +6,10 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+from sources import PACKAGES
+
 ROOT = Path(__file__).resolve().parent.parent
-SOURCES = sorted(path for package in ("wheelsight", "wheelsight_sim") for path in (ROOT / package).rglob("*.py"))
+SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 LONGEST_FUNCTION, LONGEST_FILE = 80, 900
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sources import PACKAGES
 from synthetic import make_tum_recording
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
@@ -56,7 +57,7 @@ def test_the_wheel_holds_the_package_with_its_data_and_nothing_else(wheel: Path,
     names = zipfile.ZipFile(wheel).namelist()
     sources = {
         path.relative_to(project_folder).as_posix()
-        for package in ("wheelsight", "wheelsight_sim")
+        for package in PACKAGES
         for path in (project_folder / package).rglob("*.*")
         if path.is_file() and "__pycache__" not in path.parts
     }

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from sources import PACKAGES
 
 PROJECT = Path(__file__).resolve().parent.parent
 CEILINGS = Path(__file__).with_name("private_words.txt")
@@ -102,7 +103,7 @@ def found_in(text: str) -> Counter[str]:
 @cache
 def places() -> dict[str, dict[str, list[Place]]]:
     """The places of each word, in code and on pages."""
-    sources = [file for folder in ("wheelsight", "wheelsight_sim") for file in sorted((PROJECT / folder).rglob("*.py"))]
+    sources = [file for folder in PACKAGES for file in sorted((PROJECT / folder).rglob("*.py"))]
     pages = [PROJECT / "README.md", *(file for file in sorted((PROJECT / "docs").rglob("*.md")) if file not in MADE)]
     found: dict[str, dict[str, list[Place]]] = {word: {"code": [], "pages": []} for word in WORDS}
     for file in (*sources, *pages):
