@@ -20,6 +20,7 @@ from scipy import ndimage
 from benchmarks import machine
 from benchmarks.navigation_page import write_section
 from benchmarks.plain_rollouts import plain_costs
+from benchmarks.plain_views import view_of_points
 from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
 from wheelsight.core.estimates import Status
@@ -37,7 +38,6 @@ from wheelsight.navigation.controllers import (
     Situation,
     cut,
 )
-from wheelsight.navigation.perception import DepthView
 from wheelsight.navigation.settings import FollowSettings, MppiSettings, outline_of
 
 CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)
@@ -120,7 +120,7 @@ def monitor_ms() -> dict[str, tuple[float, float]]:
         now_s = 0.05 * n
         monitor.add_reading(now_s, min(0.02 * n, 0.3), 0.0)
         points = np.stack([along, 0.6 + 0.0 * along], axis=-1)
-        view = DepthView.of_points(now_s, points, (0.35, 0.0), np.pi / 6, (0.5, 4.0))
+        view = view_of_points(now_s, points, (0.35, 0.0), np.pi / 6, (0.5, 4.0))
         stamps = [time.thread_time()]
         monitor.add_view(view)
         stamps.append(time.thread_time())

@@ -15,6 +15,7 @@ from benchmarks.session_starts import Building, FirstDay, beside_nearest
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import Costmap, KnownFloor, NavigationSettings, Plan, Planner, planar_pose
+from wheelsight.navigation.path_smoothing import Drivable
 from wheelsight.slam.maps import MapFolder, driven_way, occupancy_of
 
 ROUND_M = 0.05
@@ -92,7 +93,9 @@ class KnownBuilding:
             xy = self.costmap.middle_of(cells[rng.integers(len(cells))])
             yaws = rng.permutation(_HEADINGS) * 2 * np.pi / _HEADINGS - np.pi
             tries = np.column_stack([np.tile(xy, (_HEADINGS, 1)), yaws])
-            free = np.flatnonzero(self.planner.has_room(self.costmap, tries))
+            planner = self.planner
+            room = Drivable.of(self.costmap, planner.footprint, planner.settings, planner.limits)
+            free = np.flatnonzero(room.tightness(tries) == 0)
             if len(free):
                 return np.asarray(tries[free[0]])
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from navigation.unicycle import CHAIR, Camera, Unicycle, clearance_m
 from scipy.stats import qmc
 
+from benchmarks.plain_views import view_of_points
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.messages import STOP, VelocityCommand
@@ -25,7 +26,6 @@ from wheelsight.navigation.collision_monitor import (
     MonitorState,
     WheelCheck,
 )
-from wheelsight.navigation.perception import DepthView
 from wheelsight.navigation.settings import MonitorSettings
 
 NOTHING = np.empty((0, 2))
@@ -419,4 +419,4 @@ def test_a_view_that_is_no_array_of_numbers_is_refused() -> None:
     assert view.is_sound
     for wrong in ({"seen_m": np.array([np.inf])}, {"points": np.zeros(3)}, {"step_rad": 0.0}, {"stamp_s": np.nan}):
         assert not replace(view, **wrong).is_sound
-    assert DepthView.of_points(0.0, [[1.0, 0.0]], (0.0, 0.0), 1.0, (0.2, 4.0)).seen_m.min() == 1.0
+    assert view_of_points(0.0, [[1.0, 0.0]], (0.0, 0.0), 1.0, (0.2, 4.0)).seen_m.min() == 1.0

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from benchmarks.plain_views import view_of_points
 from wheelsight.core.geometry import BoolArray, FloatArray
 from wheelsight.core.messages import VelocityCommand
 from wheelsight.navigation import Footprint, RobotLimits
@@ -161,7 +162,7 @@ class Camera:
         apart = base - (self.x_m, 0.0)
         away, bearing = np.hypot(*apart.T), np.arctan2(apart[:, 1], apart[:, 0])
         seen = (np.abs(bearing) < self.half_angle_rad) & (away < self.far_m)
-        view = DepthView.of_points(stamp_s, base[seen], (self.x_m, 0.0), self.half_angle_rad, (self.near_m, self.far_m))
+        view = view_of_points(stamp_s, base[seen], (self.x_m, 0.0), self.half_angle_rad, (self.near_m, self.far_m))
         columns = ((bearing[seen] + self.half_angle_rad) / view.step_rad).astype(int)
         shown = away[seen] <= view.seen_m[columns] + 0.1
         return DepthView(

@@ -32,9 +32,9 @@ from wheelsight.navigation.costmap import (
 )
 from wheelsight.navigation.exploration import Exploration
 from wheelsight.navigation.navigator import Navigator
-from wheelsight.navigation.perception import DepthView, DepthViewer, LiveLayer, PeopleTracker, Person
+from wheelsight.navigation.perception import DepthViewer, LiveLayer, PeopleTracker, Person
 from wheelsight.navigation.planner import PathPlanner, Plan, PlanFailure, Planner, PlanReason, cost_to_go
-from wheelsight.navigation.planning import Goals, Planned, Planning, PoseGoals, RecordedPath
+from wheelsight.navigation.planning import Goals, Planned, PoseGoals
 from wheelsight.navigation.senses import planar_pose
 from wheelsight.navigation.settings import (
     BehaviourSettings,
@@ -63,7 +63,6 @@ __all__ = [
     "CostField",
     "Costmap",
     "CostmapSettings",
-    "DepthView",
     "DepthViewer",
     "DrivenPath",
     "Exploration",
@@ -102,10 +101,8 @@ __all__ = [
     "Planned",
     "Planner",
     "PlannerSettings",
-    "Planning",
     "PoseGoals",
     "PurePursuitController",
-    "RecordedPath",
     "RobotLimits",
     "SeenFloor",
     "StaticLayer",

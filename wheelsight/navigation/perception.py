@@ -69,32 +69,6 @@ class DepthView:
     near_m: float
     shows_m: FloatArray | None = None
 
-    @classmethod
-    def of_points(
-        cls,
-        stamp_s: float,
-        points: ArrayLike,
-        camera: tuple[float, float],
-        half_angle_rad: float,
-        reach_m: tuple[float, float],
-        columns: int = 64,
-    ) -> DepthView:
-        """Return the view of a camera that looks ahead and has depth everywhere. A column ends at its nearest point.
-
-        Args:
-            stamp_s: time of the frame.
-            points: (N, 2) in `base`.
-            reach_m: distances of the nearest and farthest visible floor.
-        """
-        points = np.asarray(points, float).reshape(-1, 2)
-        step_rad = 2 * half_angle_rad / columns
-        apart = points - np.array(camera)
-        column = np.floor((np.arctan2(apart[:, 1], apart[:, 0]) + half_angle_rad) / step_rad)
-        seen_m = np.full(columns, float(reach_m[1]))
-        inside = (column >= 0) & (column < columns)
-        np.minimum.at(seen_m, column[inside].astype(int), np.hypot(*apart[inside].T))
-        return cls(stamp_s, points, camera, -half_angle_rad, step_rad, seen_m, reach_m[0])
-
     @property
     def is_sound(self) -> bool:
         """Whether all its numbers are finite, and all shapes are right."""
@@ -423,7 +397,7 @@ def checked_depth(depth_m: ArrayLike, camera: PinholeCamera) -> Float32Array:
 _GAP_M = 0.4
 # Least cells of an object, and the largest width of a person.
 _LEAST_POINTS, _WIDEST_M = 3, 1.0
-# Radius of a person, of whom only the near side is visible. Neufert: 0.5 m from elbow to elbow.
+# Radius of a person; only the near side is visible. Neufert: 0.5 m from elbow to elbow.
 _BODY_M = 0.25
 # Standard deviation of an object's centre, half the swing of arms; and across, per metre of distance, the heading of a
 # frame's pose.

@@ -60,11 +60,6 @@ class Planner:
         self.limits, self.most_states = limits or RobotLimits(), _MOST_STATES
         self._outline = outline_of(footprint)
 
-    def has_room(self, costmap: Costmap, poses: ArrayLike) -> BoolArray:
-        """Return (N,) whether the footprint fits at poses (N, 3) with the wanted margin."""
-        drivable = Drivable.of(costmap, self.footprint, self.settings, self.limits)
-        return np.asarray(drivable.tightness(np.asarray(poses, float)) == 0)
-
     def why_no_room_near(self, costmap: Costmap, goal: ArrayLike) -> PlanFailure | None:
         """Return why no plan may end at or beside a goal (3,), even if it could be reached; None if one may.
 

@@ -15,26 +15,18 @@ from wheelsight.slam.maps.contents import (
     save_occupancy,
 )
 from wheelsight.slam.maps.folder import MapFolder, discard_map
-from wheelsight.slam.maps.journal import DRIVE, FolderContents, Health, MapCamera, MapHeader, Place
-from wheelsight.slam.maps.keyframes import KeptKeyframes
-from wheelsight.slam.maps.rebuilding import MergedMap, PrunedMap, fuse_keyframes, merge, prune, rebuild
+from wheelsight.slam.maps.journal import DRIVE
+from wheelsight.slam.maps.rebuilding import MergedMap, fuse_keyframes, merge, prune, rebuild
 from wheelsight.slam.maps.writer import MapWriter, SeenKeyframe, odometry_edge
 from wheelsight.slam.settings import SessionSettings
 
 __all__ = [
     "DRIVE",
     "MAP_FOLDER",
-    "FolderContents",
-    "Health",
-    "KeptKeyframes",
-    "MapCamera",
     "MapFolder",
-    "MapHeader",
     "MapInfo",
     "MapWriter",
     "MergedMap",
-    "Place",
-    "PrunedMap",
     "SeenKeyframe",
     "SessionSettings",
     "discard_map",

@@ -111,7 +111,7 @@ Size = tuple[int, int]
 
 
 def pack_keyframe(keyframe: Keyframe, steps: DepthSteps, most_kb: int) -> bytes:
-    """Return the record of a keyframe, of at most so many kilobytes.
+    """Return the record of a keyframe, of at most `most_kb` kilobytes.
 
     `unpack_keyframe` restores it up to quantisation, image width, and surplus keypoints.
     """
