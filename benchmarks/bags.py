@@ -26,7 +26,7 @@ from wheelsight.core.geometry import PinholeCamera
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.runtime import needed
 from wheelsight.io.recordings import open_recording
-from wheelsight.io.recordings.bags.writing import ImageForm, RobotTopics, new_bag
+from wheelsight_export.bag_writing import ImageForm, RobotTopics, new_bag
 
 FRAMES_PER_S, WRITTEN_PER_S, OPEN_S = 150.0, 100.0, 2.0
 _WIDTH, _HEIGHT, _FRAME_HZ, _WHEELS_HZ = 640, 480, 30, 50

@@ -23,7 +23,7 @@ from rosbags.rosbag2 import Writer as Writer2
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.messages import Event, RgbdFrame, WheelTicks, YawRate
-from wheelsight.io.recordings.bags.writing import Messages, RobotTopics, Sent, nanoseconds, new_bag
+from wheelsight_export.bag_writing import Messages, RobotTopics, Sent, nanoseconds, new_bag
 
 _FRAMES = 3
 _LENS = (0.5, 0.5, 0.49, 0.49, 0.1, -0.02, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1e-4, -2e-4)

@@ -32,7 +32,7 @@ from wheelsight.estimation import Localizer
 from wheelsight.evaluation import evaluate
 from wheelsight.io.recordings import Recording, open_recording
 from wheelsight.mapping import SurfelMap
-from wheelsight.mapping.export import upward
+from wheelsight.mapping.plan import upward
 from wheelsight_sim import SimulationSettings, simulate, write_simulation
 
 if TYPE_CHECKING:

@@ -26,8 +26,8 @@ def too_long(source: str, is_command: bool) -> Iterator[str]:
 
 
 def is_command(path: Path) -> bool:
-    """Whether it holds commands: the modules of the command line that are not private."""
-    return path.parent.name == "cli" and not path.name.startswith("_")
+    """Whether it holds commands: modules of the command line, or `cli` of a package beside it."""
+    return "cli" in (path.parent.name, path.stem) and not path.name.startswith("_")
 
 
 def test_functions_and_files_are_short() -> None:

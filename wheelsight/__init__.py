@@ -54,10 +54,7 @@ if TYPE_CHECKING:
         SurfelMap,
         SurfelSettings,
         load_map,
-        mesh_of,
         save_map,
-        write_mesh_ply,
-        write_ply,
     )
     from wheelsight.places import PlaceMatch, PlaceModel
     from wheelsight.slam.place_recognition import LoopDetector
@@ -65,6 +62,7 @@ if TYPE_CHECKING:
     from wheelsight.vision.features import FeatureOdometry, FeatureSettings
     from wheelsight.vision.visual_odometry import VisualOdometry
     from wheelsight.wheels import HolonomicOdometry, WheelOdometry
+    from wheelsight_export import mesh_of, write_mesh_ply, write_ply
     from wheelsight_sim import SimulatedRecording, SimulationSettings, write_simulation
     from wheelsight_sim.simulate import simulate
 
@@ -236,10 +234,7 @@ _NAMES_OF = {
         "SurfelMap",
         "SurfelSettings",
         "load_map",
-        "mesh_of",
         "save_map",
-        "write_mesh_ply",
-        "write_ply",
     ),
     "wheelsight.places": (
         "PlaceMatch",
@@ -258,6 +253,11 @@ _NAMES_OF = {
     "wheelsight.wheels": (
         "HolonomicOdometry",
         "WheelOdometry",
+    ),
+    "wheelsight_export": (
+        "mesh_of",
+        "write_mesh_ply",
+        "write_ply",
     ),
     "wheelsight_sim": (
         "SimulatedRecording",

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks import bags
 from wheelsight.io.recordings import open_recording
-from wheelsight.io.recordings.bags.writing import ImageForm
+from wheelsight_export.bag_writing import ImageForm
 
 
 @pytest.mark.parametrize("kind", bags.KINDS, ids=lambda kind: kind.name)

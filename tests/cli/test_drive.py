@@ -18,7 +18,6 @@ from sessions.kept_views import write_map
 from typer.testing import CliRunner, Result
 
 from wheelsight.app.cli import app
-from wheelsight.app.viewer import why_no_rerun
 from wheelsight.core.calibration import Calibration, save_calibration
 from wheelsight.core.calibration_parts import HolonomicWheels
 from wheelsight.core.errors import DeviceError
@@ -27,6 +26,7 @@ from wheelsight.core.trajectory import read_tum
 from wheelsight.io.devices.cameras import ANY, LIVE_CAMERAS, open_robot_camera
 from wheelsight.io.devices.simulated_controller import SimulatedController
 from wheelsight.io.devices.wire_formats import LinkCommand as Commanded
+from wheelsight_export import why_no_rerun
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

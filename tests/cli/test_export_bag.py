@@ -20,7 +20,7 @@ from wheelsight.core.geometry import se3
 from wheelsight.core.messages import RgbdFrame, WheelSpeeds, WheelTicks
 from wheelsight.core.trajectory import read_tum
 from wheelsight.io.recordings import open_recording
-from wheelsight.io.recordings.bags import writing
+from wheelsight_export import bag_writing as writing
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

@@ -25,8 +25,8 @@ from wheelsight.core.errors import CalibrationError, OutputError, RecordingError
 from wheelsight.core.messages import AngularVelocity, RgbdFrame, WheelTicks
 from wheelsight.io.devices.simulated_controller import SimulatedController
 from wheelsight.io.recordings import open_recording
-from wheelsight.io.recordings.bags import writing
-from wheelsight.io.recordings.bags.writing import LiveBag
+from wheelsight_export import bag_writing as writing
+from wheelsight_export.bag_writing import LiveBag
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

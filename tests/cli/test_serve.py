@@ -19,8 +19,8 @@ from sessions.kept_views import write_map
 
 from wheelsight.app.cli.console import print_warning
 from wheelsight.app.cli.serve import CountedLines, PageOptions, access_of, addresses
-from wheelsight.app.viewer import why_no_rerun
 from wheelsight.core.errors import ConfigError
+from wheelsight_export import why_no_rerun
 
 Refusal = Callable[..., str]
 

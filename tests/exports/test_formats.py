@@ -19,8 +19,6 @@ from synthetic import make_tum_recording
 from typer.testing import CliRunner, Result
 
 from wheelsight.app.cli import app
-from wheelsight.app.exports import BagParts, export_bag, exported_at
-from wheelsight.app.exports.sources import ColoredPoints, thinned
 from wheelsight.config import Config, save_config
 from wheelsight.core.errors import OutputError
 from wheelsight.core.geometry import FloatArray, se3
@@ -30,6 +28,8 @@ from wheelsight.core.trajectory import Trajectory, write_tum
 from wheelsight.io.recordings import Recording, open_recording
 from wheelsight.io.ros_map import read_ros_map
 from wheelsight.slam.maps import MapFolder, MapWriter
+from wheelsight_export import BagParts, export_bag, exported_at
+from wheelsight_export.sources import ColoredPoints, thinned
 
 Command = Callable[..., Result]
 STEP = se3.exp([0.3, -0.1, 0.05, 0.1, 0.2, 0.3])
@@ -244,7 +244,7 @@ def test_an_export_that_is_ended_over_another_has_no_index(
     def full(path: Path, data: bytes) -> None:
         raise OutputError("no space left on the disk", path=path)
 
-    monkeypatch.setattr("wheelsight.app.exports.reconstruction.write_bytes", full)
+    monkeypatch.setattr("wheelsight_export.reconstruction.write_bytes", full)
     assert export(*asked, "--force").exit_code == 2
     assert (tmp_path / "out" / "images" / "000000.png").exists()
     assert not (tmp_path / "out" / index).exists()

@@ -12,8 +12,8 @@ import yaml
 from bag_contents import messages_in
 from synthetic import make_tum_recording
 
-from wheelsight.app.exports import BagParts, export_bag, exported_at
-from wheelsight.app.exports.bag import foxglove_layout, layout_paths, rviz_config
+from wheelsight_export import BagParts, export_bag, exported_at
+from wheelsight_export.bag import foxglove_layout, layout_paths, rviz_config
 
 SENSORS = {"/tf", "/tf_static", "/joint_states", "/imu/data", "/wheelsight/calibration"}
 

@@ -7,7 +7,7 @@ import pytest
 
 from wheelsight.core.geometry import FloatArray
 from wheelsight.mapping import Surfels
-from wheelsight.mapping.export import cloud_of
+from wheelsight.mapping.plan import cloud_of
 
 
 def sheet(count: int, x: float, normal_x: float, color: float, rng: np.random.Generator) -> Surfels:

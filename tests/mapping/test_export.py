@@ -10,7 +10,8 @@ import pytest
 from mapping.scenes import Wall, look_at, made_map, pose
 
 from wheelsight.core.errors import ConfigError, MapError
-from wheelsight.mapping import Mesh, SurfelMap, export, mesh_of, write_mesh_ply, write_ply
+from wheelsight.mapping import SurfelMap
+from wheelsight_export import Mesh, mesh_of, meshes, write_mesh_ply, write_ply
 
 TYPES = {"float": "<f4", "uchar": "u1"}
 
@@ -62,10 +63,10 @@ def test_open3d_reads_points_and_mesh(tmp_path):
     assert triangles.is_edge_manifold()
 
 
-@pytest.mark.parametrize("chunk", [export.CHUNK_VOXELS, 16], ids=["one chunk", "many chunks"])
+@pytest.mark.parametrize("chunk", [meshes.CHUNK_VOXELS, 16], ids=["one chunk", "many chunks"])
 def test_the_mesh_of_a_plane_lies_in_it(monkeypatch, chunk):
     pytest.importorskip("skimage", reason="scikit-image is not installed (extra mesh)")
-    monkeypatch.setattr(export, "CHUNK_VOXELS", chunk)
+    monkeypatch.setattr(meshes, "CHUNK_VOXELS", chunk)
     wall, surfel_map = Wall(1.6, slope=0.4), wall_map()
     mesh = mesh_of(surfel_map, 0.03)
     assert np.abs(wall.distance(mesh.vertices)).max() < 1e-3
@@ -82,7 +83,7 @@ def test_the_mesh_of_a_plane_lies_in_it(monkeypatch, chunk):
 def test_chunks_meet_without_seams(monkeypatch):
     pytest.importorskip("skimage", reason="scikit-image is not installed (extra mesh)")
     whole = mesh_of(wall_map(), 0.03)
-    monkeypatch.setattr(export, "CHUNK_VOXELS", 16)
+    monkeypatch.setattr(meshes, "CHUNK_VOXELS", 16)
     pieces = mesh_of(wall_map(), 0.03)
     assert len(pieces.triangles) == len(whole.triangles)
     assert len(pieces.vertices) == len(whole.vertices)
@@ -114,7 +115,7 @@ def test_an_empty_map_has_nothing_to_write_at_all(tmp_path):
 
 def test_meshing_tells_how_far_it_is(monkeypatch):
     pytest.importorskip("skimage", reason="scikit-image is not installed (extra mesh)")
-    monkeypatch.setattr(export, "CHUNK_VOXELS", 16)
+    monkeypatch.setattr(meshes, "CHUNK_VOXELS", 16)
     told: list[tuple[int, int]] = []
     mesh_of(wall_map(), 0.03, on_chunk=lambda done, total: told.append((done, total)))
     assert [done for done, _ in told] == sorted({done for done, _ in told})

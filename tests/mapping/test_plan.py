@@ -9,7 +9,7 @@ import pytest
 
 from wheelsight.core.geometry import FloatArray, se3, so3
 from wheelsight.mapping import Surfels
-from wheelsight.mapping.export import MapPlan, plan_of
+from wheelsight.mapping.plan import MapPlan, plan_of
 
 UP, RIGHT = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 NOWHERE = np.empty((0, 3))

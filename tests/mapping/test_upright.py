@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from wheelsight.core.geometry import FloatArray, so3
 from wheelsight.mapping import Surfels
-from wheelsight.mapping.export import upward
+from wheelsight.mapping.plan import upward
 
 # A camera held upright in a world whose z points up, looking along x.
 LEVEL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])

@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wheelsight.app.exports.bag import export_bag
-from wheelsight.app.exports.sources import exported_at
 from wheelsight.app.run import run_each
 from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
@@ -18,6 +16,8 @@ from wheelsight.core.geometry import se2
 from wheelsight.core.messages import Event, HolonomicReading, OdometryReading, WheelCounts, WheelTicks, YawRate
 from wheelsight.io.recordings import OpenOptions, RecordingWriter, open_recording
 from wheelsight.io.recordings.inspection import inspect_recording
+from wheelsight_export.bag import export_bag
+from wheelsight_export.sources import exported_at
 
 MECANUM = HolonomicWheels("mecanum", radius_m=0.05, half_length_m=0.2, half_width_m=0.15, ticks_per_turn=4096)
 OMNI = HolonomicWheels("omni", radius_m=0.05, distance_m=0.2, angles_rad=(1.0472, 3.1416, 5.236), ticks_per_turn=4096)

@@ -18,7 +18,7 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import evaluate
 from wheelsight.io.recordings import AssociationReport
 from wheelsight.mapping import MapStatus
-from wheelsight.mapping.export import MapCloud, MapPlan
+from wheelsight.mapping.plan import MapCloud, MapPlan
 from wheelsight.wheels import integrate_log
 
 START_S = 1305031102.17

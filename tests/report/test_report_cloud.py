@@ -22,7 +22,7 @@ from wheelsight.app.report import write_report
 from wheelsight.app.report.pictures import OrbitView, draw_cloud
 from wheelsight.app.run import RunRecord
 from wheelsight.core.geometry import FloatArray
-from wheelsight.mapping.export import MapCloud
+from wheelsight.mapping.plan import MapCloud
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "wheelsight" / "app" / "report"
 NO_LINES = np.zeros((0, 2, 3))

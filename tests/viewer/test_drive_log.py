@@ -9,10 +9,10 @@ import pytest
 from rehearsed_drive import CALIBRATION, rehearsed_drive
 
 from wheelsight.app.run.drives import GoalDrive, NamedGoal
-from wheelsight.app.viewer import open_drive_log
 from wheelsight.core.geometry import se2
 from wheelsight.core.settings import ViewerSettings
 from wheelsight.navigation import Feedback, NavigationState
+from wheelsight_export import open_drive_log
 
 pytest.importorskip("rerun", reason="rerun-sdk is not installed")
 from viewer.shown import Shown

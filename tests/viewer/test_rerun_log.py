@@ -18,7 +18,6 @@ from synthetic import make_tum_recording, wobbling_trajectory
 
 from wheelsight.app.run import RunRecord
 from wheelsight.app.runs import run_each
-from wheelsight.app.viewer import SPAWN, open_rerun, start_viewer, why_no_rerun
 from wheelsight.config import Config, load_config
 from wheelsight.core.errors import ConfigError, OutputError
 from wheelsight.core.geometry import se3
@@ -26,6 +25,7 @@ from wheelsight.core.robots import EventSource
 from wheelsight.core.settings import ViewerSettings
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.recordings import open_recording
+from wheelsight_export import SPAWN, open_rerun, start_viewer, why_no_rerun
 
 pytest.importorskip("rerun", reason="rerun-sdk is not installed")
 from rerun.chunk import RrdReader
@@ -79,7 +79,7 @@ def test_statuses_are_told_where_they_change_and_reasons_with_them(truth: Trajec
 def test_images_come_as_often_as_asked_and_no_wider_than_a_limit(
     truth: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("wheelsight.app.viewer.logs._IMAGE_WIDTH_PX", 16)
+    monkeypatch.setattr("wheelsight_export.rerun_logs._IMAGE_WIDTH_PX", 16)
     period_s = float(np.diff(truth.stamps_s).mean())
     settings = ViewerSettings(image_rate_hz=0.5 / period_s)
     shown(MemoryRecording(frames_at(truth), truth), BY_FEATURES, tmp_path, settings)

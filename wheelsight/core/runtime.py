@@ -1,5 +1,5 @@
 """Signals and optional libraries. `end_by_signals` turns SIGINT, SIGTERM and SIGHUP into a tidy end;
-`needed` imports an optional library or names the extra that installs it.
+`needed` imports an optional library or names the extra that installs it; `public_name` loads names at their first use.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from types import FrameType
@@ -213,3 +213,16 @@ def why_missing(library: str) -> str | None:
     except ConfigError as error:
         return str(error)
     return None
+
+
+def public_name(package: str, name: str, names: Collection[str], modules: Iterable[str]) -> Any:
+    """Return a public name of a package, for its `__getattr__`, from the first of its modules that has it.
+
+    The command line loads packages beside wheelsight for their commands alone; their modules wait for this.
+
+    Raises AttributeError for other names.
+    """
+    if name not in names:
+        raise AttributeError(f"module {package!r} has no attribute {name!r}")
+    loaded = (import_module(f"{package}.{module}") for module in modules)
+    return next(getattr(module, name) for module in loaded if hasattr(module, name))

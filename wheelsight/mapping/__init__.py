@@ -1,9 +1,9 @@
-"""Mapping: surfels that frames are fused into, views predicted from them, files and meshes; occupancy of the floor."""
+"""Mapping: surfels that frames are fused into, views predicted from them, files; occupancy of the floor."""
 
-from wheelsight.mapping.export import Mesh, colors_of, mesh_of, write_mesh_ply, write_ply
 from wheelsight.mapping.map_edits import EditKind, MapEdit, MapEdits, roomiest_place
 from wheelsight.mapping.named_poses import NamedPose, NamedPoses
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid, OccupancyMapper, OccupancySettings
+from wheelsight.mapping.plan import colors_of
 from wheelsight.mapping.storage import load_map, save_map
 from wheelsight.mapping.surfels import ColoredView, FusedFrame, MapStatus, SurfelMap, Surfels, SurfelSettings
 
@@ -15,7 +15,6 @@ __all__ = [
     "MapEdit",
     "MapEdits",
     "MapStatus",
-    "Mesh",
     "NamedPose",
     "NamedPoses",
     "OccupancyGrid",
@@ -26,9 +25,6 @@ __all__ = [
     "Surfels",
     "colors_of",
     "load_map",
-    "mesh_of",
     "roomiest_place",
     "save_map",
-    "write_mesh_ply",
-    "write_ply",
 ]

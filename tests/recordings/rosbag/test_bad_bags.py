@@ -28,9 +28,9 @@ from wheelsight.core.messages import RgbdFrame, SkippedFrame, WheelSpeeds
 from wheelsight.io.recordings import open_recording
 from wheelsight.io.recordings.bags.images import depth_of
 from wheelsight.io.recordings.bags.storage import OpenBag
-from wheelsight.io.recordings.bags.writing import new_bag
 from wheelsight.io.recordings.clock_checks import FRAMES as FRAME_STAMPS
 from wheelsight.io.recordings.clock_checks import WHEELS, listed_stamps, refuse_if_apart
+from wheelsight_export.bag_writing import new_bag
 
 
 def test_metadata_of_gigabytes_is_not_read(tmp_path: Path) -> None:

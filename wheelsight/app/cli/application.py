@@ -13,7 +13,6 @@ from wheelsight.app.cli import (
     calibrate,
     drive,
     evaluate,
-    export,
     info,
     maps,
     places,
@@ -30,6 +29,7 @@ from wheelsight.app.cli.run_options import config_config
 from wheelsight.app.cli.wheels import devices_devices
 from wheelsight.core.errors import WheelsightError
 from wheelsight.core.runtime import end_by_signals, exit_code, was_asked
+from wheelsight_export.cli import export
 
 _LOG = logging.getLogger(__name__)
 
@@ -76,7 +76,7 @@ _COMMANDS: tuple[tuple[str, tuple[tuple[Any, str, str], ...]], ...] = (
             (info.info, "info", "What is in a recording, and what is wrong with it"),
             (run.run, "run", "Where the robot or its camera went, a map, a report"),
             (evaluate.evaluate, "evaluate", "A trajectory against the truth"),
-            (export.export, "export", "A run or its map for other programs"),
+            (export, "export", "A run or its map for other programs"),
             (simulate.simulate, "simulate", "A drive through a simulated world, with truth"),
         ),
     ),

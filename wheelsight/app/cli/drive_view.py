@@ -26,10 +26,10 @@ from wheelsight.navigation import CellState, Costmap, Feedback, Footprint, Navig
 from wheelsight.navigation.task import STATUS_WORDS, monitor_words
 
 if TYPE_CHECKING:
-    from wheelsight.app.viewer import DriveLog
     from wheelsight.config import Config
     from wheelsight.core.messages import Event
     from wheelsight.core.robots import Robot
+    from wheelsight_export import DriveLog
 
 
 _VIEWS_A_S, _LINES_A_S = 5, 1
@@ -200,7 +200,7 @@ def watching(rerun: str | None, robot: Robot, config: Config) -> Iterator[DriveW
     if rerun is None:
         yield DriveWatch(view)
         return
-    from wheelsight.app.viewer import open_drive_log
+    from wheelsight_export import open_drive_log
 
     with open_drive_log(rerun, robot.calibration, config.viewer) as log:
         yield DriveWatch(view, log)

@@ -190,8 +190,8 @@ def write_exports(folder: MapFolder, wanted: Exports, force: bool) -> None:
     from wheelsight.app.cli.console import print_note
     from wheelsight.app.cli.progress import FrameProgress
     from wheelsight.io.ros_map import write_ros_map
-    from wheelsight.mapping import write_ply
     from wheelsight.slam.maps import fuse_keyframes
+    from wheelsight_export.meshes import write_ply
 
     _check(wanted, force)
     if wanted.points is not None:

@@ -209,7 +209,7 @@ def check_rerun(target: str | None, force: bool | None = None) -> None:
     if target is None:
         return
     needed("rerun")
-    from wheelsight.app.viewer import is_file
+    from wheelsight_export import is_file
 
     if is_file(target):
         check_out(Path(target), force, "--rerun")

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from wheelsight.core.settings import LiveCameraSettings, RecorderSettings
     from wheelsight.io.devices.live_camera import LiveCamera
     from wheelsight.io.devices.recorder import LiveRecorder, RecordingSession, SessionStatus
-    from wheelsight.io.recordings.bags.writing import LiveBag
     from wheelsight.io.recordings.native import LiveWriter
+    from wheelsight_export.bag_writing import LiveBag
 
 # A frame waits no longer on its way into a bag: readers put messages in order within half a second, and would leave out
 # later ones.
@@ -232,7 +232,7 @@ class BagPlace:
     def check(self, *, has_infrared: bool, force: bool, resume: bool) -> None:
         """Check a bag before a device is opened. Raises ConfigError, OutputError."""
         from wheelsight.app.cli.options import check_out
-        from wheelsight.io.recordings.bags.writing import check_growing_name, check_library
+        from wheelsight_export.bag_writing import check_growing_name, check_library
 
         if resume:
             raise ConfigError("a bag cannot be resumed", fix="choose another name: a folder is read as one bag")
@@ -249,7 +249,7 @@ class BagPlace:
 
     def writer(self, calibration: Calibration | None, color: str) -> LiveBag:
         """The writer of the bag. Raises CalibrationError, OutputError."""
-        from wheelsight.io.recordings.bags.writing import LiveBag
+        from wheelsight_export.bag_writing import LiveBag
 
         return LiveBag(self.path, calibration, color, _BAG_FLUSH_S)  # type: ignore[arg-type]
 

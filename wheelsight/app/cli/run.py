@@ -115,7 +115,7 @@ def track(
     from wheelsight.app.cli.options import can_draw, check_rerun
     from wheelsight.app.cli.progress import FrameProgress
     from wheelsight.app.run.kernels import parts_of
-    from wheelsight.app.viewer import open_rerun
+    from wheelsight_export import open_rerun
 
     count, unit = expected(source, settings)
     status, progress = RunStatus(), FrameProgress("tracking", count, unit=unit)

@@ -115,8 +115,8 @@ def serve(options: ServeOptions) -> None:
     config, access = settings_of(options, {"loops.source": "keyframes"}), access_of(options)
     from wheelsight.app.page import DriveMaps, Session
     from wheelsight.app.page.server import PageServer, page_app
-    from wheelsight.app.viewer import open_drive_log
     from wheelsight.config import StartSettings
+    from wheelsight_export import open_drive_log
 
     start = None
     if options.known_start is not None:

@@ -224,7 +224,7 @@ class Maps(Protocol):
 
 
 class Watch(Protocol):
-    """A listener to all drives of a session, such as `wheelsight.app.viewer.DriveLog`."""
+    """A listener to all drives of a session, such as `wheelsight_export.DriveLog`."""
 
     def on_events(self, events: Sequence[Event]) -> None:
         """Events of the robot's sensors."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from wheelsight.app.run.run_record import MatchPicture
 from wheelsight.core.geometry import ByteArray, FloatArray
-from wheelsight.mapping.export import MapCloud
+from wheelsight.mapping.plan import MapCloud
 
 # Matches
 

@@ -24,7 +24,7 @@ from wheelsight.core.keyframes import KeyframeStore
 from wheelsight.core.messages import STOP, Event, RgbdFrame, VelocityCommand, WheelTicks
 from wheelsight.core.robots import STOPPED
 from wheelsight.io.recordings import Recording, open_recording
-from wheelsight.mapping import CellKind, OccupancyGrid, mesh_of
+from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import (
     Costmap,
     Footprint,
@@ -36,6 +36,7 @@ from wheelsight.navigation import (
     StaticLayer,
 )
 from wheelsight.places import HistogramDescriber, LayoutDescriber
+from wheelsight_export.meshes import mesh_of
 from wheelsight_sim import SimulationSettings, camera_names, simulate
 
 

@@ -20,7 +20,7 @@ from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.mapping import SurfelMap
-from wheelsight.mapping.export import MapPlan, cloud_of, plan_of, upward
+from wheelsight.mapping.plan import MapPlan, cloud_of, plan_of, upward
 from wheelsight.mapping.surfels import Parts
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.loop_closing import ClosedLoops, corrected_by

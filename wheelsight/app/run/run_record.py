@@ -21,7 +21,7 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import Evaluation, Statistics
 from wheelsight.io.recordings import AssociationReport
 from wheelsight.mapping import MapStatus
-from wheelsight.mapping.export import MapCloud, MapPlan
+from wheelsight.mapping.plan import MapCloud, MapPlan
 
 
 @dataclass(frozen=True, slots=True)

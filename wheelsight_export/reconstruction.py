@@ -16,7 +16,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from wheelsight.app.exports.sources import ColoredPoints, Exported, points_of, thinned, upright_points
 from wheelsight.core.errors import InputError, MapError, OutputError, TrajectoryError
 from wheelsight.core.files import (
     StrPath,
@@ -35,8 +34,9 @@ from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.runtime import needed
 from wheelsight.core.trajectory import Trajectory, write_kitti, write_tum
 from wheelsight.io.recordings import Recording, express_for
-from wheelsight.io.recordings.bags.writing import T_LINK_OPTICAL, nanoseconds
 from wheelsight.slam.maps import MapFolder, in_largest_piece
+from wheelsight_export.bag_writing import T_LINK_OPTICAL, nanoseconds
+from wheelsight_export.sources import ColoredPoints, Exported, points_of, thinned, upright_points
 
 # nerfstudio
 

@@ -13,7 +13,15 @@ from typing import Any
 import numpy as np
 import yaml
 
-from wheelsight.app.exports.sources import (
+from wheelsight.core.errors import InputError, OutputError
+from wheelsight.core.files import StrPath, write_text
+from wheelsight.core.geometry import se3
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.io.recordings import express_for
+from wheelsight.io.ros_map import read_ros_map
+from wheelsight.slam.maps.folder import OCCUPANCY_FILE
+from wheelsight_export.bag_writing import Diagnosis, ImageForm, Messages, RobotTopics, Sent, new_bag
+from wheelsight_export.sources import (
     Exported,
     body_frame,
     in_odom,
@@ -24,14 +32,6 @@ from wheelsight.app.exports.sources import (
     upright,
     upright_points,
 )
-from wheelsight.core.errors import InputError, OutputError
-from wheelsight.core.files import StrPath, write_text
-from wheelsight.core.geometry import se3
-from wheelsight.core.trajectory import Trajectory
-from wheelsight.io.recordings import express_for
-from wheelsight.io.recordings.bags.writing import Diagnosis, ImageForm, Messages, RobotTopics, Sent, new_bag
-from wheelsight.io.ros_map import read_ros_map
-from wheelsight.slam.maps.folder import OCCUPANCY_FILE
 
 MAP, ODOM = "map", "odom"
 DEFAULT_VOXEL_M = 0.05

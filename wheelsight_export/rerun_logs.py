@@ -31,7 +31,7 @@ from wheelsight.core.keyframes import KeyframeId, KeyframeStore
 from wheelsight.core.messages import Event, RgbdFrame
 from wheelsight.core.runtime import needed, why_missing
 from wheelsight.core.settings import ViewerSettings
-from wheelsight.mapping.export import cloud_of
+from wheelsight.mapping.plan import cloud_of
 from wheelsight.navigation import (
     CellState,
     Costmap,

@@ -31,9 +31,9 @@ from wheelsight.core.geometry import ByteArray, FloatArray, se3, so3
 from wheelsight.core.inputs import Kind, is_there, lines_of, parse_json, read_text
 from wheelsight.core.trajectory import Trajectory, read_tum
 from wheelsight.io.recordings import Recording, open_recording
-from wheelsight.io.recordings.bags.writing import BASE, LINK, T_LINK_OPTICAL
 from wheelsight.mapping import colors_of, load_map
 from wheelsight.slam.maps import MAP_FOLDER, MapFolder, find_map, is_map
+from wheelsight_export.bag_writing import BASE, LINK, T_LINK_OPTICAL
 
 # Where a run of several odometries has its best trajectory, first the one that knows most.
 _TRACKS = ("", "joined", "dense", "features", "own", "rectified", "wheels")

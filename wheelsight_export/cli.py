@@ -164,10 +164,10 @@ def export_to_bag(asked: Asked, to: Path) -> None:
     from wheelsight.app.cli.console import print_warning
     from wheelsight.app.cli.options import check_out
     from wheelsight.app.cli.progress import FrameProgress
-    from wheelsight.app.exports import DEFAULT_VOXEL_M, BagParts, export_bag, exported_at
-    from wheelsight.app.exports.bag import layout_paths
     from wheelsight.core.errors import ConfigError, OutputError
-    from wheelsight.io.recordings.bags.writing import ImageForm, check_bag_name, check_library
+    from wheelsight_export import DEFAULT_VOXEL_M, BagParts, export_bag, exported_at
+    from wheelsight_export.bag import layout_paths
+    from wheelsight_export.bag_writing import ImageForm, check_bag_name, check_library
 
     if asked.images is not None and asked.images not in get_args(ImageForm):
         raise ConfigError(f"--images is {asked.images!r}", fix=f"one of {', '.join(get_args(ImageForm))}")
@@ -210,7 +210,8 @@ def export_in(asked: Asked, form: str) -> None:
     """Write a trajectory, images with poses, or a tree. Raises InputError."""
     from wheelsight.app.cli.options import check_out
     from wheelsight.app.cli.progress import FrameProgress
-    from wheelsight.app.exports import (
+    from wheelsight.core.errors import ConfigError
+    from wheelsight_export import (
         DEFAULT_VOXEL_M,
         TRAJECTORY_FORMATS,
         export_colmap,
@@ -219,7 +220,6 @@ def export_in(asked: Asked, form: str) -> None:
         export_trajectory,
         exported_at,
     )
-    from wheelsight.core.errors import ConfigError
 
     if form not in _OUT:
         raise ConfigError(f"--format is {form!r}", fix=f"one of {', '.join(_OUT)}")
@@ -265,8 +265,9 @@ def export_surface(asked: Asked, is_mesh: bool) -> None:
     from wheelsight.app.run.kernels import usable_parts
     from wheelsight.core.errors import ConfigError, MapError
     from wheelsight.core.inputs import is_there
-    from wheelsight.mapping import load_map, mesh_of, write_mesh_ply, write_ply
+    from wheelsight.mapping import load_map
     from wheelsight.slam.maps import MAP_FOLDER, MapFolder, is_map
+    from wheelsight_export.meshes import mesh_of, write_mesh_ply, write_ply
 
     if not is_there(asked.source):
         raise MapError("there is no such folder or file", path=asked.source, fix="check the path")
