@@ -83,7 +83,18 @@ class Exploration:
             step = 2 * np.pi / TURNS
             self._next = None
             return (np.array([pose[0], pose[1], wrap_angle(pose[2] + step)]),)
-        is_wanted = self._wanted(costmap, pose)
+        # Unseen floor (H, W) that is wide enough for a robot, connected to it, and not given up.
+        size_m = costmap.resolution_m
+        is_wide = self._is_wide(costmap.state, size_m)
+        row, column = costmap.cells_at(pose[:2]).tolist()
+        is_wide[row, column] = True
+        _, labels = cv2.connectedComponents(is_wide.astype(np.uint8), connectivity=4)
+        is_wanted = costmap.is_unseen & self._is_about(labels == labels[row, column], size_m)
+        looks = np.zeros(is_wanted.shape, np.int64)
+        for view in self._looked:
+            cells = self._seen_from(view, costmap, is_wanted)
+            looks[cells[:, 0], cells[:, 1]] += 1
+        is_wanted = np.asarray(is_wanted & (looks < _TRIES))
         self._next = self._best(pose, costmap, is_wanted)
         if self._next is None:
             self.left = 0
@@ -126,20 +137,6 @@ class Exploration:
         elif self._aim is not None:
             self._looked.append(self._aim.view)
         return True
-
-    def _wanted(self, costmap: Costmap, pose: FloatArray) -> BoolArray:
-        """Return (H, W), unseen floor that is wide enough for a robot, connected to it, and not given up."""
-        size_m = costmap.resolution_m
-        is_wide = self._is_wide(costmap.state, size_m)
-        row, column = costmap.cells_at(pose[:2]).tolist()
-        is_wide[row, column] = True
-        _, labels = cv2.connectedComponents(is_wide.astype(np.uint8), connectivity=4)
-        is_wanted = costmap.is_unseen & self._is_about(labels == labels[row, column], size_m)
-        looks = np.zeros(is_wanted.shape, np.int64)
-        for view in self._looked:
-            cells = self._seen_from(view, costmap, is_wanted)
-            looks[cells[:, 0], cells[:, 1]] += 1
-        return np.asarray(is_wanted & (looks < _TRIES))
 
     def _best(self, pose: FloatArray, costmap: Costmap, is_wanted: BoolArray) -> _Viewpoint | None:
         """Return the viewpoint with the highest value; None if none shows enough."""

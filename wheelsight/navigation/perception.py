@@ -269,10 +269,26 @@ class LiveLayer:
         depth, at = checked_depth(depth_m, self._camera), np.asarray(pose, float)
         if at.shape != (3,) or not np.isfinite(at).all() or not math.isfinite(stamp_s):
             raise ArgumentError(f"pose {at} at {stamp_s} s", fix="give x, y and yaw of the base, and when, finite")
-        self._move_to(at)
-        is_own = self._is_own(at)
-        # From the camera to column and row in cells, and height.
+        # Move the window to the pose, by whole cells.
+        side, size_m = len(self._left), _RESOLUTION_M
+        low = np.floor(at[1::-1] / size_m).astype(np.int64) - side // 2
+        if (low != self._low).any():
+            moved, met_s = np.zeros_like(self._left), np.full_like(self._met_s, (np.inf, -np.inf))
+            ends = np.maximum(low, self._low), np.minimum(low, self._low) + side
+            if (ends[0] < ends[1]).all():
+                to, of = (tuple(map(slice, ends[0] - begin, ends[1] - begin)) for begin in (low, self._low))
+                moved[to], met_s[to] = self._left[of], self._met_s[of]
+            self._low, self._left, self._met_s = low, moved, met_s
+        # Cells that lie completely under the robot, which is in the middle of the layer.
+        is_own = np.zeros((side, side), bool)
+        outline = self._footprint.at(at) / size_m - self._low[::-1]
+        left, bottom = np.floor(outline.min(axis=0)).astype(int)
+        right, top = np.ceil(outline.max(axis=0)).astype(int)
+        corners = np.stack(np.meshgrid(np.arange(left, right + 1), np.arange(bottom, top + 1)), axis=-1)
         c, s = np.cos(at[2]), np.sin(at[2])
+        inside = self._footprint.contains(((corners + self._low[::-1]) * size_m - at[:2]) @ np.array([[c, -s], [s, c]]))
+        is_own[bottom:top, left:right] = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]
+        # From the camera to column and row in cells, and height.
         T_frame_base = np.array([[c, -s, 0, at[0]], [s, c, 0, at[1]], [0, 0, 1, 0], [0, 0, 0, 1.0]])
         M = np.asarray((T_frame_base @ self._T_base_camera)[:3])
         M[:2] /= _RESOLUTION_M
@@ -353,34 +369,6 @@ class LiveLayer:
         near = cells[np.hypot(*(places - a - share[:, None] * (b - a)).T) <= radius_m]
         self._left[near[:, 0], near[:, 1]] = 0
         self._known = None
-
-    def _move_to(self, pose: FloatArray) -> None:
-        """Move the window to a pose, by whole cells."""
-        side = len(self._left)
-        low = np.floor(pose[1::-1] / _RESOLUTION_M).astype(np.int64) - side // 2
-        if (low == self._low).all():
-            return
-        moved, met_s = np.zeros_like(self._left), np.full_like(self._met_s, (np.inf, -np.inf))
-        first, last = np.maximum(low, self._low), np.minimum(low, self._low) + side
-        if (first < last).all():
-            to, of = (tuple(slice(a, b) for a, b in zip(first - at, last - at, strict=True)) for at in (low, self._low))
-            moved[to], met_s[to] = self._left[of], self._met_s[of]
-        self._low, self._left, self._met_s = low, moved, met_s
-
-    def _is_own(self, pose: FloatArray) -> BoolArray:
-        """Return (N, N) cells that lie completely under the robot."""
-        side, size_m = len(self._left), _RESOLUTION_M
-        is_own = np.zeros((side, side), bool)
-        outline = self._footprint.at(pose) / size_m - self._low[::-1]
-        left, bottom = np.floor(outline.min(axis=0)).astype(int)
-        right, top = np.ceil(outline.max(axis=0)).astype(int)
-        corners = np.stack(np.meshgrid(np.arange(left, right + 1), np.arange(bottom, top + 1)), axis=-1)
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        places = (corners + self._low[::-1]) * size_m - pose[:2]
-        inside = self._footprint.contains(places @ np.array([[c, -s], [s, c]]))
-        # The robot is in the middle of the layer, which is larger.
-        is_own[bottom:top, left:right] = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]
-        return is_own
 
 
 def checked_depth(depth_m: ArrayLike, camera: PinholeCamera) -> Float32Array:

@@ -450,7 +450,15 @@ class OwnPlanner:
             return PlanFailure(PlanReason.PART, f"{name} answered {of}, not (N, 3) and (N,)")
         if not np.isfinite(poses).all():
             return PlanFailure(PlanReason.PART, f"{name} answered poses that are not finite")
-        poses, directions = _dense(poses, directions)
+        # Poses between, so that no step is long.
+        made, ways = [poses[:1]], [directions[:1]]
+        for before, after, direction in zip(poses[:-1], poses[1:], directions[1:], strict=True):
+            way, turn = after[:2] - before[:2], float(wrap_angle(after[2] - before[2]))
+            steps = max(math.ceil(np.hypot(*way) / _STEP_M), math.ceil(abs(turn) / _STEP_RAD), 1)
+            share = np.arange(1, steps + 1)[:, None] / steps
+            made.append(np.column_stack([before[:2] + share * way, wrap_angle(before[2] + share[:, 0] * turn)]))
+            ways.append(np.full(steps, direction))
+        poses, directions = np.concatenate(made), np.concatenate(ways)
         end = poses[-1].copy()
         off_m = float(np.hypot(*(end[:2] - goal[:2])))
         off_rad = 0.0 if len(goal) < 3 else float(abs(wrap_angle(end[2] - goal[2])))
@@ -469,18 +477,6 @@ class OwnPlanner:
             goal_off_m=off_m,
             goal_off_rad=off_rad,
         )
-
-
-def _dense(poses: FloatArray, directions: IntArray) -> tuple[FloatArray, IntArray]:
-    """Interpolate poses (N, 3) and directions (N,) so that no step is long."""
-    made, ways = [poses[:1]], [directions[:1]]
-    for before, after, direction in zip(poses[:-1], poses[1:], directions[1:], strict=True):
-        way, turn = after[:2] - before[:2], float(wrap_angle(after[2] - before[2]))
-        steps = max(math.ceil(np.hypot(*way) / _STEP_M), math.ceil(abs(turn) / _STEP_RAD), 1)
-        share = np.arange(1, steps + 1)[:, None] / steps
-        made.append(np.column_stack([before[:2] + share * way, wrap_angle(before[2] + share[:, 0] * turn)]))
-        ways.append(np.full(steps, direction))
-    return np.concatenate(made), np.concatenate(ways)
 
 
 # Longest path away from an obstacle that the robot stands too near to; the largest depth of an obstacle inside its

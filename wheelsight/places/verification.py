@@ -190,7 +190,15 @@ class PlaceVerifier:
         if space.share > _MAX_INTRUDING or space.free_share > _MAX_FREE:
             return self._refused(candidate, Refusal.INTRUDES, *counts)
         shared = with_frame_error(np.zeros((6, 6)), T_keyframe_camera, self._of_frame)
-        covariance = self._systematic_covariance(*seen, T_keyframe_camera) + judged.covariance + shared
+        # Points of the view, in the frame of the keyframe, whose surface the keyframe shows too. Systematic errors of
+        # them grow with the distance between both views.
+        points, surface_m, within_m, _, _ = _met(seen[1], seen[0], T_keyframe_camera, self._noise)
+        points = points[np.abs(points[:, 2] - surface_m) <= within_m][::_EVERY]
+        if len(points) < _LEAST:
+            return self._refused(candidate, Refusal.DEGENERATE, *counts)
+        off = place_errors(self._calibration, T_keyframe_camera, points)
+        systematic = np.asarray(self._of_frame + self._of_registration + off.T @ off)
+        covariance = systematic + judged.covariance + shared
         covariance = (covariance + covariance.T) / 2
         if not (np.isfinite(covariance).all() and is_definite(covariance)):
             # A poorly observed direction has such a large variance that rounding hides all others.
@@ -233,19 +241,6 @@ class PlaceVerifier:
             information = information + CORRELATION * by_keypoints.information
         both = replace(aligned, T_reference_frame=joint.T_reference_frame, information=information, hinted=hinted)
         return judge(both, MotionPrior(T_keyframe_camera, _UNSEEN_SIGMA_M), _MIN_OVERLAP, _MAX_RESIDUAL)
-
-    def _systematic_covariance(self, other: Level, view: Level, T_keyframe_camera: FloatArray) -> FloatArray:
-        """Return the covariance (6, 6) of errors other than noise and the view's own; NaN with too few common points.
-
-        Systematic errors of the camera's points grow with the distance between both views.
-        """
-        # Points of the view, in the frame of the keyframe, whose surface the keyframe shows too.
-        points, surface_m, within_m, _, _ = _met(view, other, T_keyframe_camera, self._noise)
-        points = points[np.abs(points[:, 2] - surface_m) <= within_m][::_EVERY]
-        if len(points) < _LEAST:
-            return np.full((6, 6), np.nan)
-        off = place_errors(self._calibration, T_keyframe_camera, points)
-        return np.asarray(self._of_frame + self._of_registration + off.T @ off)
 
     def _refused(self, candidate: KeyframeId, reason: Refusal, matches: int, inliers: int = 0) -> RefusedPlace:
         self.refusals[reason] += 1

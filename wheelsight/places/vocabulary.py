@@ -195,7 +195,23 @@ def unpacked(kept: Mapping[str, NDArray[Any]], keyframes: Sequence[KeyframeId], 
         descriptor[known] = found[place[known]]
     if _check(row, descriptor) != kept["check"]:
         raise MapError("its words are of other keypoints", fix=_REBUILD)
-    return {name: kept[name] for name in _STORED} | _in_blocks(counts, row, descriptor)
+    # Blocks are contiguous, and none is free.
+    blocks = (-(-counts // BLOCK)).astype(np.int32)
+    end, count, has_any = np.cumsum(blocks, dtype=np.int32), int(blocks.sum()), counts > 0
+    following = np.arange(1, count + 1, dtype=np.int32)
+    following[end[has_any] - 1] = -1
+    slots = _slots(counts, np.arange(count))
+    rows, descriptors = np.zeros(count * BLOCK, np.int32), np.zeros((count * BLOCK, 4), np.uint64)
+    rows[slots], descriptors[slots] = row, descriptor
+    return {name: kept[name] for name in _STORED} | {
+        "sizes": np.array([len(counts), count, -1, len(row)]),
+        "head": np.where(has_any, end - blocks, np.int32(-1)),
+        "tail": np.where(has_any, end - 1, np.int32(-1)),
+        "used": np.where(has_any, counts - BLOCK * (blocks - 1), np.int32(0)),
+        "following": following,
+        "row": rows.reshape(-1, BLOCK),
+        "descriptor": descriptors.reshape(-1, BLOCK, 4),
+    }
 
 
 def _by_rows(row: NDArray[np.int32], keyframes: Sequence[KeyframeId]) -> Iterator[tuple[KeyframeId, IntArray]]:
@@ -215,26 +231,6 @@ def _slots(counts: NDArray[np.int32], chain: IntArray) -> IntArray:
     nth = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
     first = np.repeat(np.cumsum(blocks) - blocks, counts)
     return np.asarray(chain[first + nth // BLOCK] * BLOCK + nth % BLOCK)
-
-
-def _in_blocks(counts: NDArray[np.int32], row: NDArray[np.int32], descriptor: UInt64Array) -> Arrays:
-    """Return the arrays of postings that `Vocabulary.from_arrays` takes, with contiguous blocks and none free."""
-    blocks = (-(-counts // BLOCK)).astype(np.int32)
-    end, count, has_any = np.cumsum(blocks, dtype=np.int32), int(blocks.sum()), counts > 0
-    following = np.arange(1, count + 1, dtype=np.int32)
-    following[end[has_any] - 1] = -1
-    slots = _slots(counts, np.arange(count))
-    rows, descriptors = np.zeros(count * BLOCK, np.int32), np.zeros((count * BLOCK, 4), np.uint64)
-    rows[slots], descriptors[slots] = row, descriptor
-    return {
-        "sizes": np.array([len(counts), count, -1, len(row)]),
-        "head": np.where(has_any, end - blocks, np.int32(-1)),
-        "tail": np.where(has_any, end - 1, np.int32(-1)),
-        "used": np.where(has_any, counts - BLOCK * (blocks - 1), np.int32(0)),
-        "following": following,
-        "row": rows.reshape(-1, BLOCK),
-        "descriptor": descriptors.reshape(-1, BLOCK, 4),
-    }
 
 
 def _check(row: NDArray[np.int32], descriptor: UInt64Array) -> NDArray[np.uint32]:

@@ -176,10 +176,7 @@ class PieceGraph:
             if variances[0] <= _AGREE_M**2 and variances[1] <= _AGREE_RAD**2:
                 self._across.append(loop)
         self._across = self._across[-_MOST_ACROSS:]
-        return self._join_pieces()
-
-    def _join_pieces(self) -> bool:
-        """Join two pieces if loops agree and few contradict them; return whether any were joined."""
+        # Join two pieces if loops agree and few contradict them.
         T = self._graph.poses
         for one, other in combinations(self._across, 2):
             if self._ends(one) != self._ends(other):

@@ -296,7 +296,20 @@ def correct(
 
     Raises ArgumentError if the trajectory has no poses, or neither it nor the recording has covariances.
     """
-    C = _covariances(odometry, stated)
+    if not len(odometry):
+        raise ArgumentError("the trajectory has no poses", fix="give a trajectory with poses")
+    C = odometry.covariances
+    if stated is not None:
+        # Speed errors are independent between steps.
+        at = (np.searchsorted(stated.stamps_s, odometry.stamps_s[:-1] + 1e-9, side="right") - 1).clip(min=0)
+        Q = np.zeros((len(odometry) - 1, 6, 6))
+        for axis, variance in zip((0, 1, 5), stated.variances[at].T, strict=True):
+            Q[:, axis, axis] = variance * np.diff(odometry.stamps_s) ** 2
+        Ad = se3.adjoint(odometry.T_frame_body[:-1])
+        C = np.concatenate([np.zeros((1, 6, 6)), np.cumsum(Ad @ Q @ np.swapaxes(Ad, 1, 2), axis=0)])
+    if C is None:
+        fix = "use odometry that reports covariances, as wheels do"
+        raise ArgumentError("the trajectory has no covariances", fix=fix)
     placed, unused = _rows_of_matches(matches, odometry)
     _, first_each = np.unique(np.floor(odometry.distances_m / _KEYFRAME_WAY_M), return_index=True)
     wanted = np.asarray([row for _, ends in placed for row in ends], np.int64)
@@ -316,24 +329,6 @@ def correct(
     counts = {str(reason): count for reason, count in unused.items() if count}
     T_map_odom = graph.poses @ se3.invert(odometry.T_frame_body[rows])
     return Correction(in_map(odometry, odometry.stamps_s[rows], T_map_odom), rows, graph.poses, report, counts)
-
-
-def _covariances(odometry: Trajectory, stated: SpeedVariances | None) -> FloatArray:
-    """Return covariances (N, 6, 6) from the recording or the trajectory. Raises ArgumentError if neither has them."""
-    if not len(odometry):
-        raise ArgumentError("the trajectory has no poses", fix="give a trajectory with poses")
-    if stated is None:
-        if odometry.covariances is None:
-            fix = "use odometry that reports covariances, as wheels do"
-            raise ArgumentError("the trajectory has no covariances", fix=fix)
-        return odometry.covariances
-    # Speed errors are independent between steps.
-    at = (np.searchsorted(stated.stamps_s, odometry.stamps_s[:-1] + 1e-9, side="right") - 1).clip(min=0)
-    Q = np.zeros((len(odometry) - 1, 6, 6))
-    for axis, variance in zip((0, 1, 5), stated.variances[at].T, strict=True):
-        Q[:, axis, axis] = variance * np.diff(odometry.stamps_s) ** 2
-    Ad = se3.adjoint(odometry.T_frame_body[:-1])
-    return np.concatenate([np.zeros((1, 6, 6)), np.cumsum(Ad @ Q @ np.swapaxes(Ad, 1, 2), axis=0)])
 
 
 def _rows_of_matches(

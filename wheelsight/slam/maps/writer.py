@@ -97,7 +97,16 @@ class MapWriter:
     ) -> None:
         self._folder, self._store, self._now_s = folder, store, now_s
         self._recognizer = None if recognition is None else Recognizer(recognition)
-        _warm_up(folder, recognition)
+        # Load compiled kernels before the drive, since loading blocks all threads.
+        width_px = 2 * WIDTH_PX  # halved as images of most cameras are
+        images = np.ones((width_px // 2, width_px), np.float32), np.ones((width_px // 2, width_px), np.float32)
+        features = KeyframeFeatures(np.ones((1, 2)), np.ones((1, 3)), np.zeros((1, 4), np.uint64))
+        intrinsics = np.array([width_px, width_px, width_px / 2, width_px / 4])
+        keyframe = Keyframe.of_images(0.0, intrinsics, *images, features)
+        pack_keyframe(keyframe, DepthSteps.of_noise(folder.calibration.depth_noise), folder.settings.most_kb)
+        if recognition is not None:
+            Recognizer(recognition).add(KeyframeId(0), keyframe)
+        OccupancyMapper(_MOUNTED).add(KeyframeId(0), keyframe, np.eye(4))
         self._unsettled: deque[tuple[int, SeenKeyframe]] = deque()
         self._frames, self._taken = 0, len(store)
         self._revision, self._sent_s = store.revision, -np.inf
@@ -190,18 +199,6 @@ class MapWriter:
             if self._now_s() - flushed_s >= flush_s:
                 self._out.flush()
                 flushed_s = self._now_s()
-
-
-def _warm_up(folder: MapFolder, recognition: RecognitionSettings | None) -> None:
-    """Load compiled kernels before the drive, since loading blocks all threads."""
-    width_px = 2 * WIDTH_PX  # halved as images of most cameras are
-    images = np.ones((width_px // 2, width_px), np.float32), np.ones((width_px // 2, width_px), np.float32)
-    features = KeyframeFeatures(np.ones((1, 2)), np.ones((1, 3)), np.zeros((1, 4), np.uint64))
-    keyframe = Keyframe.of_images(0.0, np.array([width_px, width_px, width_px / 2, width_px / 4]), *images, features)
-    pack_keyframe(keyframe, DepthSteps.of_noise(folder.calibration.depth_noise), folder.settings.most_kb)
-    if recognition is not None:
-        Recognizer(recognition).add(KeyframeId(0), keyframe)
-    OccupancyMapper(_MOUNTED).add(KeyframeId(0), keyframe, np.eye(4))
 
 
 class _FolderWriter:
