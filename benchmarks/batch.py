@@ -26,9 +26,9 @@ from rich.console import Console
 from benchmarks import machine
 from benchmarks.table import Sheet, targets_sheet, write_page
 from benchmarks.targets import Target
-from wheelsight.app.batch import BatchPlan, plan_of, run_batch, run_job, run_on_processes
 from wheelsight.app.run.kernels import compile_kernels, missing_parts, parts_of
 from wheelsight.config import load_config
+from wheelsight_batch import BatchPlan, plan_of, run_batch, run_job, run_on_processes
 from wheelsight_sim import SimulationSettings, simulate, write_simulation
 
 TIMES = 1.9

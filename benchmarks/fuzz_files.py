@@ -29,9 +29,6 @@ from benchmarks.fuzz_recordings import (
     sqlite3_bag,
 )
 from benchmarks.fuzz_records import first_journal
-from wheelsight.app.batch import BatchRow, Case, Job, Outcome, Spread, read_rows
-from wheelsight.app.batch.batches import KeptOutcomes
-from wheelsight.app.batch.table import csv_text, rows_of
 from wheelsight.app.page.session import parsed, says_stop
 from wheelsight.app.run import CORRECTED_FILE, MAP_FILE
 from wheelsight.app.run.runs import (
@@ -97,6 +94,9 @@ from wheelsight.slam.maps.keyframes import DepthSteps
 from wheelsight.vision.camera_calibration.board import board_from
 from wheelsight.vision.camera_calibration.views import read_views
 from wheelsight.wheels.umbmark import read_return_errors
+from wheelsight_batch import BatchRow, Case, Job, Outcome, Spread, read_rows
+from wheelsight_batch.batches import KeptOutcomes
+from wheelsight_batch.table import csv_text, rows_of
 from wheelsight_export import BagParts, export_bag, exported_at
 from wheelsight_sim import read_manual_velocities
 

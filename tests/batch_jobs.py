@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from wheelsight.app.batch import Job, Outcome
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.messages import WheelTicks
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.recordings import RecordingWriter
 from wheelsight.wheels import integrate_log
+from wheelsight_batch import Job, Outcome
 
 ROBOT = Wheels(0.17, 0.17, 0.52, 3200.0)
 FIGURES = {"ate_m": 0.01, "rpe_m": 0.02, "rpe_deg": 0.3, "tracked": 1.0, "frame_ms": 2.0, "memory_mb": 300.0}

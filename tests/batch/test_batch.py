@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from batch_jobs import job, quick, write_wheels
 
-from wheelsight.app.batch import BatchPlan, Case, Done, Job, Outcome, plan_of, run_batch, run_job
-from wheelsight.app.batch.jobs import problem_of
 from wheelsight.app.runs import run_each
 from wheelsight.config import load_config
 from wheelsight.core.errors import OutputError
 from wheelsight.io.recordings import open_recording
+from wheelsight_batch import BatchPlan, Case, Done, Job, Outcome, plan_of, run_batch, run_job
+from wheelsight_batch.jobs import problem_of
 
 JOBS = {name: job(name, weight=size) for name, size in (("a", 3), ("b", 2), ("c", 1))}
 PLAN = BatchPlan((Case("one", "x", "dense", ("a", "b")), Case("two", "x", "dense", ("c",))), JOBS)
@@ -109,7 +109,7 @@ def test_without_truth_there_is_no_ate_but_the_rest(tmp_path: Path) -> None:
 
 
 def test_the_joined_way_counts_where_sensors_are_joined() -> None:
-    from wheelsight.app.batch.batches import figures_of
+    from wheelsight_batch.batches import figures_of
 
     own = {"evaluation": {"ate_m": {"rmse": 0.5}}, "frames": {"with_pose_share": 0.7}}
     own |= {"timing": {"frame_median_ms": 3.0}}

@@ -16,8 +16,8 @@ import batch_jobs as works
 import pytest
 from batch_jobs import job, tries, until
 
-from wheelsight.app.batch import run_on_fleet
 from wheelsight.core.errors import ConfigError, DeviceError
+from wheelsight_batch import run_on_fleet
 
 pytest.importorskip("distributed", reason="Dask is not installed (the extra fleet)")
 pytestmark = [

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from batch_jobs import write_wheels
 
-from wheelsight.app.batch import jobs, named_recordings, plan_of
-from wheelsight.app.batch.jobs import digest_of, is_random, short_names
 from wheelsight.config import load_config
 from wheelsight.core.errors import ConfigError
+from wheelsight_batch import jobs, named_recordings, plan_of
+from wheelsight_batch.jobs import digest_of, is_random, short_names
 
 
 @pytest.fixture
@@ -64,8 +64,8 @@ def test_a_file_that_settings_name_shapes_it_too(drive: Path, tmp_path: Path, mo
 def test_large_files_are_compared_by_their_ends_their_middle_and_their_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("wheelsight.app.batch.jobs._WHOLE_BYTES", 100)
-    monkeypatch.setattr("wheelsight.app.batch.jobs._PIECE_BYTES", 10)
+    monkeypatch.setattr("wheelsight_batch.jobs._WHOLE_BYTES", 100)
+    monkeypatch.setattr("wheelsight_batch.jobs._PIECE_BYTES", 10)
     path = tmp_path / "large"
     path.write_bytes(bytes(1000))
     os.utime(path, ns=(1, 1))

@@ -16,7 +16,7 @@ import batch_jobs as works
 import pytest
 from batch_jobs import job, tries, until
 
-from wheelsight.app.batch import Job, run_on_processes
+from wheelsight_batch import Job, run_on_processes
 
 
 @pytest.fixture(autouse=True)
@@ -107,7 +107,7 @@ def test_ctrl_c_while_jobs_run_leaves_no_process(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_processes_end_with_the_one_that_started_them(tmp_path: Path, project_folder: Path) -> None:
     code = (
-        "import batch_jobs, pathlib, sys\nfrom wheelsight.app.batch import run_on_processes\n"
+        "import batch_jobs, pathlib, sys\nfrom wheelsight_batch import run_on_processes\n"
         "if __name__ == '__main__':\n"
         f"    here = pathlib.Path({str(tmp_path)!r})\n"
         "    jobs = [batch_jobs.job(name, marks=here) for name in 'ab']\n"

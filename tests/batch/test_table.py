@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from batch_jobs import FIGURES
 
-from wheelsight.app.batch import BatchRow, Case, Outcome, Spread, compare, read_rows
-from wheelsight.app.batch.batches import KeptOutcomes
-from wheelsight.app.batch.table import csv_text, markdown_text, rows_of
 from wheelsight.core.errors import ConfigError
+from wheelsight_batch import BatchRow, Case, Outcome, Spread, compare, read_rows
+from wheelsight_batch.batches import KeptOutcomes
+from wheelsight_batch.table import csv_text, markdown_text, rows_of
 
 CASES = (
     Case("a | b", "dense", "joined", ("1", "2", "3")),

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import batch
-from wheelsight.app.batch import plan_of
+from wheelsight_batch import plan_of
 
 
 def test_each_copy_is_a_job(tmp_path: Path) -> None:

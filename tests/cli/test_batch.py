@@ -14,13 +14,13 @@ import pytest
 from batch_jobs import until, write_wheels
 from typer.testing import Result
 
-from wheelsight.app.batch import BatchRow, Done, Outcome, Spread
-from wheelsight.app.batch.table import csv_text, read_rows
-from wheelsight.app.cli.batch import share
-from wheelsight.app.cli.batch_run import BatchProgress, batch_table
 from wheelsight.app.cli.console import console
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.runtime import ENDING
+from wheelsight_batch import BatchRow, Done, Outcome, Spread
+from wheelsight_batch.cli import share
+from wheelsight_batch.progress import BatchProgress, batch_table
+from wheelsight_batch.table import csv_text, read_rows
 
 Command = Callable[..., Result]
 
@@ -166,7 +166,7 @@ def test_progress_has_count_rate_and_time_left(
     monkeypatch.setenv("COLUMNS", str(columns))
     monkeypatch.setenv("TTY_COMPATIBLE", "1")
     now_s = [1000.0]
-    monkeypatch.setattr("wheelsight.app.cli.batch_run.time.monotonic", lambda: now_s[0])
+    monkeypatch.setattr("wheelsight_batch.progress.time.monotonic", lambda: now_s[0])
     with BatchProgress() as progress:
         progress.show(Done(10, 20, 0, 100, None, None))
         now_s[0] += 60

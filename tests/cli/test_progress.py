@@ -16,15 +16,15 @@ from cli.test_record_camera import LINK, LOOK
 from pseudo_terminal import Screen, terminal
 from sessions.seen_maps import RING, aside, write_seen
 
-from wheelsight.app.batch import Done, Outcome
 from wheelsight.app.cli import app
-from wheelsight.app.cli.batch_run import BatchProgress
 from wheelsight.app.cli.calibrate_camera import camera_progress
 from wheelsight.app.cli.drive_view import DriveView
 from wheelsight.app.cli.progress import FrameProgress, left_text
 from wheelsight.app.cli.record import shown_looks
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import NavigationState, Navigator, StaticLayer, Transition
+from wheelsight_batch import Done, Outcome
+from wheelsight_batch.progress import BatchProgress
 
 PLANNING, DRIVING = NavigationState.PLANNING, NavigationState.DRIVING
 COLUMNS = pytest.mark.parametrize("columns", [60, 80])
@@ -96,7 +96,7 @@ def test_time_left(seconds: float | None, told: str) -> None:
 @COLUMNS
 def test_a_batch(columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = [1000.0]
-    monkeypatch.setattr("wheelsight.app.cli.batch_run.time.monotonic", lambda: now_s[0])
+    monkeypatch.setattr("wheelsight_batch.progress.time.monotonic", lambda: now_s[0])
     with terminal(columns, monkeypatch) as screen, BatchProgress() as progress:
         progress.show(Done(1000, 2000, 0, 100, None, None))
         now_s[0] += 60

@@ -9,7 +9,6 @@ import typer
 
 from wheelsight._version import __version__
 from wheelsight.app.cli import (
-    batch,
     calibrate,
     drive,
     evaluate,
@@ -29,6 +28,7 @@ from wheelsight.app.cli.run_options import config_config
 from wheelsight.app.cli.wheels import devices_devices
 from wheelsight.core.errors import WheelsightError
 from wheelsight.core.runtime import end_by_signals, exit_code, was_asked
+from wheelsight_batch.cli import batch
 from wheelsight_export.cli import export
 
 _LOG = logging.getLogger(__name__)
@@ -109,7 +109,7 @@ _COMMANDS: tuple[tuple[str, tuple[tuple[Any, str, str], ...]], ...] = (
             (serve.serve, "serve", "A page to see a robot and lead it"),
         ),
     ),
-    ("Many recordings", ((batch.batch, "batch", "Many recordings by several settings, one table"),)),
+    ("Many recordings", ((batch, "batch", "Many recordings by several settings, one table"),)),
     (
         "Set up",
         (

@@ -16,7 +16,7 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.runtime import exit_code
 
 if TYPE_CHECKING:
-    from wheelsight.app.batch import BatchRow
+    from wheelsight_batch import BatchRow
 
 
 _WORSE = 1
@@ -50,10 +50,10 @@ def batch(
 
     wheelsight batch data --scheduler tcp://192.168.1.5:8786 --out table
     """
-    from wheelsight.app.batch import PAGE_FILE, TABLE_FILE, named_recordings, plan_of, read_rows
-    from wheelsight.app.batch.table import DONE
-    from wheelsight.app.cli.batch_run import batch_table, notes_on, run_plan
     from wheelsight.app.cli.console import console, print_note
+    from wheelsight_batch import PAGE_FILE, TABLE_FILE, named_recordings, plan_of, read_rows
+    from wheelsight_batch.progress import batch_table, notes_on, run_plan
+    from wheelsight_batch.table import DONE
 
     allowed = share(tolerance, "--tolerance")
     allowed_cost = None if cost_tolerance is None else share(cost_tolerance, "--cost-tolerance")
@@ -84,9 +84,9 @@ def _is_worse(
     cost_tolerance: float | None,
 ) -> bool:
     """Print figures that are worse than the baseline; True if there are any. Raises ConfigError without common rows."""
-    from wheelsight.app.batch import compare
     from wheelsight.app.cli.console import console, print_warning
     from wheelsight.core.errors import ConfigError
+    from wheelsight_batch import compare
 
     found = compare(rows, before, tolerance, cost_tolerance)
     if not found.compared:

@@ -210,7 +210,7 @@ def main_track(config: Config) -> str:
 # Recordings and their digests
 
 
-_ROOT = Path(__file__).resolve().parents[3]
+_ROOT = Path(__file__).resolve().parents[1]
 # Files up to this size are read whole to find changes: images and lists are smaller, and a run reads them anyway. Of a
 # larger one, such as a bag, its beginning, middle and end are read.
 _WHOLE_BYTES, _PIECE_BYTES = 1 << 20, 1 << 16
@@ -272,9 +272,7 @@ def digest_of(path: StrPath) -> Digest:
 def code_digest() -> str:
     """A digest of wheelsight's own modules: outcomes of one version are not used for another."""
     whole = hashlib.sha256()
-    for path in sorted(
-        path for package in ("wheelsight", "wheelsight_sim") for path in (_ROOT / package).rglob("*.py")
-    ):
+    for path in sorted(_ROOT.glob("wheelsight*/**/*.py")):
         whole.update(f"{path.relative_to(_ROOT).as_posix()}\0".encode())
         whole.update(path.read_bytes())
     return whole.hexdigest()

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from wheelsight.app.batch.jobs import Case, Outcome
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.files import StrPath
 from wheelsight.core.inputs import Kind, read_text
+from wheelsight_batch.jobs import Case, Outcome
 
 BROKEN, DONE = "broken", "ok"
 

@@ -1,4 +1,4 @@
-"""Runs `wheelsight batch`: compiles kernels, runs the jobs, shows progress and prints the table."""
+"""The work of `wheelsight batch`: compiles kernels, runs the jobs, shows progress and prints the table."""
 
 from __future__ import annotations
 
@@ -15,7 +15,12 @@ from rich.progress import ProgressColumn, Task, TextColumn
 from rich.table import Table
 from rich.text import Text
 
-from wheelsight.app.batch import (
+from wheelsight.app.cli.compiling import compile_missing
+from wheelsight.app.cli.console import print_note
+from wheelsight.app.cli.progress import left_text, progress_line, whole
+from wheelsight.app.run.kernels import parts_of
+from wheelsight.config import Config
+from wheelsight_batch import (
     BatchPlan,
     BatchRow,
     Done,
@@ -26,13 +31,8 @@ from wheelsight.app.batch import (
     run_on_fleet,
     run_on_processes,
 )
-from wheelsight.app.batch.batches import KeptOutcomes
-from wheelsight.app.batch.table import DONE, FIGURES, shown
-from wheelsight.app.cli.compiling import compile_missing
-from wheelsight.app.cli.console import print_note
-from wheelsight.app.cli.progress import left_text, progress_line, whole
-from wheelsight.app.run.kernels import parts_of
-from wheelsight.config import Config
+from wheelsight_batch.batches import KeptOutcomes
+from wheelsight_batch.table import DONE, FIGURES, shown
 
 
 def run_plan(

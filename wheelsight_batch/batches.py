@@ -16,14 +16,14 @@ from typing import Any, NamedTuple
 
 import cv2
 
-from wheelsight.app.batch.jobs import BatchPlan, Job, Outcome, code_digest, main_track, problem_of
-from wheelsight.app.batch.table import BatchRow, csv_text, markdown_text, rows_of
 from wheelsight.app.run import run_each
 from wheelsight.config import Config
 from wheelsight.core.errors import ConfigError, OutputError
 from wheelsight.core.files import StrPath, make_output_folder, write_text
 from wheelsight.core.inputs import Kind, read_text
 from wheelsight.io.recordings import open_recording
+from wheelsight_batch.jobs import BatchPlan, Job, Outcome, code_digest, main_track, problem_of
+from wheelsight_batch.table import BatchRow, csv_text, markdown_text, rows_of
 
 TABLE_FILE, PAGE_FILE = "table.csv", "table.md"
 

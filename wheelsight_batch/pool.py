@@ -18,11 +18,11 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Any, Protocol
 
-from wheelsight.app.batch.jobs import Job, Outcome, problem_of
-from wheelsight.app.batch.worker import serve
 from wheelsight.core.errors import DeviceError
 from wheelsight.core.files import StrPath
 from wheelsight.core.runtime import needed
+from wheelsight_batch.jobs import Job, Outcome, problem_of
+from wheelsight_batch.worker import serve
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _END_S = 10.0
