@@ -130,8 +130,6 @@ def write_ros_map(ros_map: RosMap, path: StrPath, mode: Mode = "trinary") -> tup
 
     Args:
         ros_map: with at least one cell.
-        path: of the YAML file.
-        mode: of the file.
 
     Raises:
         MapError: the path does not end in .yaml or .yml, or the mode is unknown.

@@ -55,8 +55,6 @@ class OpenedDevice:
 
     Attributes:
         name: model and serial number, or the file that is played.
-        calibration: of its images.
-        warnings: limitations of its images.
     """
 
     name: str
@@ -161,11 +159,9 @@ class UsbDevice:
     """A USB device.
 
     Attributes:
-        vendor, product: its ids.
         name: its product name; may be "".
         serial: its serial number; may be "".
         speed_mbit: of its connection, megabits per second; 480 for USB 2, 5000 and more for USB 3.
-        node: the device file.
     """
 
     vendor: int

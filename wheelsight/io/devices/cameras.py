@@ -66,7 +66,6 @@ def open_live_camera(
     Args:
         which: its kind, such as "realsense", or kind and serial number or file, such as "openni2:drive.oni"; None for
             the first one that is connected.
-        settings: None for the defaults.
         calibration: of the requested images; None for that of the camera.
 
     Raises:
@@ -98,7 +97,6 @@ def open_robot_camera(
 
     Args:
         which: as for `open_live_camera`; "any" for the first one that is connected.
-        settings: of the camera.
         files: calibrations of the robot. Each replaces parts of the camera's own and of those before it.
         known: the calibration to use instead of all these.
 
@@ -139,8 +137,6 @@ class PlayedCamera:
     ready, and plays slower where decoding takes too long.
 
     Args:
-        name: of the camera.
-        calibration: of the frames.
         frames: at increasing stamps; skipped ones are left out.
         settings: the number of frames that are kept, and their largest age.
         turns: readings of the camera's gyroscope by the frames' clock, at increasing stamps. They come with the frames,

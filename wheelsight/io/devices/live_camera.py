@@ -70,15 +70,12 @@ class CameraReport:
     """The state of a camera at one moment. Counts begin when it was opened.
 
     Attributes:
-        status: of the camera.
         since_s: when the status began, host clock; a stall begins with the last frame.
         detail: the last error of the camera's library, or "".
-        frames: valid frames.
         device_drops: frames lost by the camera or the bus, by gaps in the camera's frame numbers.
         host_drops: frames dropped because they were not fetched.
         stale: frames that were too old when they were fetched.
         refused: duplicates, frames out of order, and frames of a wrong size or type.
-        reconnects: the number of reconnections.
         clock_jumps: the number of jumps of the camera's clock; the mapping of stamps then restarts.
         rate_hz: of frames over the last seconds; 0 without frames.
         drift_ppm: of the camera's clock against the host's; positive where it runs faster.
@@ -166,7 +163,6 @@ class StreamingCamera:
 
     Args:
         driver: of the camera's library; opened here, and closed with the camera.
-        settings: see `LiveCameraSettings`.
         calibration: replaces that of the device; None to use the device's.
         on_status: called with each new status, from the camera's thread.
 
@@ -412,7 +408,6 @@ class FrameCheck:
     """Validates and stamps frames in order of arrival, counts missing ones, and corrects depth by the calibration.
 
     Attributes:
-        clock: of the device.
         lost: frames missing in the device's frame numbers.
         refused: duplicates, frames out of order, and frames of a wrong size or type.
     """

@@ -49,7 +49,6 @@ class OniPlayer:
     """A `CameraDriver` of a file.
 
     Args:
-        path: of the file.
         settings: as for `OpenNI2Driver`.
     """
 
@@ -97,10 +96,20 @@ class OniPlayer:
         try:
             while (left_s := ends_s - time.monotonic()) > 0:
                 message, data = self._receive(left_s, _HANGING_S)
-                if message is not None and "images" in message:
-                    return _images(message, data)
-                if message is not None:
-                    self._refuse_end(message)
+                if message is None or "images" not in message:
+                    self._refuse_end(message or {})
+                    continue
+                arrays: dict[str, NDArray[Any]] = {}
+                at = 0
+                for name, shape, dtype in _shapes(message):
+                    count = int(np.prod(shape))
+                    arrays[name] = np.frombuffer(data, dtype, count, at).reshape(shape)
+                    at += count * np.dtype(dtype).itemsize
+                stamps_s = (message["color_s"], message["depth_s"])
+                color_s, depth_s = (None if stamp_s is None else float(stamp_s) for stamp_s in stamps_s)
+                number = None if message["sequence"] is None else int(message["sequence"])
+                infrared = arrays.get("infrared")
+                return DeviceImages(arrays["color"], arrays["depth_m"], color_s, depth_s, number, infrared)
         except PlaybackEndedError:
             raise
         except DeviceError as error:
@@ -188,18 +197,6 @@ def _shapes(message: dict[str, Any]) -> list[tuple[str, tuple[int, ...], Any]]:
             raise ValueError(f"an image of {width}×{height} pixels")
         found.append((name, (height, width, channels) if channels > 1 else (height, width), dtype))
     return found
-
-
-def _images(message: dict[str, Any], data: bytearray) -> DeviceImages:
-    arrays: dict[str, NDArray[Any]] = {}
-    at = 0
-    for name, shape, dtype in _shapes(message):
-        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-        arrays[name] = np.frombuffer(data, dtype, int(np.prod(shape)), at).reshape(shape)
-        at += size
-    color_s, depth_s = (None if message[name] is None else float(message[name]) for name in ("color_s", "depth_s"))
-    sequence = None if message["sequence"] is None else int(message["sequence"])
-    return DeviceImages(arrays["color"], arrays["depth_m"], color_s, depth_s, sequence, arrays.get("infrared"))
 
 
 def play(path: str, settings: LiveCameraSettings, output: BinaryIO) -> None:

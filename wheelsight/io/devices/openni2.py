@@ -396,9 +396,7 @@ class OpenNI2Driver:
     def _start(self, device: OniDevice, source: _Source) -> OpenedDevice:
         is_file = device.play_once()
         is_v2 = source.uri.startswith(_KINECT_V2)
-        sensors = [Sensor.COLOR, Sensor.DEPTH]
-        if self._settings.infrared:
-            sensors.append(Sensor.INFRARED)
+        sensors = [Sensor.COLOR, Sensor.DEPTH, *([Sensor.INFRARED] if self._settings.infrared else [])]
         warnings: list[str] = []
         for sensor in sensors:
             if not device.modes(sensor):
@@ -430,8 +428,16 @@ class OpenNI2Driver:
         self._pairs, self._infrared = FramePairs(), None
         self._is_over, self._received_s = False, time.monotonic()
         name = f"{device.name} {Path(source.uri).name if is_file else device.serial}".strip()
-        calibration = _calibration(device, is_registered, is_v2, warnings)
-        return OpenedDevice(name, calibration, tuple(warnings))
+        if is_v2:
+            return OpenedDevice(name, kinect_v2(), tuple(warnings))
+        views = [device.number(s, Property.HORIZONTAL_FOV, ctypes.c_float) for s in (Sensor.COLOR, Sensor.DEPTH)]
+        if not all(view is not None and 0.1 < view < 3.0 for view in views):
+            warnings.append(
+                "It states no field of view. That of a Kinect v1 or Xtion is assumed until it is calibrated."
+            )
+            views = [None, None]
+        sizes = (color.width, color.height), (depth.width, depth.height)
+        return OpenedDevice(name, structured_light(*sizes, *views, is_registered=is_registered), tuple(warnings))
 
     def _set_mode(self, device: OniDevice, sensor: Sensor, is_v2: bool) -> list[str]:
         """Set the nearest size, rate and format. Returns a warning where the requested ones are not available."""
@@ -473,14 +479,8 @@ class OpenNI2Driver:
         metres = _DEPTH_FORMATS.get(depth.what.format, math.nan)
         depth_m = np.multiply(depth.what.pixels, np.float32(metres), dtype=np.float32)
         has_clock = not self._source.uri.startswith(_KINECT_V2)
-        return DeviceImages(
-            color=np.asarray(color.what.pixels, np.uint8),
-            depth_m=depth_m,
-            color_s=color.stamp_s if has_clock else None,
-            depth_s=depth.stamp_s if has_clock else None,
-            sequence=color.what.index,
-            infrared=infrared,
-        )
+        stamps_s = (color.stamp_s, depth.stamp_s) if has_clock else (None, None)
+        return DeviceImages(np.asarray(color.what.pixels, np.uint8), depth_m, *stamps_s, color.what.index, infrared)
 
 
 def is_file(where: str) -> bool:
@@ -497,18 +497,6 @@ def why_unusable(driver: str) -> tuple[str, str] | None:
     if folder is None or any(driver.lower() in path.name.lower() for path in folder.glob("lib*")):
         return None
     return f"OpenNI2 has no driver for it in {folder}", _DRIVERS.get(driver, "install the maker's driver there")
-
-
-def _calibration(device: OniDevice, is_registered: bool, is_v2: bool, warnings: list[str]) -> Calibration:
-    if is_v2:
-        return kinect_v2()
-    color, depth = device.mode(Sensor.COLOR), device.mode(Sensor.DEPTH)
-    views = [device.number(sensor, Property.HORIZONTAL_FOV, ctypes.c_float) for sensor in (Sensor.COLOR, Sensor.DEPTH)]
-    if not all(view is not None and 0.1 < view < 3.0 for view in views):
-        warnings.append("It states no field of view. That of a Kinect v1 or Xtion is assumed until it is calibrated.")
-        views = [None, None]
-    sizes = (color.width, color.height), (depth.width, depth.height)
-    return structured_light(*sizes, *views, is_registered=is_registered)
 
 
 # Nominal calibrations by model, for devices that state none
@@ -536,7 +524,6 @@ def structured_light(
     Args:
         color, depth: width and height of the images.
         color_view, depth_view: horizontal fields of view, radians; None for a Kinect v1's.
-        is_registered: whether depth is registered to colour.
     """
     known = load_camera("seven_scenes")
     color_of, depth_of = known.cameras

@@ -53,7 +53,6 @@ class RealSenseDriver:
 
     Args:
         where: a serial number, or the file of a recording; None for the first connected device.
-        settings: with size, rate and infrared.
         devices: lists the connected devices; None to use the library.
     """
 
@@ -79,12 +78,11 @@ class RealSenseDriver:
         try:
             self._device = self._found()
             return self._started()
-        except RuntimeError as error:
+        except (RuntimeError, DeviceError) as error:
             self.close()
+            if isinstance(error, DeviceError):
+                raise
             raise _device_error(error, self._where) from error
-        except DeviceError:
-            self.close()
-            raise
 
     def read(self, timeout_s: float) -> DeviceImages | None:
         """See `CameraDriver`."""
@@ -92,8 +90,22 @@ class RealSenseDriver:
         try:
             while (left_s := ends_s - time.monotonic()) > 0:
                 is_there, frame = self._queue.try_wait_for_frame(max(1, int(1e3 * left_s)))
-                if is_there and (found := self._paired(frame)) is not None:
-                    return found
+                if not is_there:
+                    continue
+                kind = frame.get_profile().stream_type()
+                if kind == self._rs.stream.infrared:
+                    self._infrared = np.asanyarray(frame.as_video_frame().get_data()).astype(np.uint16)
+                    continue
+                add = self._pairs.add_color if kind == self._rs.stream.color else self._pairs.add_depth
+                if (pair := add(1e-3 * frame.get_timestamp(), frame)) is None:
+                    continue
+                color, depth = pair
+                infrared, self._infrared = self._infrared, None
+                raw = np.asanyarray(depth.what.as_video_frame().get_data())
+                depth_m = np.multiply(raw, np.float32(self._depth_scale_m), dtype=np.float32)
+                pixels = np.array(color.what.as_video_frame().get_data(), np.uint8)
+                number = int(color.what.get_frame_number())
+                return DeviceImages(pixels, depth_m, color.stamp_s, depth.stamp_s, number, infrared)
             if self._is_file:
                 if self._device.current_status() == self._rs.playback_status.stopped:
                     raise PlaybackEndedError("the file is over", path=self._where)
@@ -241,28 +253,6 @@ class RealSenseDriver:
             warnings.append(f"Five coefficients miss the {name} lens by {off}.")
         return _with_lens(camera, fit.distortion)
 
-    def _paired(self, frame: Any) -> DeviceImages | None:
-        kind = frame.get_profile().stream_type()
-        stamp_s = 1e-3 * frame.get_timestamp()
-        if kind == self._rs.stream.infrared:
-            self._infrared = np.asanyarray(frame.as_video_frame().get_data()).astype(np.uint16)
-            return None
-        add = self._pairs.add_color if kind == self._rs.stream.color else self._pairs.add_depth
-        pair = add(stamp_s, frame)
-        if pair is None:
-            return None
-        color, depth = pair
-        infrared, self._infrared = self._infrared, None
-        raw = np.asanyarray(depth.what.as_video_frame().get_data())
-        return DeviceImages(
-            color=np.array(color.what.as_video_frame().get_data(), np.uint8),
-            depth_m=np.multiply(raw, np.float32(self._depth_scale_m), dtype=np.float32),
-            color_s=color.stamp_s,
-            depth_s=depth.stamp_s,
-            sequence=int(color.what.get_frame_number()),
-            infrared=infrared,
-        )
-
 
 def _mode(chosen: _Chosen) -> tuple[int, int, int]:
     profile = chosen.profile
@@ -297,9 +287,6 @@ class RealSenseGyro:
     """A gyroscope with a queue of its own, so that images do not displace readings. Rates are about the camera's axes.
 
     Args:
-        rs: the library.
-        sensor: that has it.
-        profile: of its stream.
         R_camera_gyro: (3, 3).
     """
 

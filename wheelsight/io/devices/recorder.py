@@ -37,7 +37,6 @@ class RecorderReport:
 
     Attributes:
         frames, readings, turns: that were written; `turns` are readings of the camera's gyroscope.
-        size_bytes: of the images.
         waiting: frames that wait for the disk.
         dropped: frames that were dropped because the disk was too slow.
         refused: frames or readings that cannot be stored, such as those with decreasing stamps.
@@ -73,7 +72,6 @@ class LiveRecorder:
 
     Args:
         writer: to write to; closed with the recorder.
-        settings: None for the defaults.
     """
 
     def __init__(self, writer: LiveWriter, settings: RecorderSettings | None = None) -> None:
@@ -237,7 +235,6 @@ class RecordingSession:
     request, when nothing more can come, or before the disk is full.
 
     Args:
-        recorder: that writes.
         folder: of the recording, to check the free space of its disk.
         camera, link: the sensors, either of which may be None.
         note: called with a sentence for each change, from the thread that calls `run`.

@@ -51,11 +51,9 @@ class LinkRobot:
     Args:
         link: to the wheel controller; closed with the robot.
         calibration: with two wheels.
-        limits: of commands.
         frames: the camera, closed with the robot, or None. Readings of its gyroscope (`HasGyro`) become `YawRate` where
             the calibration has T_base_camera.
         control: of the wheels' loop.
-        period_s: of a step.
 
     Raises:
         ArgumentError: the calibration has no two wheels.
@@ -115,8 +113,7 @@ class LinkRobot:
 
         A frame may be older than ticks of an earlier step: cameras deliver later than wheels.
 
-        Raises:
-            DeviceError: the robot is closed, or another thread steps it at this moment; then it stops.
+        Raises DeviceError where the robot is closed, or another thread steps it at this moment; then it stops.
         """
         if self._is_closed:
             raise DeviceError("the robot is closed", path=self._link.port)

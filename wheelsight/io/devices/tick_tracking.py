@@ -518,7 +518,6 @@ class PairClock:
 
     Attributes:
         period_s: the estimated period, or None.
-        lost: the number of missing pairs.
     """
 
     def __init__(self) -> None:
@@ -534,7 +533,6 @@ class PairClock:
         """The stamp of the next pair.
 
         Args:
-            arrival_s: when it was read.
             following: the number of pairs after it in the same read; each was sent a period later.
             is_early: whether a count was full, so that the pair may have been sent early.
         """

@@ -66,7 +66,6 @@ class LinkReport:
         status, format: of the line; the format is None until it was recognised.
         line: bytes, frames, errors and losses since the format was recognised.
         restarts, refused: as `TickTracker` counts them.
-        reconnects: the number of reconnections of the port.
         overrun: ticks dropped because they were not fetched.
         drift_ppm: of the controller's clock against the host's; positive where it runs faster.
         last: the newest ticks, or None.
@@ -95,11 +94,7 @@ class WheelLink:
 
     Args:
         port: such as /dev/ttyUSB0, or better /dev/serial/by-id/…, which does not change when it is plugged in again.
-        baudrate: of the line.
         on_status: called with each new status, from the link's thread.
-
-    Attributes:
-        status: the state of the line.
 
     Raises:
         DeviceError: the port is missing, denied, in use by another program, or not a serial port.
@@ -159,8 +154,7 @@ class WheelLink:
     def stop(self) -> None:
         """Stop both motors. Waits for the confirmation, except in the paper's format, which has none.
 
-        Raises:
-            DeviceError: the port is gone, or the controller does not confirm, or takes no commands.
+        Raises DeviceError where the port is gone, or the controller does not confirm, or takes no commands.
         """
         self._need_commands()
         self._commands.stop(self._is_answering)
@@ -487,8 +481,7 @@ _REASONS = {
 def open_port(path: str, baudrate: int) -> Serial:
     """The opened port, locked against other programs that use locks, with short timeouts.
 
-    Raises:
-        DeviceError: it is missing, denied, in use, not a serial port, or does not support the rate.
+    Raises DeviceError where it is missing, denied, in use, not a serial port, or does not support the rate.
     """
     try:
         port = Serial(path, baudrate, timeout=_READ_TIMEOUT_S, write_timeout=_WRITE_TIMEOUT_S, exclusive=True)

@@ -40,7 +40,6 @@ def open_wheels(
     """The source of ticks at a path: a named pipe, a wheels.csv or the folder of one, or else a serial port.
 
     Args:
-        where: the path.
         baudrate, on_status: of the port, as `WheelLink` takes them.
 
     Raises:
@@ -149,7 +148,6 @@ class TelemetryPipe:
     of a program that died is used again. A lock on the file `.NAME.lock` beside the pipe shows that its writer lives.
 
     Attributes:
-        path: of the pipe.
         sent, dropped: lines that were written, and lines dropped because a reader was slow.
 
     Raises:
@@ -188,8 +186,7 @@ class TelemetryPipe:
     def send(self, line: str) -> None:
         """Write waiting lines and this one, as far as the pipe has space. Does not wait.
 
-        Raises:
-            ValueError: it is not one line, or is longer than 4095 bytes.
+        Raises ValueError where it is not one line, or is longer than 4095 bytes.
         """
         data = line.encode() + b"\n"
         if len(data) > LONGEST_LINE or data.count(b"\n") != 1:

@@ -110,7 +110,6 @@ class LineStatistics:
     """Counts of bytes, frames and errors of a line.
 
     Attributes:
-        bytes: all bytes.
         frames: valid frames, repeats included.
         crc_errors: pieces between two zeros with a wrong checksum.
         malformed: pieces that are not valid COBS, or have a wrong length.
@@ -137,7 +136,6 @@ class FrameDecoder:
     may be the end of a frame, so they are not errors. At most `LONGEST_FRAME` + 1 bytes are kept between calls.
 
     Attributes:
-        statistics: of the line.
         begun, ended: bytes from the first byte of the last call's first message, and from the end of its last message,
             to the end of what was fed.
     """
@@ -280,7 +278,6 @@ class PaperDecoder:
     no sequence, so lost pairs are not detected.
 
     Attributes:
-        statistics: of the line.
         torn: the number of pairs with a delayed second byte.
     """
 
@@ -390,7 +387,6 @@ class PlainText:
 
     Attributes:
         statistics: of the line, since the first recognised reading.
-        is_recognised: whether the format is recognised.
         other: the last line without counts, for display.
     """
 

@@ -102,7 +102,6 @@ def refuse_other_units(recording: Recording, sensors: Collection[str]) -> None:
     stamps are checked event by event.
 
     Args:
-        recording: to check.
         sensors: those of FRAMES and WHEELS that are used.
     """
     if not isinstance(recording, ListsFrames):

@@ -135,11 +135,8 @@ def recording_of(
 
     Args:
         folder: of the recording, which has the folder's name.
-        reader: name of the reader.
         calibration, encoding: as in `ImageRecording`.
-        images: the frames.
         truth: T_frame_body of camera or base, or None.
-        warnings: of the files read so far.
 
     Raises:
         RecordingError: none of several frames spread over the recording is valid; the error of the first.
@@ -185,8 +182,7 @@ def pair_images(
 ) -> PairedImages:
     """Frames of the colour and depth images that are nearest in time, at most `max_gap_s` apart.
 
-    Raises:
-        RecordingError: there is no pair; names `color_list` and the smallest gap.
+    Raises RecordingError where there is no pair; names `color_list` and the smallest gap.
     """
     color_s, depth_s = (np.array([file.stamp_s for file in files], float) for files in (color, depth))
     pairs = associate(color_s, depth_s, max_gap_s)

@@ -251,7 +251,6 @@ def corrected_depth(
     Args:
         color: colour image (H, W, 3); only its size is checked.
         depth_m: decoded depth (H, W).
-        calibration: of both cameras.
         paths: of colour and depth, for error messages.
         fix: the fix in the error of a wrong size.
 

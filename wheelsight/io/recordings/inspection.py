@@ -213,7 +213,6 @@ def off_calibrated(offset: RegistrationOffset, calibration: Calibration, depth_m
     """The distance between measured and calibrated positions of colour, as a share of the image width.
 
     Args:
-        offset: as measured.
         calibration: with T_color_depth.
         depth_m: depth of the scene, metres.
 
@@ -257,7 +256,6 @@ class ClockMapping:
     """The mapping of a live camera's clock to the host's, over a recording.
 
     Attributes:
-        frames: the number of frames.
         offset_s: host time minus camera time, at the first frame with a stamp of the camera; None without any.
         drift_ppm: drift of the camera's clock in millionths, positive where it ran faster; None for fewer than two.
         sigma_median_s, sigma_largest_s: standard deviation of the mapping.
@@ -323,25 +321,17 @@ class Inspection:
     """The contents of a recording.
 
     Attributes:
-        name: the recording's.
-        format: its reader's name.
-        body: the frame its trajectory describes.
         camera: image size, focal lengths and source of the colour camera; None without one.
         wheels: radii, track width and source of the wheels; None where the calibration has none.
         is_registered: whether, by its calibration, depth and colour share one pixel grid; None without cameras.
-        frames: the number of frames.
         skipped: (reason, number) of unusable frames.
-        wheel_readings: the number of wheel readings.
-        yaw_readings: the number of gyroscope readings.
         duration_s: from the first frame to the last, or of wheel readings without frames.
         rate_hz: of the same, from their median period; NaN with fewer than two.
         gaps: times without any of these, longer than three periods.
         valid_depth_share: share of depth pixels with a measurement; NaN without a usable frame.
         depth_m: depth in metres at the 5th, 50th and 95th percentile; NaN without measurements.
         offset: the offset between colour and depth, by the images; None where it is not significant.
-        association: how colour and depth were paired.
         ground_truth: Zhang's Table 2 statistics of it, or None.
-        warnings: one sentence each.
         topics: all topics of a bag with their use; empty for other formats.
         clock: the mapping of a live camera's clock; None where it is unknown.
         repeated: the number of frames with the image of the frame before.
@@ -383,7 +373,6 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
     """The contents of a recording, from one pass over all its events and images.
 
     Args:
-        recording: to read.
         on_event: called after each frame, or each wheel reading without frames, for a progress bar.
 
     Raises:

@@ -207,7 +207,6 @@ class WrittenFrame:
 
     Attributes:
         lines: the line for each list, by the list's name.
-        size_bytes: of the images.
         too_far: the number of depth pixels beyond 13.107 m.
     """
 
@@ -271,7 +270,6 @@ class RecordingWriter(OneCaller):
         resume: whether to append to the folder's recording, or start one where the folder is empty.
 
     Attributes:
-        folder: of the recording.
         frames: the number of frames so far.
         readings: the number of wheel readings so far.
         depths_too_far: the number of depth pixels beyond 13.107 m in all frames that were added.
@@ -366,8 +364,7 @@ class RecordingWriter(OneCaller):
     def check(self, event: Event) -> None:
         """Check an event as `add` does. Later stamps of its kind must be greater than this one.
 
-        Raises:
-            ArgumentError, RecordingError: as `add`.
+        Raises ArgumentError, RecordingError as `add`.
         """
         check_event(event, finite=True)
         if isinstance(event, WheelSpeeds):
@@ -497,8 +494,7 @@ class RecordingWriter(OneCaller):
 def write_recording(folder: StrPath, recording: Recording, force: bool = False) -> RecordingWriter:
     """Write any recording in wheelsight's own layout. Returns the closed writer, with its counts.
 
-    Raises:
-        OutputError, RecordingError: as `RecordingWriter`.
+    Raises OutputError, RecordingError as `RecordingWriter`.
     """
     folder = Path(folder)
     with RecordingWriter(folder, recording.calibration, force) as writer:
@@ -650,8 +646,7 @@ def read_matches(path: StrPath) -> tuple[list[Match], list[str]]:
     The first line names the columns, in any order. Required are stamp_a_s and stamp_b_s. Optional are the pose T_a_b
     of the body as x_m, y_m, z_m, qx, qy, qz, qw, its standard deviations sigma_m and sigma_rad, and score, 0 to 1.
 
-    Raises:
-        RecordingError: a column is missing, or a number, pose or score is invalid; names file and line.
+    Raises RecordingError where a column is missing, or a number, pose or score is invalid; names file and line.
     """
     path = Path(path)
     has = set(column_names(path, _STAMPS, _FILE))

@@ -209,9 +209,6 @@ def open_frames(
     """The recording of frames in the layout of 7-Scenes. Raises InputError.
 
     Args:
-        folder: of the recording.
-        options: of the user.
-        reader: of the format.
         of_truth: a warning about the origin of the true poses.
         calibration_of: gives the calibration for the frames.
     """

@@ -99,9 +99,7 @@ class ListedFrame:
     """A frame that is not decoded yet.
 
     Attributes:
-        stamp_s: its time.
         next_stamp_s: the time of the next frame; infinite for the last.
-        read: decodes it.
     """
 
     stamp_s: float
@@ -145,7 +143,6 @@ class RecordedTopic:
     Attributes:
         name: such as /camera/color/image_raw.
         type: such as sensor_msgs/msg/Image.
-        count: the number of messages.
         used_as: color, depth, color_info, depth_info, wheels or gyro; empty where it is not used.
     """
 
@@ -262,8 +259,7 @@ _Texts = Annotated[
 class OpenOptions(Settings):
     """Information about a recording that its files do not contain: the options of `open_recording`.
 
-    Raises:
-        ConfigError: the gap is negative or not finite, or a factor or rate is not positive.
+    Raises ConfigError where the gap is negative or not finite, or a factor or rate is not positive.
     """
 
     camera: Annotated[str | None, BeforeValidator(_as_text)] = setting(
@@ -317,8 +313,7 @@ def camera_names() -> list[str]:
 def load_camera(name: StrPath) -> Calibration:
     """A calibration that comes with the package, by its name, or any calibration.yaml, by its path.
 
-    Raises:
-        CalibrationError: the name is neither known nor a file, or the file is not a calibration.
+    Raises CalibrationError where the name is neither known nor a file, or the file is not a calibration.
     """
     if name in camera_names():
         return load_calibration(_FOLDER / f"{name}.yaml")
@@ -338,8 +333,6 @@ def choose_calibration(folder: Path, options: OpenOptions, otherwise: Callable[[
     `options.calibration` replace parts of it, or serve alone where there is none.
 
     Args:
-        folder: of the recording.
-        options: of the user.
         otherwise: gives the format's calibration, or raises CalibrationError where it has none.
     """
     over, own = options.calibration, folder / "calibration.yaml"
@@ -361,8 +354,7 @@ def express_for(body: str, trajectory: Trajectory, calibration: Calibration) -> 
 
     Covariances do not change: they are left perturbations in the map frame, for either body.
 
-    Raises:
-        CalibrationError: the bodies differ and the calibration has no T_base_camera.
+    Raises CalibrationError where the bodies differ and the calibration has no T_base_camera.
     """
     if trajectory.body == body:
         return trajectory

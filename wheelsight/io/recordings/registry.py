@@ -21,7 +21,7 @@ from wheelsight.io.recordings.numbered_datasets import (
     ThreeDMatchReader,
 )
 from wheelsight.io.recordings.recording import Layout, OpenOptions, Reader, Recording
-from wheelsight.io.recordings.scannet import ScanNetReader
+from wheelsight.io.recordings.scannet import ScanNetReader, ScanNetRecording
 from wheelsight.io.recordings.tum_datasets import BonnReader, Eth3dReader, OpenLorisReader, TumReader
 from wheelsight.io.recordings.wheel_recording import (
     MeasurementLineReader,
@@ -89,7 +89,7 @@ def open_recording(path: StrPath, options: OpenOptions | None = None) -> Recordi
         if "null byte" not in str(error):
             raise
         raise RecordingError("is not a valid path", path=str(folder), fix="check the path") from error
-    if not isinstance(recording, ImageRecording | WheelRecording):
+    if not isinstance(recording, ImageRecording | WheelRecording) or isinstance(recording, ScanNetRecording):
         return recording
     of_stamps = stamp_warnings(listed_stamps(recording))
     of_counters = counter_warnings(recording.calibration.wheels, recording.wheels)

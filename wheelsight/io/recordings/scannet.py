@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import struct
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from functools import partial
-from itertools import pairwise
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -18,18 +14,16 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import CalibrationError, RecordingError
 from wheelsight.core.geometry import MOST_PIXELS, FloatArray, PinholeCamera, se3
 from wheelsight.core.inputs import Kind, decompressed, open_binary
-from wheelsight.core.messages import Event, RgbdFrame
-from wheelsight.core.trajectory import Trajectory
-from wheelsight.io.recordings.images import DepthEncoding, corrected_depth, decoded_color, depth_of_units, read_ahead
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.io.recordings.image_recording import FramePaths, ImageRecording
+from wheelsight.io.recordings.images import DepthEncoding, corrected_depth, decoded_color, depth_of_units
 from wheelsight.io.recordings.numbered_datasets import WrittenPose, rate_of, true_poses
 from wheelsight.io.recordings.recording import (
     AssociationReport,
     Layout,
-    ListedFrame,
     OpenOptions,
     choose_calibration,
     express_for,
-    frame_or_reason,
 )
 
 # A .sens file is little-endian: a header, then frames. A frame is a pose (16 float32, row by row, camera to world),
@@ -187,7 +181,6 @@ def _read_at(path: Path, at: int, count: int) -> bytes:
         raise RecordingError(f"cannot be read: {error.strerror}", path=path) from error
 
 
-_FRAMES_READ_AHEAD = 4
 _MICROSECONDS = 1e6
 _RIGID_TOLERANCE = 1e-2
 
@@ -241,74 +234,36 @@ class ScanNetReader:
             warnings.append("True poses are ScanNet's reconstruction by BundleFusion, not motion capture.")
         count = len(sens.frames)
         recording = ScanNetRecording(
-            name=folder.stem,
-            path=folder,
-            calibration=calibration,
-            association=AssociationReport(count, count, count, options.max_gap_s),
-            header=sens.header,
-            frames=sens.frames,
-            stamps_s=tuple(stamps_s),
-            encoding=DepthEncoding(options.depth_factor or sens.header.units_a_metre, invalid=65535),
-            ground_truth=truth,
+            folder.stem,
+            folder,
+            self.name,
+            calibration,
+            AssociationReport(count, count, count, options.max_gap_s),
+            tuple(FramePaths(stamp_s, folder, folder) for stamp_s in stamps_s),
+            DepthEncoding(options.depth_factor or sens.header.units_a_metre, invalid=65535),
             warnings=tuple(warnings),
+            sens=sens,
         )
-        return recording.tried()
+        try:
+            recording.read_frame(count // 2)
+        except RecordingError:
+            recording.read_frame(0)
+        return replace(
+            recording, ground_truth=None if truth is None else express_for(recording.body, truth, calibration)
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class ScanNetRecording:
-    """A `Recording`. Frames are read from the file during iteration."""
+class ScanNetRecording(ImageRecording):
+    """A `Recording` of the file `sens`. Frames are read from it during iteration."""
 
-    name: str
-    path: Path
-    calibration: Calibration
-    association: AssociationReport
-    header: SensHeader
-    frames: tuple[SensFrame, ...]
-    stamps_s: tuple[float, ...]
-    encoding: DepthEncoding
-    ground_truth: Trajectory | None = None
-    warnings: tuple[str, ...] = ()
-    format: str = ScanNetReader.name
-    wheel_count: int = 0
-
-    @property
-    def body(self) -> str:
-        """The frame its trajectory describes: "base" where the calibration has T_base_camera, else "camera"."""
-        return "camera" if self.calibration.T_base_camera is None else "base"
-
-    @property
-    def frame_count(self) -> int:
-        """The number of frames that `events()` yields, skipped ones included."""
-        return len(self.frames)
-
-    def events(self, *, images: bool = True) -> Iterator[Event]:
-        """Frames in order of time, decoded a few ahead, from the start at each call; none without `images`."""
-        listed = self.listed() if images else iter(())
-        return read_ahead((event.read() for event in listed), _FRAMES_READ_AHEAD)
-
-    def listed(self) -> Iterator[ListedFrame]:
-        """Undecoded frames."""
-        for index, (stamp_s, next_stamp_s) in enumerate(pairwise((*self.stamps_s, math.inf))):
-            yield ListedFrame(
-                stamp_s, next_stamp_s, partial(frame_or_reason, partial(self.read_frame, index), stamp_s, index)
-            )
+    sens: SensFile = field(kw_only=True)
 
     def read_frame(self, index: int) -> RgbdFrame:
         """The frame at `index`. Raises RecordingError where it is unusable."""
-        frame = self.frames[index]
+        frame = self.sens.frames[index]
         color = decoded_color(color_of(self.path, frame), self.path)
-        units = depth_units_of(self.path, frame, self.header)
+        units = depth_units_of(self.path, frame, self.sens.header)
         depth_m = depth_of_units(units, self.encoding, self.path)
         depth_m = corrected_depth(color, depth_m, self.calibration, (self.path, self.path))
-        return RgbdFrame(self.stamps_s[index], color, depth_m, index)
-
-    def tried(self) -> ScanNetRecording:
-        """The recording with its body's truth. Raises RecordingError where the first and middle frame are unusable."""
-        try:
-            self.read_frame(len(self.frames) // 2)
-        except RecordingError:
-            self.read_frame(0)
-        if self.ground_truth is None:
-            return self
-        return replace(self, ground_truth=express_for(self.body, self.ground_truth, self.calibration))
+        return RgbdFrame(self.frames[index].stamp_s, color, depth_m, index)

@@ -73,8 +73,7 @@ def read_list(path: Path, kind: Kind = LIST) -> str:
 def read_lines(path: Path) -> list[Line]:
     """The lines of a text file without comments and blank lines. Any line ending and a byte order mark are accepted.
 
-    Raises:
-        RecordingError: the file is missing, not text, not a regular file, or too large; names the file.
+    Raises RecordingError where the file is missing, not text, not a regular file, or too large; names the file.
     """
     lines = enumerate(lines_of(read_list(path)), start=1)
     bare = (Line(number, COMMENT.sub("", line).strip()) for number, line in lines)
@@ -86,8 +85,7 @@ def listed_lines(path: Path) -> tuple[list[Line], float]:
 
     Only lines that begin with # are comments, since a name may contain it. A first line of column names is left out.
 
-    Raises:
-        RecordingError: as `read_lines`, and where the first line names an unknown unit.
+    Raises RecordingError as `read_lines`, and where the first line names an unknown unit.
     """
     lines: list[Line] = []
     per_second = 1.0
@@ -232,8 +230,7 @@ class Columns:
 def read_columns(path: Path, numbers: Sequence[str] = (), counts: Sequence[str] = ()) -> tuple[Columns, list[str]]:
     """The columns stamp_s, `numbers` and `counts` (integers) of a table, and warnings. See `read_table`.
 
-    Raises:
-        RecordingError: as `read_table`, and where a word is not a number, or not an integer.
+    Raises RecordingError as `read_table`, and where a word is not a number, or not an integer.
     """
     text = read_list(path)
     header = _header(text, path, ("stamp_s", *numbers, *counts))
@@ -277,13 +274,7 @@ def read_table(path: Path, columns: Sequence[str], kind: Kind = LIST) -> tuple[l
     may begin with #, be in capitals or have quotes. In place of stamp_s a name with another unit is accepted, such as
     stamp_ms or `time [ns]`. A last line without a line end is left out, since its numbers may lack digits.
 
-    Args:
-        path: of the table.
-        columns: that must be present.
-        kind: of file, with its bounds of size.
-
-    Raises:
-        RecordingError: a column is missing, or a line has too few or too many words; names file and line.
+    Raises RecordingError where a column is missing, or a line has too few or too many words; names file and line.
     """
     text, warnings = read_list(path, kind), list[str]()
     return list(_rows(text, _header(text, path, columns), path, warnings)), warnings
@@ -409,7 +400,6 @@ def read_file_list(path: Path, rate_hz: float | None = None) -> tuple[list[Liste
     Names may lack the folder that is called as the list, and may have backslashes.
 
     Args:
-        path: of the list.
         rate_hz: units per second of the stamps; None for the unit in a first line or comment, else seconds.
 
     Raises:
@@ -451,7 +441,6 @@ def find_files(names: Sequence[str], path: Path, folder: str) -> tuple[list[Path
     """The paths of a list's files, and a warning where they are found under other paths than the list names.
 
     Args:
-        names: as written in the list.
         path: of the list; names are relative to its folder.
         folder: the subfolder to search for names without a folder.
     """
@@ -473,8 +462,7 @@ def find_files(names: Sequence[str], path: Path, folder: str) -> tuple[list[Path
 def pair_of_files(line: Line, path: Path) -> tuple[tuple[float, str], tuple[float, str]]:
     """The two stamps and names of a line `stamp file stamp file`; further columns are ignored.
 
-    Raises:
-        RecordingError: the line is invalid; names file and line.
+    Raises RecordingError where the line is invalid; names file and line.
     """
     words = split_words(line.text)
     has_more = len(words) > 4 and all(_IMAGE.fullmatch(word) for word in (words[1], words[3]))
@@ -497,8 +485,6 @@ class GrowingText:
     Otherwise a full disk or Ctrl-C would leave half a line, which readers refuse.
 
     Args:
-        path: of the file.
-        header: its first lines.
         resume: whether to append to the complete lines of an existing file; else the file is overwritten.
 
     Attributes:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -87,9 +87,6 @@ def open_lists(
     """The recording of rgb.txt, depth.txt and groundtruth.txt. Raises InputError.
 
     Args:
-        folder: of the recording.
-        options: of the user.
-        name: of the format.
         calibration_of: gives the calibration for the frames.
         truth_of: reads groundtruth.txt; None where it has poses of the camera.
     """
@@ -113,14 +110,11 @@ def read_frames(folder: Path, options: OpenOptions) -> tuple[PairedImages, list[
     ready = next((folder / name for name in _ASSOCIATIONS if is_there(folder / name)), None)
     if ready is None:
         return pair_images(color, depth, options.max_gap_s, folder / "rgb.txt"), warnings
-    pairs, pair_warnings = read_associations(ready, options.rate_hz)
-    frames = tuple(pair.frame for pair in pairs)
-    gap_s = max(pair.gap_s for pair in pairs)
-    association = AssociationReport(
-        max(len(color), len(frames)), max(len(depth), len(frames)), len(frames), gap_s, gap_s
-    )
+    frames, pair_warnings = read_associations(ready, options.rate_hz)
+    gap_s, count = max(abs(frame.depth_late_s) for frame in frames), len(frames)
+    association = AssociationReport(max(len(color), count), max(len(depth), count), count, gap_s, gap_s)
     note = f"Colour and depth are paired as {ready.name} says, with gaps up to {gap_s:.3f} s."
-    return PairedImages(frames, association), [*warnings, *pair_warnings, note]
+    return PairedImages(tuple(frames), association), [*warnings, *pair_warnings, note]
 
 
 def by_frame_clock(truth: Trajectory | None, frames: tuple[FramePaths, ...], options: OpenOptions) -> Trajectory | None:
@@ -158,20 +152,10 @@ _PAIRS_TRIED = 8
 _Stamped = tuple[float, str]
 
 
-@dataclass(frozen=True, slots=True)
-class Pair:
-    """One line of an associations file."""
-
-    stamp_s: float
-    frame: FramePaths
-    gap_s: float
-
-
-def read_associations(path: Path, rate_hz: float | None) -> tuple[list[Pair], list[str]]:
-    """The pairs of an associations file, and warnings.
+def read_associations(path: Path, rate_hz: float | None) -> tuple[list[FramePaths], list[str]]:
+    """The frames of an associations file, and warnings.
 
     Args:
-        path: of the file.
         rate_hz: units per second of the stamps; None for the unit that the file names, else seconds.
 
     Raises:
@@ -185,15 +169,11 @@ def read_associations(path: Path, rate_hz: float | None) -> tuple[list[Pair], li
     entries = _color_first([pair_of_files(line, path) for line in lines], numbers, path)
     color, warnings = find_files([first[1] for first, _ in entries], path, "rgb")
     depth, more = find_files([second[1] for _, second in entries], path, "depth")
-    pairs = [
-        Pair(
-            first[0] / rate,
-            FramePaths(first[0] / rate, color_path, depth_path, (second[0] - first[0]) / rate),
-            abs(first[0] - second[0]) / rate,
-        )
-        for (first, second), color_path, depth_path in zip(entries, color, depth, strict=True)
+    frames = [
+        FramePaths(color_s / rate, color_path, depth_path, (depth_s - color_s) / rate)
+        for ((color_s, _), (depth_s, _)), color_path, depth_path in zip(entries, color, depth, strict=True)
     ]
-    growing, left_out = keep_growing(pairs, numbers, path)
+    growing, left_out = keep_growing(frames, numbers, path)
     return growing, warnings + more + left_out
 
 
@@ -207,10 +187,7 @@ def _color_first(
     if ambiguous:
         by_images = _is_depth_first([pairs[i] for i in ambiguous], path, numbers[ambiguous[0]])
         depth_first = [by_images if known is None else known for known in depth_first]
-    return [
-        (second, first) if turned else (first, second)
-        for (first, second), turned in zip(pairs, depth_first, strict=True)
-    ]
+    return [pair[::-1] if turned else pair for pair, turned in zip(pairs, depth_first, strict=True)]
 
 
 def _kind(name: str) -> str | None:

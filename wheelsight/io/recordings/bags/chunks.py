@@ -106,7 +106,6 @@ class ChunkedReader(ABC):
     """A file of chunks, open within its `with` block.
 
     Attributes:
-        path: of the file.
         connections: of topics, with their message counts.
         warnings: one sentence for each missing part of the file.
         allowance: the bounds that are left.
@@ -249,11 +248,8 @@ class Connection(NamedTuple):
     """A topic of a bag, by one writer.
 
     Attributes:
-        id: its number in the file.
-        topic: its name.
         msgtype: such as "sensor_msgs/msg/Image".
         language: of the definition: "MSG", "IDL", or "NONE" where there is none.
-        definition: of the type.
         msgcount: the number of messages, by the index.
     """
 

@@ -85,7 +85,6 @@ def depth_of(message: Any, factor: float | None, path: Path) -> Float32Array:
     Args:
         message: of integers in millimetres, or floats in metres.
         factor: units per metre, where it differs from that.
-        path: of the bag.
 
     Raises:
         RecordingError: the encoding is unknown, there is no depth at all, or its scale is implausible.

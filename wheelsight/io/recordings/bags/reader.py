@@ -215,8 +215,6 @@ class BagRobot:
     Attributes:
         calibration: the known parts, or None where nothing is known; `lacks` then says why.
         base: name of the base frame, or None.
-        transforms: the tree of tf.
-        warnings: one sentence each.
         lacks: why the camera is unknown, where the bag has one.
         needs_cameras, needs_wheels: the parts that a calibration must have for this bag.
     """

@@ -62,7 +62,6 @@ class BagPlan:
         clocks: of each topic that is used.
         speed_reader: makes a new reader of the wheels' topic; None without wheels.
         up: (3,) the upward direction in the gyroscope's frame.
-        options: of the user.
     """
 
     roles: Roles
@@ -577,9 +576,6 @@ class Pairing:
     An image counts as single once later images are stamped too late to be its partner.
 
     Attributes:
-        max_gap_s: of a pair.
-        pairs: the number of pairs.
-        largest_gap_s: of them.
         alone: the number of images of each kind, "color" and "depth", without a partner near enough.
         crowded: the number that were dropped because too many waited.
     """

@@ -92,7 +92,6 @@ class OpenBag:
     """A bag whose files are open. Topics come from its index; messages are read on request.
 
     Attributes:
-        path: of the bag.
         topics: in order of name.
         start_ns, end_ns: the time of the first receipt, and just after the last.
         is_ros1: whether messages are serialized as in ROS 1.

@@ -139,7 +139,6 @@ class Roles:
     Attributes:
         source: how the wheels' topic describes their motion.
         transforms: transforms of tf that are used; the bag serves them as topics.
-        warnings: one sentence each.
         faults: those of the warnings that make poses by wheels wrong.
     """
 
@@ -182,7 +181,6 @@ def roles_of(
 
     Args:
         bag: transforms of tf that are used become topics of it.
-        choices: of the user.
         knows_wheels: whether a calibration gives the wheels' sizes.
         holonomic: the wheels of a calibration of a holonomic base, else None.
 

@@ -117,7 +117,6 @@ def pose_speeds(
     Increments are preferred: they lose no motion where messages are far apart or were dropped.
 
     Args:
-        wheels: nominal wheels.
         pose_of: gives pose x, y, yaw and twist v, ω of a message, or None where its numbers are invalid.
         by_twist: whether to use twists, since poses stay at zero; each holds from its message on.
     """

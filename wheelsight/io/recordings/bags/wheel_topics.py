@@ -84,15 +84,12 @@ class WheelTopic:
 
     Attributes:
         topic: its name, type and count; of tf, one transform.
-        kind: of its data.
         sides: joints, fields or places in an array, of the left and the right wheels.
         right: the right wheel's topic, where each has one.
         bits: of the counter, which wraps around; 0 where it does not.
         unit: of fields: "counts", "mm" rolled, or "rad/s".
-        transform: of tf.
         rank: the source with the least is used.
         doubt: a reason against it; empty without one.
-        is_holonomic: whether the base is holonomic.
         places: joints or indices of an array, in the order of the calibration's wheels.
     """
 
@@ -138,7 +135,6 @@ class WheelTopic:
         """A factory of readers.
 
         Args:
-            wheels: of the robot.
             nominal: wheels for sources that give the motion of the base.
             by_twist: whether to use twists, since poses stay at zero.
         """
@@ -162,7 +158,6 @@ class WheelTopic:
         """A factory of readers for a holonomic base.
 
         Args:
-            wheels: of the robot.
             by_twist: whether to use twists, since poses stay at zero.
         """
         if self.kind == "joints":
@@ -187,8 +182,6 @@ def sources_in(bag: OpenBag, topics: Sequence[Topic], sides: Joints | None, is_e
     """All sources of wheel motion in a bag, the best first. Reads some first messages, and the last of arrays.
 
     Args:
-        bag: to read.
-        topics: to consider.
         sides: joints that the user chose, or None.
         is_estimated: whether poses, twists and tf are wheelsight's own estimate, and so not used.
     """
@@ -425,8 +418,7 @@ def holonomic_source(
 ) -> WheelTopic | None:
     """Joints or an array of all wheels of a holonomic base, by the names of its wheels, or as the user chose.
 
-    Raises:
-        RecordingError: the user must say which numbers of the chosen topic are the wheels'.
+    Raises RecordingError where the user must say which numbers of the chosen topic are the wheels'.
     """
     count = len(wheels.wheel_names)
     for topic in topics if count else ():
