@@ -77,15 +77,7 @@ from wheelsight.mapping import (
     load_map,
     save_map,
 )
-from wheelsight.places import (
-    ForestSettings,
-    HistogramDescriber,
-    HistogramSettings,
-    PlaceModel,
-    label_source,
-    read_labels,
-    train_places,
-)
+from wheelsight.places import ForestSettings, HistogramDescriber, HistogramSettings, PlaceModel
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam import RelativePose
 from wheelsight.slam.maps import MapFolder, driven_way, info_of, occupancy_of, rebuild, save_occupancy
@@ -98,6 +90,7 @@ from wheelsight_batch import BatchRow, Case, Job, Outcome, Spread, read_rows
 from wheelsight_batch.batches import KeptOutcomes
 from wheelsight_batch.table import csv_text, rows_of
 from wheelsight_export import BagParts, export_bag, exported_at
+from wheelsight_papers import label_source, read_labels, train_places
 from wheelsight_sim import read_manual_velocities
 
 Files = Mapping[str, bytes]

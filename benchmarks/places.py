@@ -27,10 +27,8 @@ from wheelsight.places import (
     HistogramSettings,
     LayoutDescriber,
     PlaceModel,
-    calibration_curve,
-    describe_all,
-    train_places,
 )
+from wheelsight_papers import calibration_curve, describe_all, train_places
 
 TRAINING_FRAMES = 1433  # as many as in the paper
 AREAS = 8

@@ -13,9 +13,10 @@ from wheelsight.core.areas import AreaMap
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.geometry import FloatArray, IntArray
 from wheelsight.core.messages import WheelTicks
-from wheelsight.estimation import AreaRectifier, OdometryTerm, PaperRectifier, TrainingDrive, Weights, fit_weights
-from wheelsight.places import Describer, ForestSettings, PlaceModel, calibration_curve, grow_forest, train_places
+from wheelsight.estimation import AreaRectifier, OdometryTerm, Weights
+from wheelsight.places import Describer, ForestSettings, PlaceModel
 from wheelsight.wheels import WheelOdometry
+from wheelsight_papers import PaperRectifier, TrainingDrive, calibration_curve, fit_weights, grow_forest, train_places
 
 ODOMETRY_TERMS: tuple[OdometryTerm, ...] = get_args(OdometryTerm)
 DESCRIBERS: dict[str, Describer] = {"histograms": HISTOGRAMS, "layout": LAYOUT}

@@ -14,10 +14,11 @@ from wheelsight import Calibration, Config, Localizer, RgbdFrame, Wheels, WheelT
 from wheelsight.config import load_config
 from wheelsight.core.areas import Area, AreaMap
 from wheelsight.core.errors import ArgumentError
-from wheelsight.estimation import AreaRectifier, PaperRectifier, Weights
+from wheelsight.estimation import AreaRectifier, Weights
 from wheelsight.vision.dense import DenseOdometry
 from wheelsight.vision.features import FeatureOdometry
 from wheelsight.wheels import WheelOdometry
+from wheelsight_papers import PaperRectifier
 
 CALIBRATION = Calibration.registered_camera(CAMERA, wheels=Wheels(0.17, 0.17, 0.5, 3200.0), T_base_camera=np.eye(4))
 FRAME = RgbdFrame(1.0, *render_room(wobbling_trajectory(1).T_frame_body[0]))

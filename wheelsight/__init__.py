@@ -37,14 +37,7 @@ if TYPE_CHECKING:
     )
     from wheelsight.core.robots import EventSource
     from wheelsight.core.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
-    from wheelsight.estimation import (
-        ErrorStateFilter,
-        ErrorStateSettings,
-        FusedEstimate,
-        LigockiFilter,
-        LigockiSettings,
-        Localizer,
-    )
+    from wheelsight.estimation import ErrorStateFilter, ErrorStateSettings, FusedEstimate, LigockiSettings, Localizer
     from wheelsight.evaluation import Evaluation, evaluate
     from wheelsight.io.recordings import OpenOptions, Recording, open_recording, write_recording
     from wheelsight.mapping import (
@@ -63,6 +56,7 @@ if TYPE_CHECKING:
     from wheelsight.vision.visual_odometry import VisualOdometry
     from wheelsight.wheels import HolonomicOdometry, WheelOdometry
     from wheelsight_export import mesh_of, write_mesh_ply, write_ply
+    from wheelsight_papers import LigockiFilter
     from wheelsight_sim import SimulatedRecording, SimulationSettings, write_simulation
     from wheelsight_sim.simulate import simulate
 
@@ -213,7 +207,6 @@ _NAMES_OF = {
         "ErrorStateFilter",
         "ErrorStateSettings",
         "FusedEstimate",
-        "LigockiFilter",
         "LigockiSettings",
         "Localizer",
     ),
@@ -259,6 +252,7 @@ _NAMES_OF = {
         "write_mesh_ply",
         "write_ply",
     ),
+    "wheelsight_papers": ("LigockiFilter",),
     "wheelsight_sim": (
         "SimulatedRecording",
         "SimulationSettings",

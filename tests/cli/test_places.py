@@ -12,7 +12,8 @@ import pytest
 from places.made_recording import write_drive
 from typer.testing import Result
 
-from wheelsight.places import PlaceModel, read_labels
+from wheelsight.places import PlaceModel
+from wheelsight_papers import read_labels
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

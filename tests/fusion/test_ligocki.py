@@ -10,8 +10,9 @@ from pydantic import ValidationError
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.estimates import Reason, Status
 from wheelsight.core.geometry import se2, se3
-from wheelsight.estimation import LigockiFilter, LigockiSettings, ligocki
-from wheelsight.estimation.ligocki import measurement_matrix, process_matrix
+from wheelsight.estimation import LigockiSettings
+from wheelsight_papers import LigockiFilter, ligocki
+from wheelsight_papers.ligocki import measurement_matrix, process_matrix
 
 
 def yaw_of(T):

@@ -16,7 +16,8 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.estimates import Estimate, Reason, Status
 from wheelsight.core.geometry import se3
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelTicks, YawRate
-from wheelsight.estimation import LigockiFilter, Localizer
+from wheelsight.estimation import Localizer
+from wheelsight_papers import LigockiFilter
 
 CONFIG = load_config(overrides={"odometry": "wheels,features", "fusion": "ligocki"})
 DARK = Sight(Reason.TOO_FEW_KEYPOINTS)

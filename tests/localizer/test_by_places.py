@@ -17,8 +17,9 @@ from wheelsight.core.errors import CalibrationError, ConfigError, PlaceError
 from wheelsight.core.estimates import Estimate, Reason, Status
 from wheelsight.core.geometry import se3
 from wheelsight.core.messages import RgbdFrame, SkippedFrame, WheelTicks
-from wheelsight.estimation import Localizer, PaperRectifier, Places, RectifiedEstimate, load_places
+from wheelsight.estimation import Localizer, Places, RectifiedEstimate, load_places
 from wheelsight.wheels import WheelOdometry
+from wheelsight_papers import PaperRectifier
 
 PLACES = Places(trained(), AREAS, T_WORLD_START)
 

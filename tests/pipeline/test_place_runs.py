@@ -19,7 +19,7 @@ from wheelsight.core.errors import AreaError, InputError, PlaceError
 from wheelsight.core.geometry import PinholeCamera, se3
 from wheelsight.core.messages import RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.core.trajectory import Trajectory, read_tum
-from wheelsight.places import read_labels
+from wheelsight_papers import read_labels
 
 pytestmark = pytest.mark.usefixtures("real_odometry")
 

@@ -8,14 +8,8 @@ from functools import cache
 import numpy as np
 
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.places import (
-    ForestSettings,
-    HistogramDescriber,
-    HistogramSettings,
-    PlaceModel,
-    describe_all,
-    train_places,
-)
+from wheelsight.places import ForestSettings, HistogramDescriber, HistogramSettings, PlaceModel
+from wheelsight_papers import describe_all, train_places
 
 NAMES = ("corridor", "hall", "lift")
 QUICK = ForestSettings(trees=8, folds=3, gap_frames=2)

@@ -7,8 +7,9 @@ import pytest
 from places.made import overlapped
 from sklearn.metrics import log_loss as log_loss_of_sklearn
 
-from wheelsight.places import ForestSettings, ProbabilityScale, calibration_curve, fit_scale, grow_forest, log_loss
-from wheelsight.places.training import held_out_folds, least_confidence
+from wheelsight.places import ForestSettings, ProbabilityScale
+from wheelsight_papers import calibration_curve, fit_scale, grow_forest, log_loss
+from wheelsight_papers.training import held_out_folds, least_confidence
 
 
 def test_no_temperature_and_no_blend_leave_probabilities_as_they_are(rng):

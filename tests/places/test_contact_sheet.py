@@ -13,7 +13,7 @@ from stand_ins import MemoryRecording
 from wheelsight.core.errors import PlaceError
 from wheelsight.core.messages import SkippedFrame
 from wheelsight.io.recordings import open_recording
-from wheelsight.places import chosen_frames, label_source, make_sheet, stamps_of
+from wheelsight_papers import chosen_frames, label_source, make_sheet, stamps_of
 
 
 def test_frames_are_chosen_in_the_middle_of_each_part() -> None:

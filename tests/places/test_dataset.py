@@ -15,8 +15,8 @@ from wheelsight.core.areas import AreaMap, save_areas
 from wheelsight.core.errors import AreaError, PlaceError
 from wheelsight.core.messages import Event, SkippedFrame, WheelTicks
 from wheelsight.io.recordings import open_recording
-from wheelsight.places import (
-    ForestSettings,
+from wheelsight.places import ForestSettings
+from wheelsight_papers import (
     check_every_area,
     describe_drive,
     frames_of,

@@ -11,9 +11,10 @@ from places.made import overlapped
 from sklearn.ensemble import RandomForestClassifier
 
 from wheelsight.core.errors import PlaceError
-from wheelsight.places import Forest, ForestSettings, grow_forest
+from wheelsight.places import Forest, ForestSettings
 from wheelsight.places import describer_kernels as compiled
-from wheelsight.places.training import flatten
+from wheelsight_papers import grow_forest
+from wheelsight_papers.training import flatten
 
 
 def entropy(labels: np.ndarray) -> float:

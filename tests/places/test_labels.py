@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from places.made_recording import rooms, straight
 
 from wheelsight.core.errors import AreaError
-from wheelsight.places import labels_on_the_way, read_labels
-from wheelsight.places.dataset import natural_order
+from wheelsight_papers import labels_on_the_way, read_labels
+from wheelsight_papers.dataset import natural_order
 
 NAMES = ("corridor", "hall", "lift")
 STAMPS_S = np.arange(0, 10, 0.5)

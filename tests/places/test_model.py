@@ -18,9 +18,8 @@ from wheelsight.places import (
     LayoutDescriber,
     PlaceModel,
     Unknown,
-    describe_all,
-    train_places,
 )
+from wheelsight_papers import describe_all, train_places
 
 FIVE = HistogramDescriber(HistogramSettings(bins=2, missing="own_bin"))  # five numbers, as `overlapped` makes
 

@@ -16,8 +16,9 @@ from sklearn.ensemble import RandomForestClassifier
 from sklearn.preprocessing import FunctionTransformer
 
 from wheelsight.core.errors import OutputError, PlaceError
-from wheelsight.places import HistogramDescriber, LayoutDescriber, PlaceModel, describe_all, train_places
+from wheelsight.places import HistogramDescriber, LayoutDescriber, PlaceModel
 from wheelsight.places import model as storage
+from wheelsight_papers import describe_all, train_places
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from sklearn.metrics import confusion_matrix
 
 from wheelsight.core.errors import PlaceError
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.places import PlaceTrial, answer_all, predictions_csv, read_labels, try_places
+from wheelsight_papers import PlaceTrial, answer_all, predictions_csv, read_labels, try_places
 
 
 def trial_of(rng: np.random.Generator, each: int = 15) -> PlaceTrial:

@@ -14,7 +14,7 @@ from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import se3
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import evaluate
-from wheelsight.places import labels_on_the_way
+from wheelsight_papers import labels_on_the_way
 
 
 def area_runs(way: str = "probabilistic", with_truth: bool = True) -> tuple[RunRecord, RunRecord]:

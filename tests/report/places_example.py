@@ -5,18 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from wheelsight.core.areas import Area, AreaMap
-from wheelsight.places import (
-    Answers,
-    ContactSheet,
-    Forest,
-    ForestSettings,
-    HistogramDescriber,
-    HistogramSettings,
-    Mistake,
-    PlaceModel,
-    PlaceTrial,
-)
+from wheelsight.places import Forest, ForestSettings, HistogramDescriber, HistogramSettings, PlaceModel
 from wheelsight.places.model import HeldOutFigures, ProbabilityScale
+from wheelsight_papers import Answers, ContactSheet, Mistake, PlaceTrial
 
 NAMES = ("1", "<lift> & co", "hall")
 

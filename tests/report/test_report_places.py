@@ -13,9 +13,9 @@ from browser import open_page
 from html_page import Page
 from places_example import NAMES, example_model, example_sheet, example_trial
 
-from wheelsight.app.report.places_page import area_colour, render_sheet, write_places_page, write_sheet
 from wheelsight.core.errors import OutputError
-from wheelsight.places import ContactSheet, PlaceTrial, read_labels
+from wheelsight_papers import ContactSheet, PlaceTrial, read_labels
+from wheelsight_papers.places_page import area_colour, render_sheet, write_places_page, write_sheet
 
 
 def trial_page(trial: PlaceTrial, tmp_path: Path) -> Page:

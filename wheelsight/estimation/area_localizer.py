@@ -24,7 +24,6 @@ from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFr
 from wheelsight.core.settings.fusion import AreaRectifierSettings
 from wheelsight.estimation.area_rectifier import AreaRectifier, PlaceMeter
 from wheelsight.estimation.filter import ErrorStateFilter
-from wheelsight.estimation.paper_rectifier import PaperRectifier
 from wheelsight.estimation.wheel_localizer import ByWheels
 from wheelsight.places import PlaceMatch, PlaceModel, Unknown
 from wheelsight.vision.tracking_state import Stopwatch
@@ -89,11 +88,13 @@ class ByPlaces:
         self.hears: tuple[type[Event], ...] = (*self._wheels.hears, RgbdFrame, SkippedFrame)
         self.last_place: PlaceMatch | None = None
         self._model, self._begin_s = places.model, places.begin_s
-        self._rectifier: _Rectifier = (
-            _ByPaper(places, settings.places)
-            if settings.places.rectify == "paper"
-            else _ByProbability(places, settings.fusion.areas)
-        )
+        self._rectifier: _Rectifier
+        if settings.places.rectify == "paper":
+            from wheelsight_papers.paper_rectifier import ByPaper
+
+            self._rectifier = ByPaper(places, settings.places)
+        else:
+            self._rectifier = _ByProbability(places, settings.fusion.areas)
         assert calibration.any_wheels is not None  # ByWheels has refused it
         self._max_gap_s = calibration.any_wheels.max_gap_s
         self._reading_s = -np.inf
@@ -195,27 +196,6 @@ class _ByProbability:
 
     def correct(self, stamp_s: float, match: PlaceMatch) -> Estimate:
         return self._inner.update(stamp_s, None if match.reason is Unknown.NO_DEPTH else match.probabilities)
-
-    def estimate(self, stamp_s: float) -> Estimate:
-        return self._inner.estimate(stamp_s)
-
-
-class _ByPaper:
-    def __init__(self, places: Places, settings: PlaceSettings) -> None:
-        assert settings.weights is not None  # resolved with the model
-        assert settings.odometry_term is not None
-        weights = settings.weights.as_weights()
-        self._inner = PaperRectifier(places.areas, places.T_odom_base, weights, settings.odometry_term)
-        self._has_begun = False
-
-    def predict(self, wheels: WheelEstimate) -> None:
-        step = wheels.step
-        if self._has_begun and step is not None:
-            self._inner.predict(step.T_before_now)
-        self._has_begun = True
-
-    def correct(self, stamp_s: float, match: PlaceMatch) -> Estimate:
-        return self._inner.update(stamp_s, match.area_index)
 
     def estimate(self, stamp_s: float) -> Estimate:
         return self._inner.estimate(stamp_s)

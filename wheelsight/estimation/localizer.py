@@ -13,7 +13,7 @@ import weakref
 from dataclasses import replace
 from functools import partial
 from types import TracebackType
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import cv2
 import numpy as np
@@ -35,7 +35,6 @@ from wheelsight.core.threads import OneCaller, Rows, ends, one_at_a_time
 from wheelsight.estimation.area_localizer import ByPlaces, Places, load_places
 from wheelsight.estimation.camera_localizer import ByFrames, CameraOdometry
 from wheelsight.estimation.fusion_localizer import ByFusion
-from wheelsight.estimation.ligocki import ByLigocki
 from wheelsight.estimation.loop_updates import LoopsBeside
 from wheelsight.estimation.odometry_choice import FRAMES, RATES, READINGS, OwnParts, choose_odometry, why_unused
 from wheelsight.estimation.wheel_localizer import ByWheels
@@ -47,6 +46,9 @@ from wheelsight.vision.dense import DEPTH_JUMP, halved_depth
 from wheelsight.vision.features import MatchedPixels
 from wheelsight.vision.visual_odometry import VisualOdometry
 from wheelsight.wheels import AnyWheelOdometry
+
+if TYPE_CHECKING:
+    from wheelsight_papers.ligocki import ByLigocki
 
 _LOG = logging.getLogger(__name__)
 _NUMBER = re.compile(r"\d[\d.,]*")
@@ -275,6 +277,8 @@ def _estimator(
 ) -> ByFrames | ByWheels | ByPlaces | ByFusion | ByLigocki:
     """Return the estimator that the configuration selects."""
     if settings.fusion.filter == "ligocki":
+        from wheelsight_papers.ligocki import ByLigocki
+
         return ByLigocki(calibration, settings, parts)
     has_model = settings.places.model is not None
     if settings.fusion.filter != "none":

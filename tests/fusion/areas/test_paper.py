@@ -11,15 +11,8 @@ from narrowing import not_none
 
 from wheelsight.core.errors import AreaError, ConfigError
 from wheelsight.core.geometry import se3
-from wheelsight.estimation import (
-    AxisWeights,
-    PaperRectifier,
-    TrainingDrive,
-    Weights,
-    coordinates_of,
-    fit_weights,
-    rectify_drive,
-)
+from wheelsight.estimation import AxisWeights, Weights
+from wheelsight_papers import PaperRectifier, TrainingDrive, coordinates_of, fit_weights, rectify_drive
 
 WEIGHTS = Weights(AxisWeights(0.5, 0.3, 0.2), AxisWeights(0.4, 0.6))
 TERMS: list[Literal["absolute", "increment"]] = ["absolute", "increment"]

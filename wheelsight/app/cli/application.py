@@ -14,7 +14,6 @@ from wheelsight.app.cli import (
     evaluate,
     info,
     maps,
-    places,
     record,
     run,
     serve,
@@ -30,6 +29,7 @@ from wheelsight.core.errors import WheelsightError
 from wheelsight.core.runtime import end_by_signals, exit_code, was_asked
 from wheelsight_batch.cli import batch
 from wheelsight_export.cli import export
+from wheelsight_papers.cli import places_app
 
 _LOG = logging.getLogger(__name__)
 
@@ -99,7 +99,7 @@ _COMMANDS: tuple[tuple[str, tuple[tuple[Any, str, str], ...]], ...] = (
         "Maps",
         (
             (maps.maps_app, "map", "A map of a run: info, name, export, merge, ..."),
-            (places.places_app, "places", "Areas of a building: label, train, test, predict"),
+            (places_app, "places", "Areas of a building: label, train, test, predict"),
         ),
     ),
     (

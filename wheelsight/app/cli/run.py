@@ -56,33 +56,19 @@ def run(options: RunOptions) -> None:
     [bold]Examples[/bold]
 
     wheelsight run sample --out first
-
     wheelsight run my_drive --map surfels --out results
-
     wheelsight run rgbd_dataset_freiburg1_desk --odometry features --out results
-
     wheelsight run my_recording --camera my_camera.yaml --config settings.yaml --out results --force
-
     wheelsight run my_recording --odometry wheels --calibration my_wheels.yaml --out results
-
     wheelsight run robot.bag --topic wheels=/odom --out results
-
     wheelsight run my_recording --odometry dense --out results
-
     wheelsight run my_recording --odometry wheels --places floor.places --out results
-
     wheelsight run my_recording --odometry wheels --loops matches --out results
-
     wheelsight run my_drive --realtime --out results
-
     wheelsight run my_drive --profile pi --out results
-
     wheelsight run --live --camera any --wheels /dev/ttyUSB0 --calibration robot.yaml --map surfels --out now
-
     wheelsight run monday --map surfels --loops keyframes --out monday_map
-
     wheelsight run my_drive --map surfels --rerun run.rrd --out results
-
     wheelsight run tuesday --map-from monday_map --out found_again
     """
     from wheelsight.app.run import default_odometry
@@ -408,7 +394,7 @@ def _results(records: Sequence[RunRecord]) -> Iterator[Group | Table | str]:
     """Recognition in a known map, figures, and results of loop closing."""
     from wheelsight.app.cli.console import facts_table, rows_table
     from wheelsight.app.cli.evaluate import evaluation_table
-    from wheelsight.app.report import error_rows
+    from wheelsight_papers.comparison import error_rows
 
     for known in (record.known_map for record in records if record.known_map is not None):
         yield f"{known.sentence}."
@@ -443,7 +429,7 @@ def _joint_table(records: Sequence[RunRecord]) -> Table:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from wheelsight.app.report import comparison_rows
+    from wheelsight_papers.comparison import comparison_rows
 
     head, rows = comparison_rows(records)
     missing = [f"{r.odometry} not evaluated: {r.evaluation_problem}" for r in records if r.evaluation is None]

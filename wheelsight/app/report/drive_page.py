@@ -12,7 +12,7 @@ from wheelsight._version import __version__
 from wheelsight.app.report import drawing, html
 from wheelsight.app.report import plotly as go
 from wheelsight.app.report.drawing import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, keep_shape
-from wheelsight.app.report.places_page import jpeg_uri
+from wheelsight.app.report.pictures import jpeg_uri
 from wheelsight.app.report.plotly import make_subplots
 from wheelsight.app.run import words
 from wheelsight.app.run.drive_record import DriveRecord

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 from wheelsight._version import __version__
@@ -12,6 +13,7 @@ from wheelsight.app.run import words
 from wheelsight.app.run.run_record import RunRecord
 from wheelsight.app.run.verdict import Finding, RunVerdict, notes, summarise, verdict_of_run
 from wheelsight.core.files import StrPath, settings_text
+from wheelsight.core.runtime import why_missing
 
 _BODIES = {
     "camera": "poses of the camera's optical frame (x right, y down, z forward)",
@@ -98,3 +100,23 @@ def settings(record: RunRecord) -> str:
     plain = json.loads(json.dumps(record.config, default=str))
     text = settings_text(plain) if plain else "none recorded"
     return html.section("settings", "Settings", "", html.folded("Show the settings of this run", text))
+
+
+def why_no_page() -> str | None:
+    """Why no page can be written: plotly is not installed. None if it is."""
+    return why_missing("plotly")
+
+
+def write_page(records: Sequence[RunRecord], path: StrPath) -> None:
+    """Write the page of one odometry, or that of several side by side.
+
+    Raises:
+        OutputError: it cannot be written.
+        ConfigError: plotly is not installed.
+    """
+    if len(records) == 1:
+        write_report(records[0], path)
+    else:
+        from wheelsight_papers.comparison import write_comparison
+
+        write_comparison(records, path)

@@ -218,3 +218,12 @@ def _lean(value: Any) -> Any:
             return value
         return {**value, "dtype": "f4", "bdata": base64.b64encode(narrow.tobytes()).decode("ascii")}
     return {name: _lean(part) for name, part in value.items()}
+
+
+_JPEG_QUALITY = 80
+
+
+def jpeg_uri(color: ByteArray) -> str:
+    """An image (H, W, 3) uint8, red green blue, as a JPEG in a data URI."""
+    _, jpeg = cv2.imencode(".jpg", color[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode("ascii")

@@ -19,7 +19,7 @@ from wheelsight.core.robots import EventSource
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.estimation import Places, load_places
 from wheelsight.io.recordings import Recording, express_for
-from wheelsight.places import PlaceModel, labels_on_the_way
+from wheelsight.places import PlaceModel
 
 _MAX_GAP_S = 0.5  # no interpolation between true poses that are further apart
 _AREAS = "areas.yaml"
@@ -112,6 +112,8 @@ def rectification_of(
     record = RectificationRecord(way, areas, looks, in_map, run.start)
     if truth is None or not len(truth) or not len(stamps_s):
         return record
+    from wheelsight_papers.dataset import labels_on_the_way
+
     true_areas = labels_on_the_way(areas, truth, stamps_s, _MAX_GAP_S)
     paths = [
         (path.at(stamps_s, _MAX_GAP_S)[:, :2, 3] if len(path) else np.full((len(stamps_s), 2), np.nan))

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from wheelsight.io.recordings import Recording
-    from wheelsight.places import Describer, LabelledDrive, LabelSource, PlaceModel, PlaceTrial
+    from wheelsight.places import Describer, PlaceModel
+    from wheelsight_papers.dataset import LabelledDrive, LabelSource
+    from wheelsight_papers.training import PlaceTrial
 
 _KERNELS = ("places",)
 
@@ -115,8 +117,8 @@ def label(
     wheelsight places label my_drive --labels my_drive-labels.csv --every 0.5 --out check.html
     """
     from wheelsight.app.cli.console import print_note
-    from wheelsight.app.report.places_page import write_sheet
-    from wheelsight.places import make_sheet
+    from wheelsight_papers.dataset import make_sheet
+    from wheelsight_papers.places_page import write_sheet
 
     check_out(out, force)
     opened = open_listed(recording, topic)
@@ -154,7 +156,8 @@ def train(
     """
     from wheelsight.app.cli.console import console
     from wheelsight.core.runtime import needed
-    from wheelsight.places import ForestSettings, describer_from, train_on_drives
+    from wheelsight.places import ForestSettings, describer_from
+    from wheelsight_papers.dataset import train_on_drives
 
     for library in ("sklearn", "skops"):  # refused before the long work
         needed(library)
@@ -192,9 +195,11 @@ def try_model(
     wheelsight places test floor.places my_drive --labels my_drive-labels.csv --json
     """
     from wheelsight.app.cli.console import console, print_json
-    from wheelsight.app.report.places_page import write_places_page
     from wheelsight.core.runtime import needed
-    from wheelsight.places import PlaceModel, frames_of, stamps_of, try_places
+    from wheelsight.places import PlaceModel
+    from wheelsight_papers.dataset import frames_of, stamps_of
+    from wheelsight_papers.places_page import write_places_page
+    from wheelsight_papers.training import try_places
 
     if out is not None:
         needed("plotly")
@@ -235,7 +240,9 @@ def predict(
     """
     from wheelsight.app.cli.console import percent, print_note
     from wheelsight.core.files import write_text
-    from wheelsight.places import PlaceModel, answer_all, frames_of, predictions_csv
+    from wheelsight.places import PlaceModel
+    from wheelsight_papers.dataset import frames_of
+    from wheelsight_papers.training import answer_all, predictions_csv
 
     check_out(out, force)
     known, opened = PlaceModel.load(model), open_listed(recording, topic)
@@ -268,7 +275,7 @@ def source_of(
     from wheelsight.core.errors import AreaError
     from wheelsight.core.trajectory import read_tum
     from wheelsight.io.recordings import express_for
-    from wheelsight.places import label_source, read_labels
+    from wheelsight_papers.dataset import label_source, read_labels
 
     file = None if labels is None else read_labels(labels)
     way = None
@@ -296,7 +303,7 @@ def open_labelled(
 ) -> tuple[list[Recording], list[LabelSource], tuple[str, ...]]:
     """Recordings, the sources of their labels, and the names of all areas that some frame shows."""
     from wheelsight.core.errors import ConfigError
-    from wheelsight.places import check_every_area, names_of_all, stamps_of
+    from wheelsight_papers.dataset import check_every_area, names_of_all, stamps_of
 
     if labels and len(labels) != len(folders):
         fix = "give --labels once for each recording, in their order, or not at all"
@@ -314,7 +321,7 @@ def described(
     recordings: Sequence[Recording], sources: Sequence[LabelSource], names: tuple[str, ...], describer: Describer
 ) -> list[LabelledDrive]:
     """The descriptors and labels of each recording."""
-    from wheelsight.places import describe_drive
+    from wheelsight_papers.dataset import describe_drive
 
     drives = []
     for recording, source in zip(recordings, sources, strict=True):
@@ -329,7 +336,7 @@ def described(
 def training_tables(model: PlaceModel, drives: Sequence[LabelledDrive]) -> Iterator[Table]:
     """Tables of a model: its areas and its figures."""
     from wheelsight.app.cli.console import facts_table, rows_table
-    from wheelsight.app.report.places_page import TRAINING_HEAD, training_facts, training_rows
+    from wheelsight_papers.places_page import TRAINING_HEAD, training_facts, training_rows
 
     held_out = "whole drives held out in turn"
     if len(drives) == 1:
@@ -342,8 +349,8 @@ def training_tables(model: PlaceModel, drives: Sequence[LabelledDrive]) -> Itera
 def trial_tables(trial: PlaceTrial, recording: str) -> Iterator[Table]:
     """Tables of a trial: accuracy of each area, confusions, calibration."""
     from wheelsight.app.cli.console import facts_table, rows_table
-    from wheelsight.app.report.places_page import AREA_HEAD, CURVE_HEAD, area_rows, confusion_rows, curve_rows
     from wheelsight.app.run import words
+    from wheelsight_papers.places_page import AREA_HEAD, CURVE_HEAD, area_rows, confusion_rows, curve_rows
 
     judged = words.count(int(trial.is_judged.sum()), "frame")
     yield rows_table(f"{recording}: {judged} with a true area", AREA_HEAD, area_rows(trial))

@@ -18,13 +18,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wheelsight.config import PlaceSettings
 from wheelsight.core.areas import AreaMap
 from wheelsight.core.checks import need_motion
 from wheelsight.core.errors import AreaError, ConfigError
-from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.estimates import Estimate, Status, WheelEstimate
 from wheelsight.core.geometry import FloatArray, IntArray
 from wheelsight.core.settings.fusion import AxisWeights, OdometryTerm, Weights
 from wheelsight.estimation import area_kernels as kernels
+from wheelsight.estimation.area_localizer import Places
+from wheelsight.places import PlaceMatch
 
 # Shares of weights in training. The last steps distinguish measurements that count for seconds and for minutes.
 _SHARES = np.concatenate([[0.0], np.geomspace(1e-4, 0.5, 25), 1 - np.geomspace(0.4, 1e-3, 8), [1.0]])
@@ -92,6 +95,32 @@ class PaperRectifier:
         T_odom_base = self._T_map_wheels.copy()
         T_odom_base[:2, 3] += self._rectified - self._odometry_at_frame
         return Estimate(stamp_s, Status.TRACKING, T_odom_base, body="base")
+
+
+class ByPaper:
+    """Corrects wheels by eq. 5 for `ByPlaces`, with the weights of the settings."""
+
+    def __init__(self, places: Places, settings: PlaceSettings) -> None:
+        assert settings.weights is not None  # resolved with the model
+        assert settings.odometry_term is not None
+        weights = settings.weights.as_weights()
+        self._inner = PaperRectifier(places.areas, places.T_odom_base, weights, settings.odometry_term)
+        self._has_begun = False
+
+    def predict(self, wheels: WheelEstimate) -> None:
+        """Predict by the next estimate of the wheels; the first one is the start."""
+        step = wheels.step
+        if self._has_begun and step is not None:
+            self._inner.predict(step.T_before_now)
+        self._has_begun = True
+
+    def correct(self, stamp_s: float, match: PlaceMatch) -> Estimate:
+        """Return the pose at a frame, corrected by its area."""
+        return self._inner.update(stamp_s, match.area_index)
+
+    def estimate(self, stamp_s: float) -> Estimate:
+        """Return the pose between frames."""
+        return self._inner.estimate(stamp_s)
 
 
 @dataclass(frozen=True, eq=False)

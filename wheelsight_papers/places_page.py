@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Sequence
 from html import escape
 from string import Template
 from typing import Any
 
-import cv2
 import numpy as np
 
 from wheelsight._version import __version__
 from wheelsight.app.report import drawing, html
 from wheelsight.app.report import plotly as go
 from wheelsight.app.report.drawing import BLUE, GREY, VERMILLION
+from wheelsight.app.report.pictures import jpeg_uri
 from wheelsight.app.run import words
 from wheelsight.core.files import StrPath
-from wheelsight.core.geometry import ByteArray
-from wheelsight.places import CalibrationCurve, LabelledDrive, PlaceModel, PlaceTrial
-from wheelsight.places.dataset import ContactSheet
+from wheelsight.places import PlaceModel
+from wheelsight_papers.dataset import ContactSheet, LabelledDrive
+from wheelsight_papers.training import CalibrationCurve, PlaceTrial
 
 # Shares of frames; with one wrong in ten, areas still rectify wheels.
 _GOOD, _FAIR = 0.9, 0.7
@@ -337,7 +336,6 @@ AREA_COLOURS = (
     "#C25B5B",
     "#7A869A",
 )
-_JPEG_QUALITY = 80
 
 
 def write_sheet(sheet: ContactSheet, path: StrPath, source: str = "") -> None:
@@ -396,9 +394,3 @@ def render_sheet(sheet: ContactSheet, source: str = "") -> str:
 def area_colour(index: int) -> str:
     """The colour of an area by its index; after twelve they begin again."""
     return AREA_COLOURS[index % len(AREA_COLOURS)]
-
-
-def jpeg_uri(color: ByteArray) -> str:
-    """An image (H, W, 3) uint8, red green blue, as a JPEG in a data URI."""
-    _, jpeg = cv2.imencode(".jpg", color[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    return "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode("ascii")

@@ -11,18 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from wheelsight._version import __version__
-from wheelsight.app.report import comparison_figures as figures
 from wheelsight.app.report import figures as joined_figures
 from wheelsight.app.report import html, sections
-from wheelsight.app.report.comparison_figures import (
-    Overlay,
-    area_map_figure,
-    area_time_figure,
-    map_error_figure,
-    overlay_of,
-    trust_figure,
-)
-from wheelsight.app.report.page import finished, settings, shown_findings, write_report
+from wheelsight.app.report.page import finished, settings, shown_findings
 from wheelsight.app.report.sections import files_section, loop_section, map_section, map_tile
 from wheelsight.app.run import words
 from wheelsight.app.run.run_record import RectificationRecord, RunRecord
@@ -44,7 +35,15 @@ from wheelsight.app.run.verdict import (
 )
 from wheelsight.core.estimates import Status
 from wheelsight.core.files import StrPath
-from wheelsight.core.runtime import why_missing
+from wheelsight_papers import comparison_figures as figures
+from wheelsight_papers.comparison_figures import (
+    Overlay,
+    area_map_figure,
+    area_time_figure,
+    map_error_figure,
+    overlay_of,
+    trust_figure,
+)
 
 _MOST_OF_THE_TIME = 0.95
 _STEPS = ("second", "metre")
@@ -250,27 +249,6 @@ def _errors(records: Sequence[RunRecord]) -> str:
     plot = html.plot("errors", figures.errors_figure(records), "Error over time", sentence, alt)
     all_errors = (html.fold(f"All errors of {r.odometry}", sections.error_table(r)) for r in evaluated)
     return html.section("errors", title, "", table, plot, *all_errors)
-
-
-# The page of any run
-
-
-def why_no_page() -> str | None:
-    """Why no page can be written: plotly is not installed. None if it is."""
-    return why_missing("plotly")
-
-
-def write_page(records: Sequence[RunRecord], path: StrPath) -> None:
-    """Write the page of one odometry, or that of several side by side.
-
-    Raises:
-        OutputError: it cannot be written.
-        ConfigError: plotly is not installed.
-    """
-    if len(records) == 1:
-        write_report(records[0], path)
-    else:
-        write_comparison(records, path)
 
 
 # Joined sensors

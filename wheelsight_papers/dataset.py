@@ -30,7 +30,7 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.recordings import Recording
 from wheelsight.places.describers import Describer
 from wheelsight.places.model import ForestSettings, PlaceModel
-from wheelsight.places.training import DescribedFrames, describe_all, train_places
+from wheelsight_papers.training import DescribedFrames, describe_all, train_places
 
 RANGES_HEADER = ("from_s", "to_s", "area")
 FRAMES_HEADER = ("stamp_s", "area")
