@@ -28,10 +28,10 @@ from wheelsight_sim import (
 )
 from wheelsight_sim.faults import CameraFault, Covered, FramesDropped, LateClock
 from wheelsight_sim.robot import NOMINAL_RADIUS_M, NOMINAL_TRACK_WIDTH_M, WheelSizeSettings, as_calibrated
-from wheelsight_sim.worlds.small_worlds import BLANK_M
 
 DURATION_S, RATE_HZ, SIZE = 45.0, 10.0, (320, 240)
 LONG_M = 200.0
+BLANK_M = (8.0, 36.0)  # along x: where the world `blank` shows nothing
 LIFT_S = 3.0
 PEOPLE = 4
 ICE_RADIUS_M = 0.8

@@ -58,7 +58,7 @@ def test_drives_of_a_plan_are_in_its_building_but_for_the_blank_corridor(tmp_pat
 @pytest.mark.slow
 def test_a_corridor_counts_as_blind_only_where_nothing_but_paint_is_in_reach() -> None:
     pytest.importorskip("mujoco")
-    from wheelsight_sim.worlds.small_worlds import BLANK_M
+    from benchmarks.joined_cases import BLANK_M
 
     recording = drive_of(Way.BLANK, 1)
     case = next(case for case in CASES if case.way is Way.BLANK)

@@ -12,7 +12,6 @@ from wheelsight.core.errors import ConfigError
 from wheelsight_sim.clearance import find_collision, footprints, obstacles
 from wheelsight_sim.world import World
 from wheelsight_sim.worlds import build_world, world_names
-from wheelsight_sim.worlds.small_worlds import BLANK_M
 
 WORLDS = {name: build_world(name) for name in ("floor4", "flat", "studio", "blank", "square")}
 EVERY_WORLD = pytest.mark.parametrize("name", WORLDS)
@@ -213,7 +212,7 @@ def test_doorways_of_floor4_let_a_camera_look_into_rooms() -> None:
 
 def test_the_blank_corridor_shows_nothing_for_25_m() -> None:
     world = WORLDS["blank"]
-    begin, end = BLANK_M
+    begin, end = WORLDS["blank"].areas.areas[1].polygon[:2, 0].tolist()
     assert end - begin >= 25
     yaw, pitch = np.meshgrid(np.radians(np.linspace(60, 120, 15)), np.radians(np.linspace(-30, 65, 20)))
     left = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], -1).reshape(-1, 3)

@@ -1,33 +1,36 @@
 """Worlds to drive in: a floor of a building, two homes, a blank corridor and a hall for UMBmark, as MJCF documents.
 A floor plan becomes a world, too.
+
+Each built-in world is a YAML file beside this one. Its `steps` are calls of methods of `Building`, in order, with their
+arguments; a mapping at the end of the arguments holds keywords.
 """
 
 from __future__ import annotations
 
+import math
 from difflib import get_close_matches
+from functools import cache
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from wheelsight.core.areas import Area
 from wheelsight.core.errors import ConfigError
+from wheelsight.core.inputs import read_yaml
 from wheelsight_sim.settings import FloorPlan
 from wheelsight_sim.world import World
-from wheelsight_sim.worlds.floor4 import build_floor4
+from wheelsight_sim.worlds.building import Building, Spot
 from wheelsight_sim.worlds.floor_plan import build_floor_plan
-from wheelsight_sim.worlds.small_worlds import build_blank, build_flat, build_square, build_studio
 
 __all__ = ["FloorPlan", "build_floor_plan", "build_world", "world_names"]
 
-_BUILDERS = {
-    "floor4": build_floor4,
-    "flat": build_flat,
-    "studio": build_studio,
-    "blank": build_blank,
-    "square": build_square,
-}
-_WITH_LEAVES = {"flat": build_flat}
+_NAMES = ("floor4", "flat", "studio", "blank", "square")
 
 
 def world_names() -> tuple[str, ...]:
     """What `build_world` knows."""
-    return tuple(_BUILDERS)
+    return _NAMES
 
 
 def build_world(name: str, seed: int = 0, day: int = 0, *, has_leaves: bool = False) -> World:
@@ -45,11 +48,44 @@ def build_world(name: str, seed: int = 0, day: int = 0, *, has_leaves: bool = Fa
     """
     if seed < 0:
         raise ConfigError(f"seed is {seed}", fix="a whole number from 0 on")
-    builder = _BUILDERS.get(name)
-    if builder is None:
-        near = get_close_matches(name, world_names(), n=1)
+    if name not in _NAMES:
+        near = get_close_matches(name, _NAMES, n=1)
         hint = f"did you mean {near[0]}? " if near else ""
-        raise ConfigError(f"there is no world {name}", fix=f"{hint}known: {', '.join(world_names())}")
-    if has_leaves and name in _WITH_LEAVES:
-        return _WITH_LEAVES[name](seed, day, has_leaves=True)
-    return builder(seed, day)
+        raise ConfigError(f"there is no world {name}", fix=f"{hint}known: {', '.join(_NAMES)}")
+    document, building = _document(name), Building(name, seed, day)
+    for step in document["steps"]:
+        for verb, arguments in step.items():
+            values = [_argument(building, value) for value in arguments]
+            more = values.pop() if isinstance(values[-1], dict) else {}
+            getattr(building, verb)(*values, **more)
+    for leaf in document.get("leaves", ()) if has_leaves else ():
+        hinge, width_m, turn_rad = tuple(leaf["hinge"]), leaf["width"], math.radians(leaf["opened_deg"])
+        middle = Spot(*hinge, math.radians(leaf["shut_deg"]) + turn_rad).offset(width_m / 2, 0.0)
+        building.leaf("leaf", "door_white", middle, width_m, hinge, -turn_rad)
+    areas = []
+    for area in document["areas"]:
+        (x_min, x_max), (y_min, y_max) = area["x"], area["y"]
+        polygon = np.array([(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)], float)
+        x_m, y_m = (sum(area[axis]) / 2 if axis in area["known"] else None for axis in "xy")
+        areas.append(Area(area["name"], polygon, x_m, y_m))
+    return building.world(document["description"], areas, document["route"], is_loop=document["is_loop"])
+
+
+@cache
+def _document(name: str) -> Any:
+    return read_yaml(Path(__file__).with_name(f"{name}.yaml"), ConfigError)
+
+
+def _argument(building: Building, value: Any) -> Any:
+    """An argument of a step: mappings stand for places and for what lies loosely, lists for tuples."""
+    if isinstance(value, list):
+        return tuple(_argument(building, inner) for inner in value)
+    if not isinstance(value, dict):
+        return value
+    if "loose" in value:
+        return value.get("near", 0.0) + building.loose(*value["loose"])
+    if "face" in value:
+        return building.faces[value["face"]].spot(value["at"], value.get("out", 0.0))
+    if "x" in value:
+        return Spot(*(_argument(building, value.get(name, 0.0)) for name in ("x", "y", "yaw")))
+    return value

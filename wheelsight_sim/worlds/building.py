@@ -1,5 +1,8 @@
-"""Building: collects what stands in a world, and writes it as one MJCF document. Holds the materials and the
-furniture that worlds are made of.
+"""Building: collects what stands in a world, and writes it as one MJCF document.
+
+Walls are drawn as lines with the free side on the left, as one walks round a room anticlockwise or round a core
+clockwise; what hangs on a wall is then placed by its distance along the wall. Boxes have their x axis along the
+wall, y out of it and z up. `materials.yaml` says how materials look.
 """
 
 from __future__ import annotations
@@ -9,20 +12,18 @@ import xml.etree.ElementTree as ET
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.core.areas import Area, AreaMap
+from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import FloatArray
+from wheelsight.core.inputs import read_yaml
 from wheelsight_sim.world import Leaf, Surface, World
-
-# Building: collects what stands in a world, and writes it as one MJCF document.
-#
-# Walls are drawn as lines with the free side on the left, as one walks round a room anticlockwise or round a core
-# clockwise; what hangs on a wall is then placed by its distance along the wall. Boxes have their x axis along the
-# wall, y out of it and z up.
-
 
 CEILING_M = 2.8
 WALL_THICKNESS_M = 0.2
@@ -31,11 +32,11 @@ _PANE_M = 0.03
 _COVERING_M = 0.003  # over the floor, so that no renderer takes one for the other
 _FLUSH_M = 0.001  # how far a wall ends short of a corner, so that no two faces lie in one plane
 _SQUARE_RAD = 0.05
+POSTERS = tuple(f"poster_{colour}" for colour in ("red", "blue", "green", "yellow", "dark"))
 _POSTER_SIZES_M = ((0.59, 0.84), (0.84, 1.19), (0.84, 0.59), (1.19, 0.84))
 
 
-@dataclass(frozen=True, slots=True)
-class Opening:
+class Opening(NamedTuple):
     """A hole in a wall: a doorway, or a window with a pane.
 
     Attributes:
@@ -75,8 +76,7 @@ class Face:
         return Spot(*self.start, self.yaw_rad).offset(at_m, out_m)
 
 
-@dataclass(frozen=True, slots=True)
-class _WallPart:
+class _WallPart(NamedTuple):
     """A part of a wall between two places along it; of a window's material where `pane` names one."""
 
     kind: str
@@ -172,14 +172,14 @@ class Building:
     def walls(
         self,
         corners: Sequence[tuple[float, float]],
-        edges: Sequence[tuple[str, str, Sequence[Opening]]],
+        edges: Sequence[Sequence[Any]],
         *,
         is_closed: bool = True,
         thickness_m: float = WALL_THICKNESS_M,
     ) -> None:
-        """Walls along `corners`, free on the left; an edge: (name, material, openings) up to the next corner."""
+        """Walls along `corners`, free on the left; an edge is (name, material, *openings) up to the next corner."""
         n = len(corners)
-        for k, (name, material, openings) in enumerate(edges):
+        for k, (name, material, *openings) in enumerate(edges):
             start, end = corners[k], corners[(k + 1) % n]
             grow = [0.0, 0.0]
             if is_closed or k > 0:
@@ -195,7 +195,7 @@ class Building:
         material: str,
         start: tuple[float, float],
         end: tuple[float, float],
-        openings: Sequence[Opening] = (),
+        openings: Sequence[Sequence[Any]] = (),
         thickness_m: float = 0.12,
     ) -> None:
         """A wall between two rooms, on both sides of its line; faces `name` (on the left) and `name`_back."""
@@ -292,6 +292,111 @@ class Building:
         half = (radius_m, radius_m, (top_m - bottom_m) / 2)
         self._add(name, "ellipsoid", material, centre, half, is_solid=True)
 
+    # Furniture from boxes and cylinders, each piece around a spot that it faces along y. A piece that stands at a wall
+    # takes `Face.spot(at_m)`: its back is at the wall and its front looks out of it.
+
+    def table(
+        self,
+        name: str,
+        spot: Spot,
+        size_m: tuple[float, float],
+        height_m: float = 0.74,
+        top: str = "wood_light",
+    ) -> None:
+        """A board between two sides, its middle at the spot."""
+        length, width = size_m
+        self.box(f"{name}_top", top, spot, size_m, height_m - 0.04, height_m)
+        for end in (-1, 1):
+            side = spot.offset(end * (length / 2 - 0.08), 0)
+            self.box(f"{name}_leg", "wood_dark", side, (0.05, width - 0.1), 0.0, height_m - 0.04)
+
+    def four_legged_table(self, name: str, spot: Spot, size_m: tuple[float, float], height_m: float) -> None:
+        """A board on four thin legs, its middle at the spot."""
+        length, width = size_m
+        self.box(f"{name}_top", "wood_light", spot, size_m, height_m - 0.04, height_m)
+        for forward in (-1, 1):
+            for left in (-1, 1):
+                leg = spot.offset(forward * (length / 2 - 0.06), left * (width / 2 - 0.06))
+                self.cylinder(f"{name}_leg", "steel", leg, 0.025, 0.0, height_m - 0.04)
+
+    def chair(self, name: str, spot: Spot, fabric: str = "fabric_blue") -> None:
+        """A seat on a foot, with its back behind it."""
+        self.box(f"{name}_seat", fabric, spot, (0.44, 0.42), 0.40, 0.47)
+        self.box(f"{name}_back", fabric, spot.offset(0, -0.20), (0.42, 0.04), 0.50, 0.88)
+        self.box(f"{name}_foot", "plastic_black", spot, (0.34, 0.34), 0.0, 0.40)
+
+    def shelf(
+        self,
+        name: str,
+        wall: Spot,
+        width_m: float,
+        height_m: float = 1.9,
+        depth_m: float = 0.3,
+        rows: int = 4,
+    ) -> None:
+        """Books on boards between two sides, at a wall."""
+        middle = wall.offset(0, depth_m / 2)
+        for side in (-1, 1):
+            self.box(
+                f"{name}_side", "wood_dark", middle.offset(side * (width_m - 0.03) / 2, 0), (0.03, depth_m), 0, height_m
+            )
+        pitch = height_m / rows
+        for row in range(rows):
+            self.box(f"{name}_board", "wood_dark", middle, (width_m - 0.06, depth_m), row * pitch, row * pitch + 0.04)
+            fill = self.rng.uniform(0.7, 0.95) * (width_m - 0.1)
+            shift = self.rng.uniform(-1, 1) * (width_m - 0.08 - fill) / 2
+            books = wall.offset(shift, depth_m * 0.42)
+            bottom, top = row * pitch + 0.04, (row + self.rng.uniform(0.68, 0.86)) * pitch
+            self.box(f"{name}_books", "books", books, (fill, depth_m * 0.8), bottom, top)
+
+    def sofa(self, name: str, wall: Spot, width_m: float = 2.0, fabric: str = "fabric_dark") -> None:
+        """Seat, back and two arms, at a wall."""
+        self.box(f"{name}_seat", fabric, wall.offset(0, 0.48), (width_m - 0.4, 0.80), 0.08, 0.44)
+        self.box(f"{name}_back", fabric, wall.offset(0, 0.13), (width_m - 0.4, 0.22), 0.44, 0.86)
+        for side in (-1, 1):
+            arm = wall.offset(side * (width_m / 2 - 0.1), 0.46)
+            self.box(f"{name}_arm", fabric, arm, (0.2, 0.88), 0.05, 0.62)
+
+    def bed(self, name: str, wall: Spot, width_m: float = 1.6) -> None:
+        """A mattress on its frame, the headboard at a wall."""
+        self.box(f"{name}_headboard", "wood_dark", wall.offset(0, 0.04), (width_m, 0.06), 0.0, 1.0)
+        self.box(f"{name}_frame", "wood_dark", wall.offset(0, 1.08), (width_m, 2.0), 0.06, 0.30)
+        self.box(f"{name}_mattress", "linen", wall.offset(0, 1.08), (width_m - 0.06, 1.96), 0.30, 0.52)
+        for side in (-1, 1):
+            pillow = wall.offset(side * width_m / 4, 0.36)
+            self.box(f"{name}_pillow", "fabric_beige", pillow, (0.6, 0.4), 0.52, 0.64)
+
+    def bench(self, name: str, wall: Spot, width_m: float = 1.5) -> None:
+        """A board on two feet, at a wall."""
+        self.box(f"{name}_board", "wood_light", wall.offset(0, 0.24), (width_m, 0.38), 0.40, 0.46)
+        for side in (-1, 1):
+            foot = wall.offset(side * (width_m / 2 - 0.15), 0.24)
+            self.box(f"{name}_foot", "steel", foot, (0.06, 0.34), 0.0, 0.40)
+
+    def desk(self, name: str, wall: Spot) -> None:
+        """A table at a wall with a screen on it, and a chair before it."""
+        self.table(name, wall.offset(0, 0.4), (1.5, 0.75))
+        self.box(f"{name}_screen", "screen", wall.offset(0.1, 0.25), (0.56, 0.04), 0.80, 1.14)
+        swivel = self.loose(-0.5, 0.5)
+        place = wall.offset(self.loose(-0.2, 0.2), 1.05)
+        self.chair(f"{name}_chair", Spot(place.x_m, place.y_m, place.yaw_rad + 3.1416 + swivel), "fabric_dark")
+
+    def plant(self, name: str, spot: Spot, height_m: float = 1.3) -> None:
+        """Leaves over a pot."""
+        self.cylinder(f"{name}_pot", "clay", spot, 0.19, 0.0, 0.40)
+        self.ellipsoid(f"{name}_leaves", "leaves", spot, 0.30, 0.38, height_m)
+
+    def bin_beside(self, face: str, begin_m: float, end_m: float) -> None:
+        """A waste bin at a wall, somewhere between two places along it, as the seed has it."""
+        spot = self.faces[face].spot(self.loose(begin_m, end_m), 0.2)
+        self.cylinder(f"bin_{face}", "plastic_grey", spot, 0.15, 0.0, 0.55)
+
+    def loose_chair(self, name: str, face: str, begin_m: float, end_m: float) -> None:
+        """A chair with its back to a wall, not quite straight, somewhere between two places along it."""
+        spot = self.faces[face].spot(self.loose(begin_m, end_m), 0.32)
+        fabric = ("fabric_red", "fabric_blue", "fabric_dark")[self.rng.integers(3)]
+        self.chair(name, Spot(spot.x_m, spot.y_m, spot.yaw_rad + self.loose(-0.25, 0.25)), fabric)
+
     @property
     def geom_count(self) -> int:
         """How many there are by now."""
@@ -315,12 +420,13 @@ class Building:
         self,
         face: Face,
         material: str,
-        openings: Sequence[Opening],
+        openings: Sequence[Sequence[Any]],
         out_m: float,
         thickness_m: float,
         grow_m: tuple[float, float],
     ) -> None:
-        for piece in _pieces(sorted(openings, key=lambda o: o.at_m), -grow_m[0], face.length_m + grow_m[1]):
+        holes = sorted((Opening(*opening) for opening in openings), key=lambda hole: hole.at_m)
+        for piece in _pieces(holes, -grow_m[0], face.length_m + grow_m[1]):
             aside_m, thick_m = (0.0, thickness_m) if piece.pane is None else (_PANE_M / 2 - thickness_m / 2, _PANE_M)
             spot = face.spot((piece.begin_m + piece.end_m) / 2, out_m + aside_m)
             size_m = (piece.end_m - piece.begin_m, thick_m)
@@ -399,211 +505,25 @@ def _numbers(values: Sequence[float]) -> str:
     return " ".join(f"{value:.6g}" for value in values)
 
 
-# The materials that worlds are made of: how each looks to the eye and to infrared light.
-#
-# Colours are reflectances. Infrared reflectances are those of ordinary stuff near 830 nm: paint and paper scatter
-# most of it, dark dyed cloth and wood less, black plastic, rubber and glass hardly any.
-
-
-_WALLS = {
-    "plaster_white": Surface("plaster", (0.80, 0.79, 0.76), (0.70, 0.69, 0.66), 0.6, 0.25, 0.80),
-    "plaster_cream": Surface("plaster", (0.80, 0.74, 0.61), (0.70, 0.64, 0.52), 0.6, 0.30, 0.76),
-    "plaster_grey": Surface("plaster", (0.63, 0.65, 0.66), (0.53, 0.55, 0.57), 0.8, 0.30, 0.68),
-    "plaster_sage": Surface("plaster", (0.60, 0.66, 0.57), (0.50, 0.57, 0.48), 0.7, 0.30, 0.70),
-    "paint_plain": Surface("plain", (0.78, 0.77, 0.74), (0.78, 0.77, 0.74), 1.0, 0.0, 0.78),
-    "panelling": Surface("wood", (0.50, 0.35, 0.22), (0.34, 0.22, 0.13), 0.16, 0.55, 0.55, 0.08),
-    "brick_tiles": Surface("tiles", (0.62, 0.36, 0.28), (0.72, 0.68, 0.62), 0.20, 0.60, 0.52),
-    "wall_tiles": Surface("tiles", (0.82, 0.84, 0.84), (0.58, 0.60, 0.62), 0.15, 0.60, 0.72, 0.25),
-}
-_CEILINGS = {
-    "ceiling_panels": Surface("ceiling", (0.84, 0.84, 0.82), (0.56, 0.56, 0.55), 0.60, 0.50, 0.82),
-    "ceiling_plain": Surface("plain", (0.84, 0.84, 0.82), (0.84, 0.84, 0.82), 1.0, 0.0, 0.82),
-    "lamp": Surface("plain", (0.97, 0.97, 0.93), (0.90, 0.90, 0.86), 1.2, 0.1, 0.85, 0.05, glow=5.0),
-}
-_FLOORS = {
-    "tiles_grey": Surface("tiles", (0.52, 0.51, 0.49), (0.34, 0.34, 0.33), 0.40, 0.55, 0.50, 0.20),
-    "tiles_light": Surface("tiles", (0.70, 0.66, 0.58), (0.46, 0.43, 0.38), 0.60, 0.55, 0.62, 0.30),
-    "tiles_dark": Surface("tiles", (0.30, 0.31, 0.33), (0.50, 0.50, 0.50), 0.30, 0.55, 0.30, 0.25),
-    "carpet_blue": Surface("carpet", (0.20, 0.27, 0.40), (0.46, 0.52, 0.62), 0.05, 0.60, 0.36),
-    "carpet_brown": Surface("carpet", (0.38, 0.30, 0.24), (0.64, 0.56, 0.47), 0.05, 0.60, 0.42),
-    "carpet_grey": Surface("carpet", (0.36, 0.36, 0.37), (0.62, 0.62, 0.62), 0.05, 0.60, 0.38),
-    "carpet_red": Surface("carpet", (0.48, 0.17, 0.15), (0.78, 0.64, 0.42), 0.30, 0.70, 0.45),
-    "parquet": Surface("wood", (0.62, 0.45, 0.28), (0.42, 0.28, 0.16), 0.12, 0.55, 0.58, 0.12),
-    "screed_plain": Surface("plain", (0.58, 0.57, 0.55), (0.58, 0.57, 0.55), 1.0, 0.0, 0.55),
-}
-_DOORS = {
-    "door_oak": Surface("door", (0.56, 0.40, 0.24), (0.32, 0.22, 0.13), 0.95, 0.60, 0.55, 0.08),
-    "door_white": Surface("door", (0.82, 0.82, 0.80), (0.45, 0.45, 0.46), 0.95, 0.50, 0.78, 0.08),
-    "door_blue": Surface("door", (0.22, 0.34, 0.50), (0.72, 0.73, 0.74), 0.95, 0.60, 0.50, 0.10),
-    "door_fire": Surface("door", (0.42, 0.43, 0.45), (0.75, 0.62, 0.20), 1.00, 0.60, 0.42, 0.12),
-    "door_lift": Surface("door", (0.62, 0.63, 0.64), (0.30, 0.31, 0.32), 1.10, 0.45, 0.48, 0.60),
-}
-_PAPER = {
-    "poster_red": Surface("poster", (0.85, 0.82, 0.76), (0.68, 0.14, 0.12), 0.60, 0.90, 0.70, 0.10),
-    "poster_blue": Surface("poster", (0.80, 0.83, 0.86), (0.10, 0.24, 0.55), 0.60, 0.90, 0.70, 0.10),
-    "poster_green": Surface("poster", (0.80, 0.84, 0.74), (0.10, 0.42, 0.20), 0.60, 0.90, 0.68, 0.10),
-    "poster_yellow": Surface("poster", (0.88, 0.74, 0.28), (0.16, 0.16, 0.18), 0.60, 0.90, 0.66, 0.10),
-    "poster_dark": Surface("poster", (0.14, 0.15, 0.20), (0.84, 0.82, 0.74), 0.60, 0.90, 0.30, 0.12),
-    "notice_cork": Surface("notice_board", (0.60, 0.43, 0.27), (0.88, 0.87, 0.82), 0.22, 0.90, 0.58),
-    "notice_felt": Surface("notice_board", (0.20, 0.36, 0.32), (0.88, 0.86, 0.80), 0.22, 0.90, 0.40),
-    "sign": Surface("poster", (0.14, 0.44, 0.30), (0.92, 0.92, 0.90), 0.35, 0.90, 0.60, 0.10),
-    "books": Surface("books", (0.46, 0.24, 0.20), (0.84, 0.76, 0.60), 0.06, 0.90, 0.50),
-}
-_THINGS = {
-    "wood_light": Surface("wood", (0.70, 0.55, 0.36), (0.50, 0.37, 0.22), 0.14, 0.45, 0.60, 0.08),
-    "wood_dark": Surface("wood", (0.36, 0.24, 0.16), (0.22, 0.14, 0.09), 0.14, 0.50, 0.40, 0.10),
-    "white_board": Surface("plain", (0.90, 0.90, 0.90), (0.70, 0.70, 0.70), 0.6, 0.1, 0.80, 0.25),
-    "steel": Surface("plain", (0.60, 0.61, 0.62), (0.45, 0.46, 0.47), 0.5, 0.2, 0.45, 0.55),
-    "radiator": Surface("tiles", (0.86, 0.86, 0.84), (0.55, 0.55, 0.54), 0.06, 0.60, 0.75, 0.10),
-    "locker": Surface("door", (0.40, 0.50, 0.56), (0.22, 0.27, 0.30), 0.40, 0.60, 0.45, 0.15),
-    "machine": Surface("poster", (0.66, 0.12, 0.12), (0.92, 0.90, 0.86), 0.90, 0.90, 0.40, 0.25),
-    "plastic_black": Surface("plain", (0.06, 0.06, 0.07), (0.12, 0.12, 0.12), 0.3, 0.3, 0.06, 0.15),
-    "plastic_grey": Surface("plain", (0.42, 0.43, 0.45), (0.30, 0.31, 0.33), 0.3, 0.3, 0.38, 0.10),
-    "screen": Surface("plain", (0.04, 0.04, 0.05), (0.08, 0.08, 0.09), 1.0, 0.1, 0.05, 0.60),
-    "glass": Surface("plain", (0.70, 0.79, 0.85), (0.74, 0.82, 0.87), 1.0, 0.2, 0.04, 0.85),
-    "fabric_dark": Surface("fabric", (0.10, 0.11, 0.14), (0.17, 0.18, 0.22), 0.03, 0.50, 0.07),
-    "fabric_red": Surface("fabric", (0.55, 0.16, 0.15), (0.68, 0.30, 0.26), 0.03, 0.50, 0.48),
-    "fabric_blue": Surface("fabric", (0.22, 0.34, 0.55), (0.36, 0.48, 0.66), 0.03, 0.50, 0.44),
-    "fabric_beige": Surface("fabric", (0.68, 0.60, 0.48), (0.56, 0.48, 0.38), 0.04, 0.50, 0.60),
-    "linen": Surface("fabric", (0.84, 0.84, 0.88), (0.44, 0.54, 0.72), 0.12, 0.60, 0.75),
-    "leaves": Surface("fabric", (0.16, 0.36, 0.14), (0.32, 0.52, 0.22), 0.08, 0.90, 0.55),
-    "clay": Surface("plain", (0.62, 0.36, 0.25), (0.52, 0.30, 0.20), 0.2, 0.3, 0.50),
-    "concrete": Surface("plaster", (0.56, 0.55, 0.53), (0.44, 0.43, 0.42), 0.3, 0.55, 0.50),
-}
-PALETTE = {**_WALLS, **_CEILINGS, **_FLOORS, **_DOORS, **_PAPER, **_THINGS}
-POSTERS = tuple(name for name in _PAPER if name.startswith("poster_"))
-
-_TINT = 0.05
-_BLANK = 0.0  # contrast of what must show nothing, by any seed the same
+@cache
+def palette() -> dict[str, Surface]:
+    """The surface of each material."""
+    rows = read_yaml(Path(__file__).with_name("materials.yaml"), ConfigError)
+    return {
+        name: Surface(kind, (rgb[0], rgb[1], rgb[2]), (accent[0], accent[1], accent[2]), *numbers)
+        for name, (kind, rgb, accent, *numbers) in rows.items()
+    }
 
 
 def painted(name: str, seed: int) -> Surface:
     """The material `name` of the palette as it came out of its tin for `seed`: colours a few percent off."""
-    surface = PALETTE[name]
-    if surface.contrast == _BLANK:
+    surface = palette()[name]
+    if surface.contrast == 0.0:  # what must show nothing, by any seed the same
         return surface
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-    light, tints = rng.uniform(-_TINT, _TINT), rng.uniform(-_TINT / 2, _TINT / 2, 3)
+    light, tints = rng.uniform(-0.05, 0.05), rng.uniform(-0.025, 0.025, 3)
     factors = 1 + light + tints
     r, g, b = (
         round(float(min(channel * factor, 1.0)), 4) for channel, factor in zip(surface.rgb, factors, strict=True)
     )
     return replace(surface, rgb=(r, g, b))
-
-
-# Furniture: tables, chairs, shelves and the like, from boxes and cylinders, each around a spot that it faces along y.
-#
-# A piece that stands at a wall takes `Face.spot(at_m)`: its back is at the wall and its front looks out of it.
-
-
-def table(
-    building: Building,
-    name: str,
-    spot: Spot,
-    size_m: tuple[float, float],
-    height_m: float = 0.74,
-    top: str = "wood_light",
-) -> None:
-    """A board between two sides, its middle at the spot."""
-    length, width = size_m
-    building.box(f"{name}_top", top, spot, size_m, height_m - 0.04, height_m)
-    for end in (-1, 1):
-        side = spot.offset(end * (length / 2 - 0.08), 0)
-        building.box(f"{name}_leg", "wood_dark", side, (0.05, width - 0.1), 0.0, height_m - 0.04)
-
-
-def four_legged_table(building: Building, name: str, spot: Spot, size_m: tuple[float, float], height_m: float) -> None:
-    """A board on four thin legs, its middle at the spot."""
-    length, width = size_m
-    building.box(f"{name}_top", "wood_light", spot, size_m, height_m - 0.04, height_m)
-    for forward in (-1, 1):
-        for left in (-1, 1):
-            leg = spot.offset(forward * (length / 2 - 0.06), left * (width / 2 - 0.06))
-            building.cylinder(f"{name}_leg", "steel", leg, 0.025, 0.0, height_m - 0.04)
-
-
-def chair(building: Building, name: str, spot: Spot, fabric: str = "fabric_blue") -> None:
-    """A seat on a foot, with its back behind it."""
-    building.box(f"{name}_seat", fabric, spot, (0.44, 0.42), 0.40, 0.47)
-    building.box(f"{name}_back", fabric, spot.offset(0, -0.20), (0.42, 0.04), 0.50, 0.88)
-    building.box(f"{name}_foot", "plastic_black", spot, (0.34, 0.34), 0.0, 0.40)
-
-
-def shelf(
-    building: Building,
-    name: str,
-    wall: Spot,
-    width_m: float,
-    height_m: float = 1.9,
-    depth_m: float = 0.3,
-    rows: int = 4,
-) -> None:
-    """Books on boards between two sides, at a wall."""
-    middle = wall.offset(0, depth_m / 2)
-    for side in (-1, 1):
-        building.box(
-            f"{name}_side", "wood_dark", middle.offset(side * (width_m - 0.03) / 2, 0), (0.03, depth_m), 0, height_m
-        )
-    pitch = height_m / rows
-    for row in range(rows):
-        building.box(f"{name}_board", "wood_dark", middle, (width_m - 0.06, depth_m), row * pitch, row * pitch + 0.04)
-        fill = building.rng.uniform(0.7, 0.95) * (width_m - 0.1)
-        shift = building.rng.uniform(-1, 1) * (width_m - 0.08 - fill) / 2
-        books = wall.offset(shift, depth_m * 0.42)
-        bottom, top = row * pitch + 0.04, (row + building.rng.uniform(0.68, 0.86)) * pitch
-        building.box(f"{name}_books", "books", books, (fill, depth_m * 0.8), bottom, top)
-
-
-def sofa(building: Building, name: str, wall: Spot, width_m: float = 2.0, fabric: str = "fabric_dark") -> None:
-    """Seat, back and two arms, at a wall."""
-    building.box(f"{name}_seat", fabric, wall.offset(0, 0.48), (width_m - 0.4, 0.80), 0.08, 0.44)
-    building.box(f"{name}_back", fabric, wall.offset(0, 0.13), (width_m - 0.4, 0.22), 0.44, 0.86)
-    for side in (-1, 1):
-        arm = wall.offset(side * (width_m / 2 - 0.1), 0.46)
-        building.box(f"{name}_arm", fabric, arm, (0.2, 0.88), 0.05, 0.62)
-
-
-def bed(building: Building, name: str, wall: Spot, width_m: float = 1.6) -> None:
-    """A mattress on its frame, the headboard at a wall."""
-    building.box(f"{name}_headboard", "wood_dark", wall.offset(0, 0.04), (width_m, 0.06), 0.0, 1.0)
-    building.box(f"{name}_frame", "wood_dark", wall.offset(0, 1.08), (width_m, 2.0), 0.06, 0.30)
-    building.box(f"{name}_mattress", "linen", wall.offset(0, 1.08), (width_m - 0.06, 1.96), 0.30, 0.52)
-    for side in (-1, 1):
-        pillow = wall.offset(side * width_m / 4, 0.36)
-        building.box(f"{name}_pillow", "fabric_beige", pillow, (0.6, 0.4), 0.52, 0.64)
-
-
-def bench(building: Building, name: str, wall: Spot, width_m: float = 1.5) -> None:
-    """A board on two feet, at a wall."""
-    building.box(f"{name}_board", "wood_light", wall.offset(0, 0.24), (width_m, 0.38), 0.40, 0.46)
-    for side in (-1, 1):
-        foot = wall.offset(side * (width_m / 2 - 0.15), 0.24)
-        building.box(f"{name}_foot", "steel", foot, (0.06, 0.34), 0.0, 0.40)
-
-
-def desk(building: Building, name: str, wall: Spot) -> None:
-    """A table at a wall with a screen on it, and a chair before it."""
-    table(building, name, wall.offset(0, 0.4), (1.5, 0.75))
-    building.box(f"{name}_screen", "screen", wall.offset(0.1, 0.25), (0.56, 0.04), 0.80, 1.14)
-    swivel = building.loose(-0.5, 0.5)
-    place = wall.offset(building.loose(-0.2, 0.2), 1.05)
-    chair(building, f"{name}_chair", Spot(place.x_m, place.y_m, place.yaw_rad + 3.1416 + swivel), "fabric_dark")
-
-
-def plant(building: Building, name: str, spot: Spot, height_m: float = 1.3) -> None:
-    """Leaves over a pot."""
-    building.cylinder(f"{name}_pot", "clay", spot, 0.19, 0.0, 0.40)
-    building.ellipsoid(f"{name}_leaves", "leaves", spot, 0.30, 0.38, height_m)
-
-
-def bin_beside(building: Building, face: str, begin_m: float, end_m: float) -> None:
-    """A waste bin at a wall, somewhere between two places along it, as the seed has it."""
-    spot = building.faces[face].spot(building.loose(begin_m, end_m), 0.2)
-    building.cylinder(f"bin_{face}", "plastic_grey", spot, 0.15, 0.0, 0.55)
-
-
-def loose_chair(building: Building, name: str, face: str, begin_m: float, end_m: float) -> None:
-    """A chair with its back to a wall, not quite straight, somewhere between two places along it."""
-    spot = building.faces[face].spot(building.loose(begin_m, end_m), 0.32)
-    fabric = ("fabric_red", "fabric_blue", "fabric_dark")[building.rng.integers(3)]
-    chair(building, name, Spot(spot.x_m, spot.y_m, spot.yaw_rad + building.loose(-0.25, 0.25)), fabric)

@@ -25,15 +25,6 @@ from wheelsight_sim.worlds.building import (
     Building,
     Face,
     Spot,
-    bed,
-    bench,
-    chair,
-    desk,
-    four_legged_table,
-    plant,
-    shelf,
-    sofa,
-    table,
 )
 from wheelsight_sim.worlds.floor_plan_rooms import Doorway, FreeSpace, Rooms, find_rooms, free_space_of, read_room_areas
 from wheelsight_sim.worlds.floor_plan_route import SIDE_MARGIN_M, Body, Wishes, plan_route, swept_by
@@ -193,7 +184,7 @@ def _walls(
     lengths = np.maximum(np.hypot(*ahead.T), 1e-9)
     left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1) / lengths[:, None]
     inside = rooms.room_at(space, (corners + after) / 2 + _INSIDE_M * left).tolist()
-    edges = [(f"{name}_{k}", looks.front(room, float(lengths[k])), ()) for k, room in enumerate(inside)]
+    edges = [(f"{name}_{k}", looks.front(room, float(lengths[k]))) for k, room in enumerate(inside)]
     building.walls([(float(x), float(y)) for x, y in corners], edges, thickness_m=SHELL_M)
     return [edge[0] for edge in edges]
 
@@ -370,11 +361,11 @@ def _chair(building: Building, name: str, wall: Spot) -> None:
     spot = wall.offset(0, 0.33)
     turn = building.loose(-0.25, 0.25)
     fabric = _FABRICS[building.rng.integers(len(_FABRICS))]
-    chair(building, name, Spot(spot.x_m, spot.y_m, spot.yaw_rad + turn), fabric)
+    building.chair(name, Spot(spot.x_m, spot.y_m, spot.yaw_rad + turn), fabric)
 
 
 def _plant(building: Building, name: str, wall: Spot) -> None:
-    plant(building, name, wall.offset(0, 0.35), building.rng.uniform(1.0, 1.6))
+    building.plant(name, wall.offset(0, 0.35), building.rng.uniform(1.0, 1.6))
 
 
 def _copier(building: Building, name: str, wall: Spot) -> None:
@@ -387,17 +378,17 @@ def _machine(building: Building, name: str, wall: Spot) -> None:
 
 
 _KINDS = {
-    "shelf": _Furniture(1.4, 0.34, 1.95, (0.14, 0.04), lambda b, n, s: shelf(b, n, s, 1.3, rows=3)),
-    "desk": _Furniture(1.6, 1.35, 1.2, (0.18, 0.0), desk),
+    "shelf": _Furniture(1.4, 0.34, 1.95, (0.14, 0.04), lambda b, n, s: b.shelf(n, s, 1.3, rows=3)),
+    "desk": _Furniture(1.6, 1.35, 1.2, (0.18, 0.0), Building.desk),
     "cupboard": _Furniture(1.2, 0.48, 1.95, (0.16, 0.14), _cupboard),
     "radiator": _Furniture(1.3, 0.14, 0.8, (0.10, 0.18), _radiator),
     "bin": _Furniture(0.4, 0.4, 0.6, (0.08, 0.14), _bin),
     "chair": _Furniture(0.6, 0.7, 0.9, (0.10, 0.14), _chair),
     "plant": _Furniture(0.7, 0.7, 1.6, (0.08, 0.10), _plant),
-    "sofa": _Furniture(2.1, 0.95, 0.9, (0.06, 0.02), sofa),
-    "bed": _Furniture(1.7, 2.15, 1.05, (0.02, 0.0), bed),
-    "bench": _Furniture(1.6, 0.46, 0.5, (0.02, 0.12), bench),
-    "table": _Furniture(1.5, 0.8, 0.8, (0.06, 0.02), lambda b, n, s: table(b, n, s.offset(0, 0.42), (1.4, 0.7))),
+    "sofa": _Furniture(2.1, 0.95, 0.9, (0.06, 0.02), Building.sofa),
+    "bed": _Furniture(1.7, 2.15, 1.05, (0.02, 0.0), Building.bed),
+    "bench": _Furniture(1.6, 0.46, 0.5, (0.02, 0.12), Building.bench),
+    "table": _Furniture(1.5, 0.8, 0.8, (0.06, 0.02), lambda b, n, s: b.table(n, s.offset(0, 0.42), (1.4, 0.7))),
     "copier": _Furniture(1.2, 0.75, 1.15, (0.0, 0.06), _copier),
     "machine": _Furniture(1.05, 0.85, 1.9, (0.0, 0.04), _machine),
 }
@@ -460,11 +451,11 @@ class Dresser:
                 continue
             name, spot = self._name("group"), Spot(x_m, y_m, yaw_rad)
             with self._unless_left_out(room):
-                four_legged_table(self._building, name, spot, (1.4, 0.8), 0.74)
+                self._building.four_legged_table(name, spot, (1.4, 0.8), 0.74)
                 for side, turn in ((-1, 0.0), (1, np.pi)):
                     place = spot.offset(self._building.loose(-0.3, 0.3), side * 0.68)
                     turned = Spot(place.x_m, place.y_m, yaw_rad + turn + self._building.loose(-0.3, 0.3))
-                    chair(self._building, f"{name}_chair", turned, _FABRICS[rng.integers(len(_FABRICS))])
+                    self._building.chair(f"{name}_chair", turned, _FABRICS[rng.integers(len(_FABRICS))])
 
     def table_places(self, count: int) -> list[tuple[float, float]]:
         """Places (x, y) for tables, by seed, where there is room for one; the floor decides how many."""
