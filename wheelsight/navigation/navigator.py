@@ -392,13 +392,12 @@ class Navigator(OneCaller):
             self._planning.ask(task.goals, now_s)
         if self._planning.is_asked or now_s - task.planned_s < _REPLAN_S:
             return True
-        look = self._planning.look(plan, task.T_map_odom, now_s)
-        if not look.is_free:
+        task.replan_reason, is_free = self._planning.look(plan, task.T_map_odom, now_s)
+        if not is_free:
             self._planning.ask(task.goals, now_s)
-        elif look.why:
+        elif task.replan_reason:
             task.wants_replan, task.checked_s = True, -math.inf
-        task.replan_reason = look.why
-        return look.is_free
+        return is_free
 
     def _follow(self, task: NavigationTask, result: ControlResult, now_s: float) -> VelocityCommand:
         """Act on the result of the controller."""

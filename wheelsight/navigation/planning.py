@@ -50,19 +50,6 @@ class Planned:
     passes_hidden: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class PlanCheck:
-    """Result of a check of the plan that is driven.
-
-    Attributes:
-        why: why another plan is needed; empty if none is.
-        is_free: whether the part that is driven until then is free.
-    """
-
-    why: str
-    is_free: bool
-
-
 class Planning:
     """Computes the plans of one robot in a worker.
 
@@ -136,27 +123,30 @@ class Planning:
         """Drop the request."""
         self._worker.drop()
 
-    def look(self, plan: Plan, T_map_odom: FloatArray, now_s: float) -> PlanCheck:
+    def look(self, plan: Plan, T_map_odom: FloatArray, now_s: float) -> tuple[str, bool]:
         """Check the next metres of a plan. A blocked place is recorded, so that later plans avoid it if they can.
 
         Args:
             T_map_odom: (3,) x, y, yaw of `odom` in `map` at its request.
+
+        Returns:
+            Why another plan is needed, empty if none is, and whether the part that is driven until then is free.
         """
         where = self._senses.where
         assert where.odom_pose is not None
         now, then = (se2.from_parts(*T) @ se2.from_parts(*where.odom_pose) for T in (where.T_map_odom, T_map_odom))
         x, y, turn = se2.to_parts(se2.invert(then) @ now)
         if np.hypot(x, y) > _JUMP_M or abs(turn) > _JUMP_RAD:
-            return PlanCheck("the map has moved below it", self.is_free(plan, ONWARD_M))
+            return "the map has moved below it", self.is_free(plan, ONWARD_M)
         blocked = self._blocked_at(plan, CHECK_M)
         if blocked is not None:
             self._blocked = self._blocked.with_place(blocked[:2], now_s)
             is_free = self._is_far(plan, blocked) and self._blind_at(plan, ONWARD_M) is None
-            return PlanCheck("something is in the way", is_free)
+            return "something is in the way", is_free
         blind = self._blind_at(plan, CHECK_M)
         if blind is not None:
-            return PlanCheck("its camera will not have looked at the floor there", self._is_far(plan, blind))
-        return PlanCheck("", is_free=True)
+            return "its camera will not have looked at the floor there", self._is_far(plan, blind)
+        return "", True
 
     def is_free(self, plan: Plan, reach_m: float) -> bool:
         """Return whether no standing obstacle or unseen floor lies on the next `reach_m` metres of a plan."""

@@ -90,21 +90,6 @@ class LoopReport:
         return dict(Counter(str(one.refusal) for one in self.decisions if one.refusal is not None))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Hypothesis:
-    """A set of loops to use.
-
-    Attributes:
-        own: cluster without a vote on this hypothesis, or -1.
-        kept: (L,) the loops to use.
-        T_start: (N, 4, 4) initial poses of the optimisation.
-    """
-
-    own: int
-    kept: BoolArray
-    T_start: FloatArray
-
-
 class LoopCloser:
     """Decides which loops a pose graph keeps.
 
@@ -178,13 +163,13 @@ class LoopCloser:
         self._settle()
         T_now, kept_now = self.graph.poses, np.array(self._kept, bool)
         best, gain = (T_now, kept_now), _LEAST_GAIN
-        for one in self._hypotheses(kept_now, T_start):
-            self._keep(one.kept)
-            self.graph.optimise(one.T_start)
+        for own, kept, T_begin in self._hypotheses(kept_now, T_start):
+            self._keep(kept)
+            self.graph.optimise(T_begin)
             T = self.graph.poses
-            found = self._cost(T_now, one.own) - self._cost(T, one.own)
+            found = self._cost(T_now, own) - self._cost(T, own)
             if found > gain:
-                best, gain = (T, one.kept), found
+                best, gain = (T, kept), found
         has_won = best[0] is not T_now
         self._keep(best[1])
         self.graph.optimise(best[0])
@@ -193,9 +178,12 @@ class LoopCloser:
             self._settle()
         return has_won
 
-    def _hypotheses(self, kept: BoolArray, T: FloatArray) -> Iterator[_Hypothesis]:
-        """Yield all loops, and each of the largest refused clusters, as alternatives to the kept loops (L,)."""
-        yield _Hypothesis(-1, np.ones(len(kept), bool), T)
+    def _hypotheses(self, kept: BoolArray, T: FloatArray) -> Iterator[tuple[int, BoolArray, FloatArray]]:
+        """Yield alternatives to the kept loops (L,): all loops, and each of the largest refused clusters.
+
+        Each is the cluster without a vote on it, or -1; the loops (L,) to use; and initial poses (N, 4, 4).
+        """
+        yield -1, np.ones(len(kept), bool), T
         if kept.all():
             return
         numbers, counts = np.unique(self._clusters[~kept], return_counts=True)
@@ -207,12 +195,12 @@ class LoopCloser:
             ends = np.sort(np.column_stack([piece[first], piece[second]]), axis=1)
             older, newer = ends[np.flatnonzero(cluster)[0]]
             if older == newer:  # odometry connects both ends of the cluster
-                yield _Hypothesis(int(number), kept | cluster, T)
+                yield int(number), kept | cluster, T
                 continue
             # The cluster replaces the kept loops between two pieces.
             alternatives = kept & (ends == (older, newer)).all(axis=1)
             middle = self._loops[np.flatnonzero(cluster)[np.count_nonzero(cluster) // 2]]
-            yield _Hypothesis(-1, (kept & ~alternatives) | cluster, aligned_by(middle, piece == newer, T))
+            yield -1, (kept & ~alternatives) | cluster, aligned_by(middle, piece == newer, T)
 
     def _cost(self, T: FloatArray, own: int) -> float:
         """Return the negative log-likelihood of odometry and all loops at poses (N, 4, 4), except of cluster `own`."""
