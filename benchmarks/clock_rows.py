@@ -8,21 +8,20 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from wheelsight.core.calibration import Calibration
-from wheelsight.core.messages import Event, WheelTicks
-from wheelsight.io.recordings import Recording, open_recording
-from wheelsight_sim import SimulationSettings, simulate, write_simulation
-from wheelsight_sim.faults import (
-    CameraFault,
+from benchmarks.clock_faults import (
     ClockFault,
     ClockLeaps,
     ColorLate,
-    LowRate,
     ReadingsJitter,
     ReadingsStalled,
     ReadingsTogether,
     Sensors,
 )
+from wheelsight.core.calibration import Calibration
+from wheelsight.core.messages import Event, WheelTicks
+from wheelsight.io.recordings import Recording, open_recording
+from wheelsight_sim import SimulationSettings, simulate, write_simulation
+from wheelsight_sim.faults import CameraFault, LowRate
 
 Fault = CameraFault | ClockFault
 

@@ -10,10 +10,10 @@ from changed_settings import numbers, variants
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wheelsight.core.clocks import ClockSettings, SessionClock, Untimed
+from benchmarks.clock_faults import ClockLeaps, Sensors
+from wheelsight.core.checks import ClockSettings, SessionClock, Untimed
 from wheelsight.core.estimates import Reason
 from wheelsight.core.messages import Event, SkippedFrame, WheelTicks, YawRate
-from wheelsight_sim.faults import ClockLeaps, Sensors
 
 LEAP_AT_S = 4.0
 

@@ -142,9 +142,6 @@ def _surface_of(geom: str, material: str, surfaces: Mapping[str, Surface]) -> Su
     return surface
 
 
-# How a building is lit: lamps in and under the ceiling, windows on one side, light from all round.
-
-
 _USUAL_CEILING_M = 2.6
 _PANELS_TO_NEXT_LAMP = 3
 _LAMP_RIM_M = 0.03
@@ -305,9 +302,6 @@ def _clearance(geoms: Geoms, grid: FloatArray, high: FloatArray) -> Float32Array
     return np.ascontiguousarray(distances, np.float32)
 
 
-# Shadows that things, people, doors and the robot throw in the light of lamps.
-
-
 _SPHERE, _ELLIPSOID, _CYLINDER = 2, 4, 5
 _CELL_M = 0.5
 _LAMPS, _CANDIDATES = 5, 9
@@ -450,9 +444,6 @@ def _listed(lamps: Lamps, boxes: FloatArray, still: Int32Array) -> tuple[Int32Ar
     return starts, listed
 
 
-# Sunlight that falls through windows: bright patches in colour, in which infrared patterns drown.
-
-
 _PANE = "pane"  # what the names of windows' geoms begin with
 _CELLS = 64, 32
 _BEHIND_M = 0.01
@@ -518,9 +509,6 @@ class Sunlight:
         arrays = Views(view.depth_m, view.geom, view.normal_world, view.T_world_camera, view.rays)
         shine_in(arrays, self._panes, self.towards, out)
         return out
-
-
-# Lamps that go on and off while the robot drives.
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,9 +20,6 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight_sim.robot import RobotModel
 from wheelsight_sim.world import World
 
-# How a body moves on its tyres and springs: it pitches, leans, jolts and trembles, and the camera with it.
-
-
 _CASTOR_X_M, _CASTOR_Y_M = 0.45, 0.17
 _SMOOTH_S = 0.02
 
@@ -253,9 +250,6 @@ class _Spring:
         return float(y + self._rest)
 
 
-# Where a camera sits that was mounted by a drawing.
-
-
 @dataclass(frozen=True, slots=True)
 class MountSettings:
     """How far the mount is off what its calibration says.
@@ -275,9 +269,6 @@ def mounted(T_base_camera: FloatArray, settings: MountSettings, rng: np.random.G
         [settings.sigma_m * rng.standard_normal(3), np.radians(settings.sigma_deg) * rng.standard_normal(3)]
     )
     return np.asarray(se3.compose(T_base_camera, se3.exp(error)))
-
-
-# What a floor has that wheels feel: thresholds between areas, and the edges and the pile of carpets.
 
 
 _BOX = 6
@@ -374,9 +365,6 @@ def _ridge(marked: ByteArray, width_m: float, cell_m: float) -> Float32Array:
         return np.zeros(marked.shape, np.float32)
     away_m = cv2.distanceTransform(1 - marked, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * np.float32(cell_m)
     return np.asarray(np.exp(-0.5 * (away_m / max(width_m, cell_m)) ** 2), np.float32)
-
-
-# Tyres that are pressed in by the load they carry.
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,9 +33,6 @@ from wheelsight_sim.scene import View
 from wheelsight_sim.settings import Realism, stream
 from wheelsight_sim.world import World
 
-# Which depth cameras can be simulated, with their sizes, lenses, shutters and sensors.
-
-
 _LARGEST_PX = 4096
 
 
@@ -144,9 +141,6 @@ _MODELS = {
 }
 
 
-# One unit of a camera: its lens, its registration, its distortion of depth.
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraUnit:
     """A camera of a model, with the errors that its seed gives it.
@@ -207,9 +201,6 @@ def unit_of(model: CameraModel, realism: Realism | None, seed: int) -> CameraUni
     lens = lens_of(model.camera, realism.lens, stream(seed, "lens"))
     registration = Registration(realism.registration, model.camera.width, stream(seed, "registration"))
     return CameraUnit(model, lens, realism, registration, seed)
-
-
-# How a camera is carried along a drive: where it truly is at any time.
 
 
 _TWIST_S = 0.01

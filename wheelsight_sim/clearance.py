@@ -159,9 +159,6 @@ def _footprints(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[GeomOutl
         )
 
 
-# A world from above, as a picture: what stands there, its areas, the route, and what was driven.
-
-
 _WALL, _SILL, _GLASS, _DOOR, _PAPER = "#3d434d", "#8b929c", "#7fb7d9", "#a8642a", "#d9952b"
 _ROUTE, _TRACK, _MARK, _INK = "#c2185b", "#1565c0", "#d50000", "#262b33"
 _TINTS = ("#4e9a51", "#3f7fbf", "#c98a2b", "#8e63b5", "#2f9e9e", "#c25b5b", "#7d8b2f", "#5a6bb8")

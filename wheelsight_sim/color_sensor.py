@@ -168,9 +168,6 @@ def _srgb_bytes() -> ByteArray:
     return np.round(255 * curve).astype(np.uint8)
 
 
-# Automatic exposure and white balance as cameras have them: late, in steps, and beyond the goal.
-
-
 @dataclass(frozen=True, slots=True)
 class ControlSettings:
     """How a control follows what it meters.
@@ -251,9 +248,6 @@ def balance_of(settings: ControlSettings, colors: FloatArray, period_s: float) -
     return np.asarray(factors.clip(0.5, 2.0))
 
 
-# The lens a colour camera truly has, and what its owner's calibration says of it.
-
-
 @dataclass(frozen=True, slots=True)
 class LensSettings:
     """Brown's distortion of a small wide lens, and how well it was calibrated.
@@ -315,9 +309,6 @@ def lens_of(camera: PinholeCamera, settings: LensSettings, rng: np.random.Genera
         distortion=(bent * unlike * k1, bent * unlike * k2, *tangential, bent * unlike * k3),
     )
     return Lens(true, nominal)
-
-
-# What happens to a colour image behind the sensor: one colour a pixel, filled in again, and JPEG.
 
 
 @dataclass(frozen=True, slots=True)

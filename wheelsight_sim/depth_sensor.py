@@ -29,9 +29,6 @@ from wheelsight_sim.sensor_kernels import (
     time_light,
 )
 
-# Depth cameras as they are: what each makes of the depth that its rays truly meet.
-
-
 # Correlating noise over less than this makes none.
 _WHITE_PX = 0.3
 
@@ -215,9 +212,6 @@ def _correlated(rng: np.random.Generator, shape: tuple[int, ...], sigma_px: floa
     return np.asarray(cv2.sepFilter2D(white, cv2.CV_32F, weights, weights, borderType=cv2.BORDER_REFLECT_101))
 
 
-# What a depth camera's own errors make of true depth, before noise: they stay the same for one unit.
-
-
 _GRID = 8, 6  # knots across and down of what is not radial: a scale of 80 px, as the mean residuals have it
 
 
@@ -339,9 +333,6 @@ class PhaseDistortion:
         return np.where(z > 0, z + swing_m + self._radial_m + self._offset_m + longer_m, 0).astype(np.float32)
 
 
-# Light that reaches a time-of-flight camera by way of a second surface, and makes corners look further away.
-
-
 _NEAREST_M = 0.1
 
 
@@ -385,9 +376,6 @@ def multipath_m(view: View, scattered: FloatArray, grid: tuple[int, int]) -> Flo
     longer_m = np.asarray((indirect * detour_m).sum(axis=1) / (direct + indirect.sum(axis=1)))
     longer_m = np.where(z > 0, longer_m * z / reach_m, 0.0).reshape(grid[::-1]).astype(np.float32)
     return np.asarray(cv2.resize(longer_m, (w, h), interpolation=cv2.INTER_LINEAR))
-
-
-# Depth images that are registered to colour by a driver: some pixels off, and taken at another moment.
 
 
 _NATIVE_WIDTH_PX = 640

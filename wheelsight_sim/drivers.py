@@ -281,9 +281,6 @@ def _limited(row: Row, column: str, limit: float) -> float:
     return value
 
 
-# Paths in the plane: a route's waypoints made into legs with rounded corners, and places along them.
-
-
 _SPACING_M = 0.02
 _OFF_LEGS_M, _WIDEST_RADIUS_M = 0.1, 1.0
 _SHARPEST_ROUNDED_RAD = np.radians(135)

@@ -28,9 +28,6 @@ from wheelsight_sim.scene import MovingLeaves, People, Scene, View
 from wheelsight_sim.settings import Realism, SimulationSettings, realism_of, stream
 from wheelsight_sim.world import World
 
-# Frames of a camera that is carried through a world, each by itself: for recorded drives and for `Simulator`.
-
-
 _STREAM = 17
 _METERED_FRAMES = 12
 _METER_SIZE = (32, 24)
@@ -222,15 +219,12 @@ def _sensor(settings: SimulationSettings, unit: CameraUnit) -> ColorSensor:
     return ColorSensor(motion_blur=True, longest_s=control.longest_s, target=level)
 
 
-# What the camera sees along a drive: frames rendered when asked for, each by itself, so that any can be first.
-
-
 Result = TypeVar("Result")
 
 _THREADS = 2
 
 
-class Renderer:
+class Renderer(FrameMaker):
     """Makes the RGB-D frames of a drive, the first at 0 s.
 
     Every frame has random numbers of its own, from the seed and its index, and depends on no other: rendered alone, in
@@ -255,32 +249,27 @@ class Renderer:
         camera: CameraModel,
         carriage: Carriage | None = None,
     ) -> None:
-        realism = realism_of(settings.realism)
+        realism, seed, robot = realism_of(settings.realism), settings.day_seed, settings.robot
         self.rate_hz = settings.rate_hz or camera.rate_hz
         count = int(np.floor((drive.duration_s - camera.rolling_shutter_s / 2) * self.rate_hz + 1e-9)) + 1
         if count < 1:
             raise ConfigError(f"a drive of {drive.duration_s:.3f} s is too short for a frame")
-        self.unit = unit_of(camera, realism, settings.seed)
-        has_robot = carriage is None
-        self.carriage = carriage or carriage_of(drive.truth, world, settings.robot, realism, settings.seed)
-        self._times = times_of(count, self.rate_hz, realism, settings.day_seed)
-        seed, robot = settings.day_seed, settings.robot
         people = Passersby(world, drive, settings.passersby, seed, robot) if settings.passersby else None
         self.doors = Doors(world, drive, settings.doors, seed, robot, people) if settings.doors else None
-        self._maker = FrameMaker(
+        super().__init__(
             Surroundings(world, people, self.doors),
             settings,
-            self.unit,
-            self.carriage,
-            self._times,
+            unit_of(camera, realism, settings.seed),
+            carriage or carriage_of(drive.truth, world, robot, realism, settings.seed),
+            times_of(count, self.rate_hz, realism, seed),
             duration_s=drive.duration_s,
-            has_robot=has_robot,
+            has_robot=carriage is None,
         )
 
     @property
     def frame_count(self) -> int:
         """How many frames arrive."""
-        return len(self._times)
+        return len(self.times)
 
     @property
     def calibration(self) -> Calibration:
@@ -294,19 +283,11 @@ class Renderer:
 
     def stamp_s(self, index: int) -> float:
         """The stamp of a frame: what the host takes for the time of its middle row."""
-        return float(self._times.told_s[index])
+        return float(self.times.told_s[index])
 
     def taken_s(self, index: int) -> float:
         """The true time of a frame's middle row."""
-        return float(self._times.taken_s[index])
-
-    def row_poses(self, taken_s: float) -> FloatArray:
-        """(H, 4, 4) T_world_camera as each row of a frame is read; before the drive begins the robot stands."""
-        return self._maker.row_poses(taken_s)
-
-    def frame(self, index: int) -> RgbdFrame:
-        """One frame, the same whatever was rendered before. Safe to be called by several threads at a time."""
-        return self._maker.frame(index)
+        return float(self.times.taken_s[index])
 
     def frames(self) -> Generator[RgbdFrame]:
         """All frames in order, two of them made at a time while the caller is busy with the one before."""

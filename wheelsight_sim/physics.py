@@ -36,9 +36,6 @@ from wheelsight_sim.settings import Realism, SimulationSettings, realism_of, str
 from wheelsight_sim.wheelchair import TIMESTEP_S, Chair, Underfoot
 from wheelsight_sim.world import World
 
-# A robot in a world, stepped on by 5 ms: what recorded drives and a robot to command have in common.
-
-
 TRUTH_PERIOD_S = 0.005
 NO_FAULTS = WheelFaults()
 
@@ -152,9 +149,6 @@ def start_of(world: World) -> FloatArray:
 def ticks_of(period_s: float) -> int:
     """How many times `TRUTH_PERIOD_S` a period lasts."""
     return round(period_s / TRUTH_PERIOD_S)
-
-
-# A drive, stepped by MuJoCo: the driver's commands turn motors, motors turn wheels, wheels grip or slip.
 
 
 STUCK_AFTER_S = 10.0

@@ -94,9 +94,6 @@ def is_during(stamp_s: float, spans_s: Sequence[tuple[float, float]]) -> bool:
     return any(start - _SAME_MOMENT_S <= stamp_s < end - _SAME_MOMENT_S for start, end in spans_s)
 
 
-# When frames and readings are taken, and when the host says that they were.
-
-
 SHORTEST_S = 1e-4
 STAMP_DECIMALS = 6
 

@@ -231,9 +231,6 @@ class Motors:
         return float(self._rims_m_s[0]), float(self._rims_m_s[1])
 
 
-# Sizes of wheels as a calibration has them: not quite what they are on the day of the drive.
-
-
 @dataclass(frozen=True, slots=True)
 class WheelSizeSettings:
     """How far calibrated sizes are off; the calibration states the same.

@@ -18,9 +18,6 @@ from wheelsight.core.geometry import Float32Array, FloatArray, Int32Array, IntAr
 from wheelsight_sim.view_kernels import Bodies, Boxes, Hits, Image, ModelGeoms, aim, choose, find, gather, put, spread
 from wheelsight_sim.world import Surface, World
 
-# A world as the camera's rays meet it: MuJoCo casts them, many at a time, at the few geoms they can hit.
-
-
 _KINDS = {0: "plane", 2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box"}
 _TILE_ROWS = 16
 _TILE_COLUMNS = 80
@@ -310,9 +307,6 @@ def _names(model: Any, surfaces: Mapping[str, Surface], world: str) -> tuple[tup
         names.append(name)
         materials.append(material)
     return tuple(names), tuple(materials)
-
-
-# What rays from the camera's pixels hit: the ideal image that sensor models turn into measurements.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,9 +25,6 @@ from wheelsight_sim.readings import StampSettings
 from wheelsight_sim.robot import RobotModel, WheelFaults, WheelSizeSettings
 from wheelsight_sim.world import World
 
-# Which floor plan a world is made of, and how far the robot is to drive in it.
-
-
 _LONGEST_WAY_M = 20_000.0
 
 
@@ -62,9 +59,6 @@ class FloorPlan:
     def name(self) -> str:
         """What the world is called: the file's name without its ending."""
         return Path(self.path).stem
-
-
-# How hard a simulation is: nothing but the sensors' noise, or all that a robot's sensors are known to do.
 
 
 RealismName = Literal["ideal", "real"]
@@ -117,9 +111,6 @@ def realism_of(name: str) -> Realism | None:
 def stream(seed: int, part: str) -> np.random.Generator:
     """Random numbers of one part of a drive: other parts, added or left out, do not change them."""
     return np.random.default_rng([seed, zlib.crc32(part.encode())])
-
-
-# What a simulation is made of: all that must be known to make the same recording again.
 
 
 BaseName = Literal["differential", "mecanum", "omni-3", "omni-4", "increments"]

@@ -30,8 +30,6 @@ from wheelsight_sim.settings import SimulationSettings, realism_of, stream
 from wheelsight_sim.world import World
 from wheelsight_sim.worlds import build_world
 
-# A simulated drive as a recording: events in order of time, rendered as they are asked for.
-
 
 @dataclass(frozen=True, eq=False)
 class SimulatedRecording:
@@ -170,9 +168,6 @@ def calibration_of(
     return replace(camera, T_base_camera=T_base_camera, wheels=wheels, source=source)
 
 
-# A simulated recording whose camera fails on the way.
-
-
 @dataclass(frozen=True, eq=False)
 class FaultyRecording(SimulatedRecording):
     """A `SimulatedRecording` seen through camera faults; truth and wheel readings are the same.
@@ -210,9 +205,6 @@ def with_camera_faults(recording: SimulatedRecording, *faults: CameraFault) -> F
     """The same drive with a camera that fails."""
     made_of = {field.name: getattr(recording, field.name) for field in fields(SimulatedRecording)}
     return FaultyRecording(**made_of, camera_faults=faults)
-
-
-# A camera that is carried along a known way, as by hand, through a simulated world: no robot, no wheels.
 
 
 _PERIOD_S = 0.005

@@ -24,6 +24,7 @@ from wheelsight.core.threads import OneCaller, one_at_a_time
 from wheelsight.core.trajectory import Trajectory
 from wheelsight_sim.body_motion import LiveBodyMotion, mounted
 from wheelsight_sim.cameras import Carriage, camera_model, unit_of
+from wheelsight_sim.clearance import footprints
 from wheelsight_sim.doors import LiveDoors
 from wheelsight_sim.drivers import COMMAND_PERIOD_S
 from wheelsight_sim.faults import Covered
@@ -31,7 +32,7 @@ from wheelsight_sim.frames import FrameMaker, Surroundings, camera_calibration, 
 from wheelsight_sim.people import RADIUS_M, STEP_S, LivePassersby, LivePeopleSettings
 from wheelsight_sim.physics import TRUTH_PERIOD_S, Reading, SteppedRobot, floor_of, poses_of, start_of, ticks_of
 from wheelsight_sim.readings import Delays
-from wheelsight_sim.robot import Motors, RobotModel, outline_at
+from wheelsight_sim.robot import Motors, outline_at
 from wheelsight_sim.settings import SimulationSettings, realism_of, stream
 from wheelsight_sim.simulate import world_of
 from wheelsight_sim.simulated_recording import as_owned
@@ -102,8 +103,10 @@ class Simulator(OneCaller):
         )
         self._camera = SimulatedCamera(self._live.surroundings, settings, LONGEST_S, threads)
         self._calibration = as_owned(settings, self._camera.calibration)
-        self._drive = _WheelDrive(settings, self._calibration, limits, control)
+        assert self._calibration.wheels is not None
+        self._control = VelocityControl(self._calibration.wheels, limits, control)
         realism, seed = realism_of(settings.realism), settings.day_seed
+        self._motors = Motors(rng=None if realism is None else stream(settings.seed, "motors"))
         stamps = None if realism is None else realism.stamps
         self._wheel_delays = Delays(stamps, stream(seed, "live wheel stamps"))
         self._gyro_delays = Delays(stamps, stream(seed, "live gyro stamps"))
@@ -134,7 +137,7 @@ class Simulator(OneCaller):
     @property
     def stop_reason(self) -> str:
         """See `Robot.stop_reason`."""
-        return self._broken or self._drive.control.reason
+        return self._broken or self._control.reason
 
     @property
     def T_world_base(self) -> FloatArray:
@@ -192,7 +195,8 @@ class Simulator(OneCaller):
             for frame in self._camera.frames() if self._has_camera else ():
                 self._put(frame)
             if tick % ticks_of(COMMAND_PERIOD_S) == 0:
-                robot.chair.turn_wheels(self._drive.rims_m_s(reading, command))
+                duties = self._control.update(reading.stamp_s, reading.ticks, command)
+                robot.chair.turn_wheels(self._motors.after(duties, COMMAND_PERIOD_S))
             self._live.step(tick, robot)
             robot.advance()
             if robot.chair.is_broken:
@@ -203,7 +207,8 @@ class Simulator(OneCaller):
 
     def stop(self) -> None:
         """Cut the motors' voltage; the chair brakes by itself in later steps, until it receives STOP."""
-        self._drive.stop()
+        self._control.stop(STOPPED)
+        self._motors.after(Duties(), np.inf)
 
     def close(self) -> None:
         """Stop; only the truth remains available."""
@@ -228,30 +233,53 @@ class Simulator(OneCaller):
             yield heapq.heappop(self._waiting)[2]
 
 
-class _WheelDrive:
-    """Wheel controller and motors: converts a command every 20 ms into speeds of the wheels' rims."""
+_STANDS_M_S = 0.02  # a fidgeting rider moves a standing chair by at most 0.0014 m/s
 
-    def __init__(
-        self,
-        settings: SimulationSettings,
-        calibration: Calibration,
-        limits: RobotLimits | None,
-        control: WheelControlSettings | None,
-    ) -> None:
-        assert calibration.wheels is not None
-        self.control = VelocityControl(calibration.wheels, limits, control)
-        is_exact = realism_of(settings.realism) is None
-        self._motors = Motors(rng=None if is_exact else stream(settings.seed, "motors"))
 
-    def rims_m_s(self, reading: Reading, command: VelocityCommand) -> tuple[float, float]:
-        """Speeds of the left and right rim; call it every `COMMAND_PERIOD_S`."""
-        duties = self.control.update(reading.stamp_s, reading.ticks, command)
-        return self._motors.after(duties, COMMAND_PERIOD_S)
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """A contact of the robot with an object or a person.
 
-    def stop(self) -> None:
-        """Reset to a standstill."""
-        self.control.stop(STOPPED)
-        self._motors.after(Duties(), np.inf)
+    Attributes:
+        time_s: its begin.
+        name: a geom of the world, or `passerby` and a number.
+        place_m: (x, y) in the world.
+        robot_m_s: speed of the robot's outline towards the other at that place.
+        other_m_s: speed of the other towards the robot; 0 for static objects.
+    """
+
+    time_s: float
+    name: str
+    place_m: tuple[float, float]
+    robot_m_s: float
+    other_m_s: float
+
+    @property
+    def is_by_robot(self) -> bool:
+        """Whether the robot caused it, rather than something that moved towards a standing or retreating robot."""
+        return self.robot_m_s > _STANDS_M_S or self.other_m_s < _STANDS_M_S
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Motion of a base: T_world_base (4, 4), velocity (2,) in the world in m/s, and yaw rate in rad/s."""
+
+    T_world_base: FloatArray
+    velocity_m_s: FloatArray
+    turn_rad_s: float
+
+    def velocity_at(self, place_m: FloatArray) -> FloatArray:
+        """Velocity (2,) of the robot's body at a place (2,) in the world."""
+        x, y = place_m - self.T_world_base[:2, 3]
+        return np.asarray(self.velocity_m_s + self.turn_rad_s * np.array([-y, x]))
+
+
+def _contact(
+    stamp_s: float, name: str, place_m: FloatArray, motion: Motion, velocity_m_s: FloatArray, towards: FloatArray
+) -> Contact:
+    unit = towards / max(float(np.hypot(*towards)), 1e-9)
+    robot_m_s, other_m_s = float(motion.velocity_at(place_m) @ unit), -float(velocity_m_s @ unit)
+    return Contact(stamp_s, name, (float(place_m[0]), float(place_m[1])), robot_m_s, other_m_s + 0.0)
 
 
 _LOOK_S = 0.02  # at 1.2 m/s, 24 mm
@@ -293,7 +321,9 @@ class LiveWorld:
         self._people = LivePassersby(self.world, T_start, count, seed, robot, people) if count else None
         self._robot, self.contacts = robot, list[Contact]()
         self._touched_s: dict[str, float] = {}
-        self._bystanders = Bystanders(self.world, robot, self._people, self.doors)
+        moving = set() if self.doors is None else {leaf.geom for leaf in self.doors.leaves}
+        things = [thing for thing in footprints(self.world) if thing.is_in_the_way and thing.name not in moving]
+        self._tree = shapely.STRtree([thing.polygon for thing in things])
         if self.clearance_m(self.T_world_start, 0.0) <= 0:
             place = self.T_world_start[:2, 3].round(2).tolist()
             raise ConfigError(f"the robot cannot begin at {place}: something stands there", fix="begin on free floor")
@@ -302,14 +332,6 @@ class LiveWorld:
     def surroundings(self) -> Surroundings:
         """The surroundings, for rendering."""
         return Surroundings(self.world, self._people, self.doors)
-
-    def clearance_m(self, T_world_base: FloatArray, stamp_s: float) -> float:
-        """Distance from a robot's outline to the nearest object, with doors and without people."""
-        return self._bystanders.clearance_m(T_world_base, stamp_s)
-
-    def people_clearance_m(self, T_world_base: FloatArray, stamp_s: float) -> float:
-        """Distance from a robot's outline to the nearest person's."""
-        return self._bystanders.people_clearance_m(T_world_base, stamp_s)
 
     def people_at(self, stamp_s: float) -> FloatArray:
         """(N, 2) positions of people at a time within the last second, metres."""
@@ -330,9 +352,54 @@ class LiveWorld:
                 outline = outline_at(self._robot, motion.T_world_base)
                 self.doors.step(stamp_s, outline, self.people_at(stamp_s))
             chair.swing(*self.doors.poses_at(stamp_s))
-        self._note(self._bystanders.touching_things(motion, chair.touches, stamp_s))
+        self._note(self._touching_things(motion, chair.touches, stamp_s))
         if tick % ticks_of(_LOOK_S) == 0:
-            self._note(self._bystanders.touching_people(motion, stamp_s))
+            self._note(self._touching_people(motion, stamp_s))
+
+    def clearance_m(self, T_world_base: FloatArray, stamp_s: float) -> float:
+        """Distance from the robot's outline to the nearest object, with doors and without people; infinite if none."""
+        outline = outline_at(self._robot, T_world_base)
+        leaves = [] if self.doors is None else self.doors.places_at(stamp_s)
+        distances = [float(outline.distance(leaf)) for leaf in leaves]
+        if len(self._tree.geometries):
+            distances.append(float(outline.distance(self._tree.geometries[self._tree.nearest(outline)])))
+        return min(distances, default=np.inf)
+
+    def people_clearance_m(self, T_world_base: FloatArray, stamp_s: float) -> float:
+        """Distance from the robot's outline to the nearest person's; infinite if there is none."""
+        if self._people is None:
+            return np.inf
+        outline = outline_at(self._robot, T_world_base)
+        axes = shapely.points(self._people.positions_at(stamp_s))
+        return max(float(shapely.distance(outline, axes).min()) - RADIUS_M, 0.0)
+
+    def _touching_things(self, motion: Motion, touches: list[Touch], stamp_s: float) -> list[Contact]:
+        """Contacts of the hull with objects, by the physics engine."""
+        leaves = () if self.doors is None else self.doors.leaves
+        index_of = {leaf.geom: index for index, leaf in enumerate(leaves)}
+        found = []
+        for touch in touches:
+            velocity = np.zeros(2)
+            if self.doors is not None and touch.name in index_of:
+                velocity = self.doors.velocity_at(index_of[touch.name], touch.place_m, stamp_s)
+            found.append(_contact(stamp_s, touch.name, touch.place_m, motion, velocity, touch.towards))
+        return found
+
+    def _touching_people(self, motion: Motion, stamp_s: float) -> list[Contact]:
+        """Contacts with people, which the physics engine does not know."""
+        if self._people is None:
+            return []
+        outline = outline_at(self._robot, motion.T_world_base)
+        found = []
+        axes, velocities = self._people.positions_at(stamp_s), self._people.velocities_at(stamp_s)
+        for i, (axis, velocity) in enumerate(zip(axes, velocities, strict=True)):
+            line = shapely.shortest_line(outline, shapely.Point(axis))
+            if line.length <= RADIUS_M:
+                place_m = np.asarray(line.coords[0], float)
+                is_inside = line.length < 1e-6
+                towards = axis - (motion.T_world_base[:2, 3] if is_inside else place_m)
+                found.append(_contact(stamp_s, f"passerby{i}", place_m, motion, velocity, towards))
+        return found
 
     def _note(self, contacts: list[Contact]) -> None:
         """Record the contacts that begin now."""
@@ -427,118 +494,3 @@ class SimulatedCamera:
         stamps_s = np.array([reading.stamp_s for reading in readings])
         truth = Trajectory(stamps_s, poses_of(readings), body="base")
         return Carriage(truth, self._T_base_camera, self._body)
-
-
-_STANDS_M_S = 0.02  # a fidgeting rider moves a standing chair by at most 0.0014 m/s
-
-
-@dataclass(frozen=True, slots=True)
-class Contact:
-    """A contact of the robot with an object or a person.
-
-    Attributes:
-        time_s: its begin.
-        name: a geom of the world, or `passerby` and a number.
-        place_m: (x, y) in the world.
-        robot_m_s: speed of the robot's outline towards the other at that place.
-        other_m_s: speed of the other towards the robot; 0 for static objects.
-    """
-
-    time_s: float
-    name: str
-    place_m: tuple[float, float]
-    robot_m_s: float
-    other_m_s: float
-
-    @property
-    def is_by_robot(self) -> bool:
-        """Whether the robot caused it, rather than something that moved towards a standing or retreating robot."""
-        return self.robot_m_s > _STANDS_M_S or self.other_m_s < _STANDS_M_S
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Motion:
-    """Motion of a base: T_world_base (4, 4), velocity (2,) in the world in m/s, and yaw rate in rad/s."""
-
-    T_world_base: FloatArray
-    velocity_m_s: FloatArray
-    turn_rad_s: float
-
-    def velocity_at(self, place_m: FloatArray) -> FloatArray:
-        """Velocity (2,) of the robot's body at a place (2,) in the world."""
-        x, y = place_m - self.T_world_base[:2, 3]
-        return np.asarray(self.velocity_m_s + self.turn_rad_s * np.array([-y, x]))
-
-
-class Bystanders:
-    """Distances and contacts of a robot with objects, doors and people.
-
-    Args:
-        world: its objects count between the heights that a wheelchair rolls over and passes under.
-        robot: gives the outline.
-        people: walking people, or None.
-        doors: swinging doors, or None.
-    """
-
-    def __init__(
-        self, world: World, robot: RobotModel, people: LivePassersby | None = None, doors: LiveDoors | None = None
-    ) -> None:
-        from wheelsight_sim.clearance import footprints
-
-        self._robot, self._people, self._doors = robot, people, doors
-        moving = set() if doors is None else {leaf.geom for leaf in doors.leaves}
-        things = [thing for thing in footprints(world) if thing.is_in_the_way and thing.name not in moving]
-        self._tree = shapely.STRtree([thing.polygon for thing in things])
-
-    def clearance_m(self, T_world_base: FloatArray, stamp_s: float) -> float:
-        """Distance from the robot's outline to the nearest object, with doors and without people; infinite if none."""
-        outline = outline_at(self._robot, T_world_base)
-        leaves = [] if self._doors is None else self._doors.places_at(stamp_s)
-        distances = [float(outline.distance(leaf)) for leaf in leaves]
-        if len(self._tree.geometries):
-            distances.append(float(outline.distance(self._tree.geometries[self._tree.nearest(outline)])))
-        return min(distances, default=np.inf)
-
-    def people_clearance_m(self, T_world_base: FloatArray, stamp_s: float) -> float:
-        """Distance from the robot's outline to the nearest person's; infinite if there is none."""
-        if self._people is None:
-            return np.inf
-        outline = outline_at(self._robot, T_world_base)
-        axes = shapely.points(self._people.positions_at(stamp_s))
-        return max(float(shapely.distance(outline, axes).min()) - RADIUS_M, 0.0)
-
-    def touching_things(self, motion: Motion, touches: list[Touch], stamp_s: float) -> list[Contact]:
-        """Contacts of the hull with objects, by the physics engine."""
-        leaves = () if self._doors is None else self._doors.leaves
-        index_of = {leaf.geom: index for index, leaf in enumerate(leaves)}
-        found = []
-        for touch in touches:
-            velocity = np.zeros(2)
-            if self._doors is not None and touch.name in index_of:
-                velocity = self._doors.velocity_at(index_of[touch.name], touch.place_m, stamp_s)
-            found.append(_contact(stamp_s, touch.name, touch.place_m, motion, velocity, touch.towards))
-        return found
-
-    def touching_people(self, motion: Motion, stamp_s: float) -> list[Contact]:
-        """Contacts with people, which the physics engine does not know."""
-        if self._people is None:
-            return []
-        outline = outline_at(self._robot, motion.T_world_base)
-        found = []
-        axes, velocities = self._people.positions_at(stamp_s), self._people.velocities_at(stamp_s)
-        for i, (axis, velocity) in enumerate(zip(axes, velocities, strict=True)):
-            line = shapely.shortest_line(outline, shapely.Point(axis))
-            if line.length <= RADIUS_M:
-                place_m = np.asarray(line.coords[0], float)
-                is_inside = line.length < 1e-6
-                towards = axis - (motion.T_world_base[:2, 3] if is_inside else place_m)
-                found.append(_contact(stamp_s, f"passerby{i}", place_m, motion, velocity, towards))
-        return found
-
-
-def _contact(
-    stamp_s: float, name: str, place_m: FloatArray, motion: Motion, velocity_m_s: FloatArray, towards: FloatArray
-) -> Contact:
-    unit = towards / max(float(np.hypot(*towards)), 1e-9)
-    robot_m_s, other_m_s = float(motion.velocity_at(place_m) @ unit), -float(velocity_m_s @ unit)
-    return Contact(stamp_s, name, (float(place_m[0]), float(place_m[1])), robot_m_s, other_m_s + 0.0)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,89 +49,39 @@ _NO_SLIP_FRICTION = 3.0
 _FRICTION_TO_NORMAL_IMPEDANCE = {True: 0.05, False: 10.0}
 _STIFF = (2 * TIMESTEP_S, 1.0)
 _IMPEDANCE = (0.99, 0.99, 0.001, 0.5, 2.0)
-
-_MJCF = """
-<mujoco model="wheelchair">
-  <compiler angle="radian" autolimits="true"/>
-  <default>
-    <geom contype="0" conaffinity="0" mass="0" group="1"/>
-    <default class="touch"><geom group="3" rgba="0.4 0.4 0.9 0.3"/></default>
-    <default class="tyre"><geom type="cylinder" euler="1.5707963 0 0" rgba="0.1 0.1 0.1 1"/></default>
-    <default class="motor"><joint axis="0 1 0" armature="0.3" damping="0.05" frictionloss="0.7"/></default>
-    <default class="swivel"><joint axis="0 0 1" damping="0.02" frictionloss="0.05"/></default>
-    <default class="castor"><joint axis="0 1 0" damping="0.002" frictionloss="0.2"/></default>
-  </default>
-  <worldbody>
-    <body name="base">
-      <freejoint name="base"/>
-      <inertial pos="0.14 0 0.42" mass="{chassis_kg}" diaginertia="12 14 9"/>
-      <geom name="hull" type="box" conaffinity="3" class="touch" friction="0.3"
-            pos="{middle} 0 {hull_z}" size="{half_length} {half_width} {hull_half_z}"/>
-      <geom name="jack" type="sphere" class="touch" size="0.02" pos="0 {left_y} {jack_z}"/>
-      <geom name="frame" type="box" pos="0.2 0 0.28" size="0.32 0.2 0.06" rgba="0.2 0.2 0.25 1"/>
-      <geom name="seat" type="box" pos="0.12 0 0.48" size="0.24 0.22 0.04" rgba="0.15 0.15 0.4 1"/>
-      <geom name="back" type="box" pos="-0.12 0 {back_z}" size="0.03 0.22 {back_half_z}" rgba="0.15 0.15 0.4 1"/>
-      <geom name="footrest" type="box" pos="{foot_x} 0 0.12" size="0.12 0.16 0.015" rgba="0.3 0.3 0.3 1"/>
-      {driven}
-      {castors}
-    </body>
-  </worldbody>
-  <actuator>
-    <velocity name="left_motor" joint="left_wheel" kv="100" forcerange="-45 45"/>
-    <velocity name="right_motor" joint="right_wheel" kv="100" forcerange="-45 45"/>
-  </actuator>
-</mujoco>
-"""
-_DRIVEN = """
-      <body name="{side}_wheel" pos="0 {y} {radius}">
-        <inertial pos="0 0 0" mass="4" diaginertia="0.04 0.06 0.04"/>
-        <joint name="{side}_wheel" class="motor"/>
-        <geom name="{side}_wheel" type="sphere" class="touch" size="{radius}"/>
-        <geom name="{side}_tyre" class="tyre" size="{radius} 0.04"/>
-        <geom name="{side}_spoke" type="box" size="{spoke} 0.041 0.01" rgba="0.7 0.7 0.7 1"/>
-      </body>"""
-_CASTOR = """
-      <body name="{side}_fork" pos="{x} {y} {radius}">
-        <inertial pos="0 0 0.05" mass="0.5" diaginertia="0.001 0.001 0.001"/>
-        <joint name="{side}_swivel" class="swivel"/>
-        <geom name="{side}_fork" type="box" pos="-0.025 0 0.09" size="0.03 0.03 0.01" rgba="0.7 0.7 0.7 1"/>
-        <body name="{side}_castor" pos="{trail} 0 0">
-          <inertial pos="0 0 0" mass="0.8" diaginertia="0.0015 0.0025 0.0015"/>
-          <joint name="{side}_castor" class="castor"/>
-          <geom name="{side}_castor" type="sphere" class="touch" size="{radius}"/>
-          <geom name="{side}_castor_tyre" class="tyre" size="{radius} 0.02"/>
-        </body>
-      </body>"""
 _WEIGHT_KG = 130.0
 _WHEELS_KG = 2 * (4 + 0.5 + 0.8)
 
 
 def wheelchair_mjcf(robot: RobotModel) -> str:
     """The wheelchair alone; its body `base` is free and starts with the base frame in the world's origin."""
-    half_height = (robot.height_m - _CLEARANCE_M) / 2
-    half_y = robot.track_width_m / 2
-    driven = [
-        _DRIVEN.format(side=side, y=y, radius=radius, spoke=0.9 * radius)
-        for side, y, radius in (("left", half_y, robot.left_radius_m), ("right", -half_y, robot.right_radius_m))
-    ]
-    castors = [
-        _CASTOR.format(side=side, x=_CASTOR_X_M, y=y, radius=CASTOR_RADIUS_M, trail=-_CASTOR_TRAIL_M)
-        for side, y in (("left", _CASTOR_Y_M), ("right", -_CASTOR_Y_M))
-    ]
-    return _MJCF.format(
-        chassis_kg=_WEIGHT_KG - _WHEELS_KG,
-        middle=robot.length_m / 2 - _TAIL_M,
-        half_length=robot.length_m / 2,
-        half_width=robot.width_m / 2,
-        hull_z=_CLEARANCE_M + half_height,
-        hull_half_z=half_height,
-        left_y=half_y,
-        jack_z=0.02 - LIFT_M,
-        back_z=(0.5 + robot.height_m) / 2,
-        back_half_z=(robot.height_m - 0.5) / 2,
-        foot_x=robot.length_m - _TAIL_M - 0.12,
-        driven="".join(driven),
-        castors="".join(castors),
+    half_height, half_y = (robot.height_m - _CLEARANCE_M) / 2, robot.track_width_m / 2
+    return (
+        Path(__file__)
+        .with_name("wheelchair.xml")
+        .read_text(encoding="utf-8")
+        .format(
+            chassis_kg=_WEIGHT_KG - _WHEELS_KG,
+            middle=robot.length_m / 2 - _TAIL_M,
+            half_length=robot.length_m / 2,
+            half_width=robot.width_m / 2,
+            hull_z=_CLEARANCE_M + half_height,
+            hull_half_z=half_height,
+            jack_z=0.02 - LIFT_M,
+            back_z=(0.5 + robot.height_m) / 2,
+            back_half_z=(robot.height_m - 0.5) / 2,
+            foot_x=robot.length_m - _TAIL_M - 0.12,
+            left_y=half_y,
+            left_radius=robot.left_radius_m,
+            left_spoke=0.9 * robot.left_radius_m,
+            right_y=-half_y,
+            right_radius=robot.right_radius_m,
+            right_spoke=0.9 * robot.right_radius_m,
+            castor_x=_CASTOR_X_M,
+            castor_y=_CASTOR_Y_M,
+            castor_radius=CASTOR_RADIUS_M,
+            castor_trail=-_CASTOR_TRAIL_M,
+        )
     )
 
 
@@ -179,9 +130,6 @@ def scene(world: World, robot: RobotModel, *, slip: bool = True, doors: Leaves |
     except ValueError as error:
         raise ConfigError(f"world {world.name!r} with its robot is no MJCF that MuJoCo takes: {error}") from error
     return model
-
-
-# The wheelchair on its way through MuJoCo's time: motors in, pose and wheel angles out, faults as they come.
 
 
 _GRAVITY_M_S2 = 9.81
@@ -350,9 +298,6 @@ class Chair:
         step_m = _LIFT_M_S * seconds
         self._jack_m += min(max(goal_m - self._jack_m, -step_m), step_m)
         self._model.geom_pos[self._jack, 2] = self._jack_m
-
-
-# What wheels meet: tyres that creep under load, patches of low friction, a floor that is not quite level.
 
 
 _CREEP_STIFFNESS = 10.0

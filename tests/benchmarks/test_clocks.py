@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks import clocks as benchmark
+from benchmarks.clock_faults import ClockLeaps, Sensors
 from benchmarks.clock_rows import DRIVE, ROWS, Row, TimedTicks, timed
 from benchmarks.clock_runs import ClockFigures, Errors, measure_drive
 from benchmarks.clocks import clocks_sheet, measure_clocks
@@ -25,7 +26,6 @@ from wheelsight.core.messages import Event, RgbdFrame, WheelTicks
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.estimation import Localizer
 from wheelsight.io.recordings import Recording
-from wheelsight_sim.faults import ClockLeaps, Sensors
 
 WHEELS_TRUE = Wheels(0.2, 0.2, 0.5, 2 * math.pi * 0.2 * 1000)  # a tick a millimetre
 STAMPS_S = np.arange(0, 4 + 1e-9, 0.1)

@@ -20,11 +20,11 @@ from localizer.joined_drives import (
     spread_m,
 )
 
+from benchmarks.clock_faults import ClockFault, ClockLeaps, ReadingsJitter, ReadingsStalled, ReadingsTogether, Sensors
 from wheelsight.core.estimates import Reason, Status
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.messages import Event, RgbdFrame, WheelTicks
 from wheelsight.estimation import FusedEstimate
-from wheelsight_sim.faults import ClockFault, ClockLeaps, ReadingsJitter, ReadingsStalled, ReadingsTogether, Sensors
 
 SEEDS, FEW_SEEDS = (
     pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, count))])

@@ -29,9 +29,6 @@ from wheelsight_sim.worlds.building import (
 from wheelsight_sim.worlds.floor_plan_rooms import Doorway, FreeSpace, Rooms, find_rooms, free_space_of, read_room_areas
 from wheelsight_sim.worlds.floor_plan_route import SIDE_MARGIN_M, Body, Wishes, plan_route, swept_by
 
-# A world of a floor plan: its walls, doors, furniture, areas, and a route that the wheelchair can drive.
-
-
 # Between the robot's way and furniture: it is checked with SIDE_MARGIN_M beside the chair.
 _FURNITURE_MARGIN_M = 0.15
 _BESIDE_DOOR_M, _BEFORE_DOOR_M, _OFF_LEAF_M = 0.25, 1.0, 0.05
@@ -97,9 +94,6 @@ def build_floor_plan(
     description = f"{space.shape.area:.0f} m² of {Path(plan.path).name}, {lap} of {route.length_m:.0f} m"
     world = building.world(description, areas, route.all_waypoints, is_loop=route.is_loop)
     return replace(world, warnings=tuple(warnings))
-
-
-# Walls, floors and ceiling of a building: thin boxes along the outline of its free space, a look for each room.
 
 
 # The thickness of a wall shows only at its ends, which are faces of their own; what is thin leaves no room for two
@@ -207,9 +201,6 @@ def _is_piece(building: Building, ring: shapely.LinearRing) -> bool:
     return True
 
 
-# Doors in doorways: lintels, casings, and leaves that stand open or are closed.
-
-
 _CASING_M, _PROUD_M = 0.07, 0.015
 _SHARE_CLOSED = 0.5
 # Doors are pushed open to about these angles.
@@ -307,9 +298,6 @@ def build_door(building: Building, name: str, door: PlanDoor, wall: str, materia
     if door.leaf is not None:
         x_m, y_m, yaw_rad = door.leaf
         building.leaf(f"leaf_{name}", material, Spot(x_m, y_m, yaw_rad), width, door.hinge, door.turn_rad)
-
-
-# Furniture, and what hangs on walls, by seed: along the faces of walls, out of the robot's way.
 
 
 _CORNER_M, _GAP_M = (0.06, 0.5), (0.15, 1.3)

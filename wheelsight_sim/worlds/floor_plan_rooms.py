@@ -16,9 +16,6 @@ from wheelsight.core.errors import AreaError, ConfigError
 from wheelsight.core.geometry import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array
 from wheelsight.io.ros_map import FREE, UNKNOWN, RosMap, read_plan_image
 
-# The free space of a floor plan: rid of what scanners leave, and as polygons with straight sides.
-
-
 CELL_M = 0.05  # plans are worked on in cells of about this size, whatever theirs is
 _TOUCHED = 0.49  # of a cell: what OpenCV draws beyond a polygon
 _MOST_CELLS = 60_000_000
@@ -190,9 +187,6 @@ def drawn(shape: shapely.Geometry, plan: RosMap, size: tuple[int, ...], *, is_ge
 
 def _disc(reach: int) -> ByteArray:
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1)), np.uint8)
-
-
-# Rooms and doorways of a floor plan: free space falls apart where it is narrow, by a watershed of the way to walls.
 
 
 # Doors have 0.7 to 1.2 m between their jambs (DIN 18101), in scans up to 1.4.
@@ -372,9 +366,6 @@ def _in_wall(space: FreeSpace, middle: FloatArray, across: FloatArray, width_m: 
 def _nearest(shape: shapely.Geometry, place: FloatArray) -> FloatArray:
     """The point (2,) of a shape nearest to a place."""
     return np.array(shapely.shortest_line(shapely.Point(place), shape).coords[-1])
-
-
-# Areas of a building from an image of its rooms: one colour a room, or rooms parted by lines.
 
 
 _SMALLEST_M2 = 1.0

@@ -22,9 +22,6 @@ from wheelsight_sim.drivers import Path2d, laps_of, smooth_path
 from wheelsight_sim.robot import RobotModel
 from wheelsight_sim.worlds.floor_plan_rooms import Doorway, FreeSpace, drawn
 
-# A tour through a building that a wheelchair can drive: from room to room, by shortest ways, and back.
-
-
 _ASKED_MARGIN_M = 0.107  # beside the chair: what `refuse_walls` asks for, and what walls may come through each other
 SIDE_MARGIN_M = 0.11  # planned with
 USUAL_WAY_M = 100.0
@@ -386,9 +383,6 @@ def _poses(path: Path2d) -> tuple[FloatArray, FloatArray, FloatArray]:
     along_m = np.arange(0, path.length_m, _POSES_APART_M)
     x_m, y_m = (np.interp(along_m, path.along_m, column) for column in path.xy_m.T)
     return x_m, y_m, np.interp(along_m, path.along_m, path.yaws_rad)
-
-
-# Where a wheelchair can drive on a floor, and the shortest ways there that keep away from walls.
 
 
 # A metre beside a wall costs as much as five in the open: drivers keep to the middle of corridors.

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from drives import simulate
 
+from benchmarks.clock_faults import ClockFault, ReadingsJitter, ReadingsStalled, ReadingsTogether
 from wheelsight.core.calibration_parts import HolonomicWheels, Wheels
 from wheelsight.core.messages import WheelCounts, WheelTicks
 from wheelsight.wheels import ReadingTimes
-from wheelsight_sim.faults import ClockFault, ReadingsJitter, ReadingsStalled, ReadingsTogether
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0, slip_m_per_sqrt_m=0.002)
 LEGS = ((3.0, 0.6, 0.2), (2.0, 0.4, -0.5), (3.0, 0.7, 0.0))
