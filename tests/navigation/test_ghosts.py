@@ -21,8 +21,8 @@ from wheelsight.navigation import (
     NavigatorSettings,
     perception,
 )
+from wheelsight.navigation.navigator import monitor_words
 from wheelsight.navigation.senses import Senses
-from wheelsight.navigation.task import monitor_words
 
 SIZE_M = (8.0, 6.0)
 OPEN = (*walls_about(*SIZE_M), ((4.0, 0.0), (4.0, 2.3)), ((4.0, 3.7), (4.0, 6.0)))

@@ -31,7 +31,14 @@ from wheelsight.navigation.costmap import (
     StaticLayer,
 )
 from wheelsight.navigation.exploration import Exploration
-from wheelsight.navigation.navigator import Navigator
+from wheelsight.navigation.navigator import (
+    Feedback,
+    NavigationReason,
+    NavigationResult,
+    NavigationState,
+    Navigator,
+    Transition,
+)
 from wheelsight.navigation.perception import DepthViewer, LiveLayer, PeopleTracker, Person
 from wheelsight.navigation.planner import PathPlanner, Plan, PlanFailure, Planner, PlanReason, cost_to_go
 from wheelsight.navigation.planning import Goals, Planned, PoseGoals
@@ -50,7 +57,6 @@ from wheelsight.navigation.settings import (
     PeopleSettings,
     PlannerSettings,
 )
-from wheelsight.navigation.task import Feedback, NavigationReason, NavigationResult, NavigationState, Transition
 
 __all__ = [
     "Behaviour",

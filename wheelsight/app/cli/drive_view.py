@@ -23,7 +23,7 @@ from wheelsight.app.cli.progress import left_text
 from wheelsight.app.cli.record import clock_of
 from wheelsight.core.geometry import ByteArray, FloatArray
 from wheelsight.navigation import CellState, Costmap, Feedback, Footprint, Navigator, StaticLayer, Transition
-from wheelsight.navigation.task import STATUS_WORDS, monitor_words
+from wheelsight.navigation.navigator import STATUS_WORDS, monitor_words
 
 if TYPE_CHECKING:
     from wheelsight.config import Config

@@ -21,8 +21,8 @@ from wheelsight.core.messages import Event
 from wheelsight.core.robots import Robot, WatchedRobot
 from wheelsight.core.settings import LivePageSettings
 from wheelsight.navigation import CellState, Costmap, Feedback, Navigator, StaticLayer, Transition
+from wheelsight.navigation.navigator import STATUS_WORDS, monitor_words
 from wheelsight.navigation.senses import Senses
-from wheelsight.navigation.task import STATUS_WORDS, monitor_words
 
 _WAY_STEP_M, _WAY_POINTS, _PATH_POINTS = 0.1, 300, 80  # the newest of the driven path; of the planned one
 _JPEG_QUALITY = 60  # of the camera's image, of 100: about 10 kB
