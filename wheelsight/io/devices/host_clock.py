@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 
@@ -140,14 +139,6 @@ def slope_beneath(points: list[_Point]) -> float:
     return (right[1] - left[1]) / (right[0] - left[0])
 
 
-@dataclass(frozen=True, slots=True)
-class Stamp:
-    """A time by the host's clock, and the standard deviation of its mapping."""
-
-    stamp_s: float
-    sigma_s: float
-
-
 _CLOCK_AHEAD_S = 0.1  # a stamp this long after its frame's arrival: the camera's clock jumped forward
 CLOCK_LATE_S = 0.3  # all frames of `_CLOCK_WATCH_S` this long after their stamps: it jumped back
 _CLOCK_WATCH_S = 2.0  # a busy host has caught up by then
@@ -173,11 +164,11 @@ class CameraClock:
         """See `ClockMap`."""
         return self._map.drift_ppm
 
-    def stamp(self, device_s: float | None, arrival_s: float) -> Stamp:
-        """The stamp of a frame that arrived at `arrival_s`; the arrival itself where the device has no clock."""
+    def stamp(self, device_s: float | None, arrival_s: float) -> tuple[float, float]:
+        """The stamp of a frame by the host's clock, and its standard deviation; the arrival without a device clock."""
         period_s = 1 / self._settings.rate_hz
         if device_s is None:
-            return Stamp(self._growing(arrival_s), period_s)
+            return self._growing(arrival_s), period_s
         if self._map.is_begun:
             late_s = arrival_s - self._map.host_s(device_s)
             self._late.append((arrival_s, late_s))
@@ -190,7 +181,7 @@ class CameraClock:
                 self.jumps += 1
                 self.restart()
         self._map.update(device_s, arrival_s)
-        return Stamp(self._growing(min(self._map.host_s(device_s), arrival_s)), self._map.sigma_s(period_s))
+        return self._growing(min(self._map.host_s(device_s), arrival_s)), self._map.sigma_s(period_s)
 
     def host_s(self, device_s: float) -> float | None:
         """The host time of a time of the device's clock, for other readings than frames; None before a frame."""

@@ -436,15 +436,15 @@ class FrameCheck:
         self.lost += missing
         index = self._index + missing
         self._index = index + 1
-        stamp = self.clock.stamp(images.color_s, arrived_s)
+        stamp_s, sigma_s = self.clock.stamp(images.color_s, arrived_s)
         self._device_s, self._sequence, self._arrived_s = images.color_s, images.sequence, arrived_s
         if wrong := self._why_wrong(images):
             self.refused += 1
-            return SkippedFrame(stamp.stamp_s, wrong, index)
+            return SkippedFrame(stamp_s, wrong, index)
         late_s = 0.0 if images.color_s is None or images.depth_s is None else images.depth_s - images.color_s
         depth_m = self._depth_error.corrected(images.depth_m, self._depth)
-        frame = RgbdFrame(stamp.stamp_s, images.color, depth_m, index, late_s)
-        return LiveFrame(frame, stamp.sigma_s, images.color_s, arrived_s, images.sequence, images.infrared)
+        frame = RgbdFrame(stamp_s, images.color, depth_m, index, late_s)
+        return LiveFrame(frame, sigma_s, images.color_s, arrived_s, images.sequence, images.infrared)
 
     def replugged(self) -> None:
         """Reset after a reconnection: the device's clock and frame numbers start again."""

@@ -240,13 +240,10 @@ class OniDevice:
             == 0
         )
 
-    def set_mode(self, sensor: Sensor, mode: VideoMode) -> bool:
-        """Set the mode of a stream. Returns whether it accepts it."""
-        return self._set(sensor, Property.VIDEO_MODE, mode)
-
-    def unmirror(self, sensor: Sensor) -> None:
-        """Turn mirroring off, the default of drivers."""
-        self._set(sensor, Property.MIRRORING, ctypes.c_int(0))
+    def set(self, sensor: Sensor, name: Property, value: ctypes.Structure | ctypes.c_int) -> None:
+        """Set a property of a stream, if the device supports it."""
+        stream = self._streams[sensor]
+        self._lib.oniStreamSetProperty(stream, name, ctypes.byref(value), ctypes.sizeof(value))
 
     def number(self, sensor: Sensor, name: Property, kind: type[ctypes.c_int] | type[ctypes.c_float]) -> float | None:
         """A number property of a stream, or None."""
@@ -282,10 +279,6 @@ class OniDevice:
             yield copied_frame(frame[0])
         finally:
             self._lib.oniFrameRelease(frame)
-
-    def _set(self, sensor: Sensor, name: Property, value: ctypes.Structure | ctypes.c_int) -> bool:
-        stream = self._streams[sensor]
-        return bool(self._lib.oniStreamSetProperty(stream, name, ctypes.byref(value), ctypes.sizeof(value)) == 0)
 
 
 def copied_frame(frame: OniFrame) -> StreamFrame:
@@ -404,7 +397,7 @@ class OpenNI2Driver:
             device.create(sensor)
             if not is_file:
                 warnings += self._set_mode(device, sensor, is_v2)
-                device.unmirror(sensor)
+                device.set(sensor, Property.MIRRORING, ctypes.c_int(0))  # the default of drivers
         for sensor, known in ((Sensor.COLOR, (RGB888,)), (Sensor.DEPTH, tuple(_DEPTH_FORMATS))):
             if device.mode(sensor).format not in known:
                 problem = f"its {sensor.name.lower()} has pixel format {device.mode(sensor).format}, which is not read"
@@ -454,7 +447,7 @@ class OpenNI2Driver:
             return off, abs(mode.fps - self._settings.rate_hz), wanted[sensor].index(mode.format)
 
         best = min(modes, key=misses)
-        device.set_mode(sensor, best)
+        device.set(sensor, Property.VIDEO_MODE, best)
         if misses(best)[:2] == (0, 0):
             return []
         asked = f"{size[0]}×{size[1]} at {self._settings.rate_hz} Hz"

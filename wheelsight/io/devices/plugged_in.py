@@ -59,10 +59,6 @@ class _Model:
     needs_usb_3: bool
     driver: str = ""
 
-    def is_of(self, device: UsbDevice) -> bool:
-        """Whether a device is of this model."""
-        return self.vendor == device.vendor and (not self.products or device.product in self.products)
-
 
 def plugged_in(devices: Sequence[UsbDevice] | None = None) -> list[PluggedIn]:
     """Depth cameras, then serial ports. Nothing is opened.
@@ -88,7 +84,12 @@ def plugged_in(devices: Sequence[UsbDevice] | None = None) -> list[PluggedIn]:
 def cameras_plugged_in(devices: Sequence[UsbDevice] | None = None) -> list[PluggedIn]:
     """Depth cameras, as `plugged_in` has them."""
     listed = usb_devices() if devices is None else devices
-    known = [(device, model) for device in listed for model in _MODELS if model.is_of(device)]
+    known = [
+        (device, model)
+        for device in listed
+        for model in _MODELS
+        if model.vendor == device.vendor and (not model.products or device.product in model.products)
+    ]
     found = [_camera(device, model) for device, model in known]
     has_motor = any((device.vendor, device.product) == _KINECT_V1_MOTOR for device in listed)
     if has_motor and not any(model.name == _KINECT_V1 for _, model in known):
@@ -138,14 +139,7 @@ _BY_SERIAL = ("realsense",)
 _REALSENSE = (0x0AD3, 0x0AD4, 0x0AD5, 0x0AF6, 0x0B07, 0x0B3A, 0x0B5B, 0x0B5C, 0x0ABF, 0xABCD, 0x1155)
 _MODELS = (
     _Model(0x8086, _REALSENSE, "RealSense D400", "realsense", True),
-    _Model(
-        0x1D27,
-        (0x0500, 0x0600, 0x0601, 0x0609),
-        "PrimeSense or Xtion",
-        "openni2",
-        False,
-        "PS1080",
-    ),
+    _Model(0x1D27, (0x0500, 0x0600, 0x0601, 0x0609), "PrimeSense or Xtion", "openni2", False, "PS1080"),
     _Model(_MICROSOFT, (0x02AE, 0x02BF), _KINECT_V1, "freenect", False),
     _Model(_MICROSOFT, (0x02C4, 0x02D8), "Kinect v2", "openni2", True, "freenect2"),
     _Model(_MICROSOFT, (0x097C,), "Azure Kinect", "", True),

@@ -31,6 +31,7 @@ from wheelsight.io.devices.camera_driver import (
 
 _VENDOR = 0x8086
 RECORDINGS = (".bag", ".db3")
+_GYRO_QUEUED = 200  # readings of the gyroscope (D435i, D455): half a second at the highest rate
 _QUEUED = 20  # frames that the library keeps: a third of a second of two streams
 # The error of disparities on textured walls, pixels: the maker's white paper on tuning D400 depth cameras.
 _SUBPIXEL = 0.08
@@ -64,7 +65,7 @@ class RealSenseDriver:
         self._device: Any = None
         self._queue: Any = None
         self._running: list[Any] = []
-        self._gyro: RealSenseGyro | None = None
+        self._gyro: tuple[Any, FloatArray] | None = None  # its queue, so that images displace no reading; R_camera_gyro
         self._pairs: FramePairs[Any] = FramePairs()
         self._infrared: UInt16Array | None = None
         self._depth_scale_m = 0.001
@@ -117,10 +118,18 @@ class RealSenseDriver:
 
     def take_angular_velocities(self) -> list[DeviceAngularVelocity]:
         """See `GyroDriver`."""
+        found: list[DeviceAngularVelocity] = []
+        if self._gyro is None:
+            return found
+        queue, R_camera_gyro = self._gyro
         try:
-            return [] if self._gyro is None else self._gyro.take()
+            while frame := queue.poll_for_frame():
+                data = frame.as_motion_frame().get_motion_data()
+                x, y, z = (R_camera_gyro @ np.array([data.x, data.y, data.z])).tolist()
+                found.append(DeviceAngularVelocity(1e-3 * frame.get_timestamp(), x, y, z))
         except RuntimeError as error:
             raise _device_error(error, self._where) from error
+        return found
 
     def close(self) -> None:
         """See `CameraDriver`."""
@@ -175,12 +184,22 @@ class RealSenseDriver:
         self._depth_scale_m = chosen["depth"].sensor.as_depth_sensor().get_depth_scale()
         self._pairs, self._infrared = FramePairs(), None
         self._queue = self._rs.frame_queue(_QUEUED, True)
-        gyro = gyro_of(self._rs, self._device, chosen["depth"].profile) if self._settings.gyro else None
-        if gyro is not None:
-            self._use_device_clock(gyro.sensor)
-            self._running.append(gyro.sensor)
-            gyro.start()
-            self._gyro = gyro
+        gyros = [
+            (profile.fps(), sensor, profile)
+            for sensor in (self._device.query_sensors() if self._settings.gyro else ())
+            for profile in sensor.get_stream_profiles()
+            if profile.stream_type() == stream.gyro and profile.format() == form.motion_xyz32f
+        ]
+        if gyros:
+            # The slowest rate is fast enough for a robot.
+            _, sensor, profile = min(gyros, key=lambda one: one[0])
+            rotation = profile.get_extrinsics_to(chosen["depth"].profile).rotation
+            queue = self._rs.frame_queue(_GYRO_QUEUED, True)
+            self._use_device_clock(sensor)
+            self._running.append(sensor)
+            sensor.open([profile])
+            sensor.start(queue)
+            self._gyro = queue, np.reshape(rotation, (3, 3)).T  # column-major
         name = self._rs.camera_info.name
         for sensor in {one.sensor.get_info(name): one.sensor for one in chosen.values()}.values():
             self._use_device_clock(sensor)
@@ -276,52 +295,3 @@ def _device_error(error: RuntimeError, where: str | None) -> DeviceError:
     return DeviceError(
         f"RealSense: {message}", path=where, fix="unplug it and plug it in again; see: wheelsight devices"
     )
-
-
-# The gyroscope of a RealSense camera (D435i, D455)
-
-_GYRO_QUEUED = 200  # readings that the library keeps: half a second at the highest rate
-
-
-class RealSenseGyro:
-    """A gyroscope with a queue of its own, so that images do not displace readings. Rates are about the camera's axes.
-
-    Args:
-        R_camera_gyro: (3, 3).
-    """
-
-    def __init__(self, rs: Any, sensor: Any, profile: Any, R_camera_gyro: FloatArray) -> None:
-        self.sensor, self.profile = sensor, profile
-        self._R, self._queue = R_camera_gyro, rs.frame_queue(_GYRO_QUEUED, True)
-
-    def start(self) -> None:
-        """Start streaming. Raises RuntimeError of the library."""
-        self.sensor.open([self.profile])
-        self.sensor.start(self._queue)
-
-    def take(self) -> list[DeviceAngularVelocity]:
-        """The readings since the last call, in order. Does not wait."""
-        found = []
-        while frame := self._queue.poll_for_frame():
-            data = frame.as_motion_frame().get_motion_data()
-            x, y, z = (self._R @ np.array([data.x, data.y, data.z])).tolist()
-            found.append(DeviceAngularVelocity(1e-3 * frame.get_timestamp(), x, y, z))
-        return found
-
-
-def gyro_of(rs: Any, device: Any, depth_profile: Any) -> RealSenseGyro | None:
-    """The device's gyroscope at its slowest rate, which is fast enough for a robot; None without a gyroscope.
-
-    Raises RuntimeError of the library where the gyroscope's extrinsics are unknown.
-    """
-    offered = [
-        (profile.fps(), sensor, profile)
-        for sensor in device.query_sensors()
-        for profile in sensor.get_stream_profiles()
-        if profile.stream_type() == rs.stream.gyro and profile.format() == rs.format.motion_xyz32f
-    ]
-    if not offered:
-        return None
-    _, sensor, profile = min(offered, key=lambda one: one[0])
-    rotation = profile.get_extrinsics_to(depth_profile).rotation
-    return RealSenseGyro(rs, sensor, profile, np.reshape(rotation, (3, 3)).T)  # column-major

@@ -279,24 +279,19 @@ class SimulatedController:
             self.commands.append((kind, body))
             was_framed = not self.is_paper
             status = _status(kind, body)
-            if status == _DONE:
-                self._execute(LinkCommand(kind), body)
+            if status == _DONE and kind == LinkCommand.DRIVE:
+                self.duties, self._driven_s = _duties(body), time.monotonic()
+            elif status == _DONE and kind == LinkCommand.STOP:
+                self.duties = (0, 0)
+            elif status == _DONE and kind == LinkCommand.RESET_COUNTS:
+                self._zero = (self.left, self.right)
+            elif status == _DONE and kind == LinkCommand.SET_FORMAT:
+                self.is_paper = bool(body[0])
             if not self.answers or not (was_framed or not self.is_paper):
                 return
             if kind == LinkCommand.GET_VERSION and status == _DONE:
                 self.send(encode_message(Version(self._next(), *self.version)))
             self.send(encode_message(Ack(self._next(), kind, sequence, status)))
-
-    def _execute(self, command: LinkCommand, body: bytes) -> None:
-        if command == LinkCommand.DRIVE:
-            self.duties = _duties(body)
-            self._driven_s = time.monotonic()
-        elif command == LinkCommand.STOP:
-            self.duties = (0, 0)
-        elif command == LinkCommand.RESET_COUNTS:
-            self._zero = (self.left, self.right)
-        elif command == LinkCommand.SET_FORMAT:
-            self.is_paper = bool(body[0])
 
 
 def _duties(body: bytes) -> tuple[int, int]:

@@ -157,7 +157,8 @@ class WheelLink:
         Raises DeviceError where the port is gone, or the controller does not confirm, or takes no commands.
         """
         self._need_commands()
-        self._commands.stop(self._is_answering)
+        self._commands.forget_drive()
+        self._commands.ask(LinkCommand.STOP, is_answered=self._is_answering)
 
     def ask_version(self) -> Version:
         """The version of the controller's firmware. Raises DeviceError where it does not answer."""
@@ -175,7 +176,7 @@ class WheelLink:
         self._need_commands()
         self._tracker.expect_reset(True)
         try:
-            self._commands.reset_counts(self._is_answering)
+            self._commands.ask(LinkCommand.RESET_COUNTS, is_answered=self._is_answering)
         except DeviceError:
             self._tracker.expect_reset(False)
             raise
@@ -190,7 +191,8 @@ class WheelLink:
         is_paper = wanted is Format.PAPER
         self._decoder.expect_frames(not is_paper)
         try:
-            self._commands.set_format(is_paper, is_answered=self._is_answering or not is_paper)
+            # A change is always confirmed, since one of the formats has frames.
+            self._commands.ask(LinkCommand.SET_FORMAT, bytes([is_paper]), self._is_answering or not is_paper)
         except DeviceError:
             self._decoder.expect_frames(False)
             if not (is_paper and self._decoder.format is wanted and self.status is LinkStatus.CONNECTED):
@@ -402,11 +404,6 @@ class Commands:
         with self._sending:
             self._drive = None
 
-    def stop(self, is_answered: bool) -> None:
-        """Stop the motors. Waits for the confirmation where `is_answered`."""
-        self.forget_drive()
-        self._ask(LinkCommand.STOP, is_answered=is_answered)
-
     def end(self) -> None:
         """Stop the motors if they were ever driven, without waiting for the confirmation."""
         self.forget_drive()
@@ -417,18 +414,10 @@ class Commands:
     def ask_version(self) -> Version:
         """The version of the controller's firmware. Raises DeviceError where it does not answer."""
         self.set_version(None)
-        self._ask(LinkCommand.GET_VERSION)
+        self.ask(LinkCommand.GET_VERSION)
         if self.version is None:
             raise DeviceError("the controller sends no version", path=self._port, fix="ask again; the line is noisy")
         return self.version
-
-    def reset_counts(self, is_answered: bool) -> None:
-        """Set the controller's counters to zero."""
-        self._ask(LinkCommand.RESET_COUNTS, is_answered=is_answered)
-
-    def set_format(self, is_paper: bool, is_answered: bool) -> None:
-        """Choose the wire format. A change is always confirmed, since one of the formats has frames."""
-        self._ask(LinkCommand.SET_FORMAT, bytes([is_paper]), is_answered)
 
     def answered(self, ack: Ack) -> bool:
         """Store an answer. Returns whether it confirms that the counters are zero."""
@@ -441,8 +430,8 @@ class Commands:
         """Store the version that the controller sent; None before it is asked for."""
         self.version = version
 
-    def _ask(self, command: LinkCommand, body: bytes = b"", is_answered: bool = True) -> None:
-        """Send a command until it is confirmed. Raises DeviceError where it is refused or not answered."""
+    def ask(self, command: LinkCommand, body: bytes = b"", is_answered: bool = True) -> None:
+        """Send a command, until it is confirmed where `is_answered`. Raises DeviceError where it is not."""
         if not is_answered:
             self._send(command, body)
             return

@@ -179,9 +179,17 @@ class FrameDecoder:
         if not self._is_in_step:
             self._is_in_step = True
             statistics.resyncs += 1
-        if not self._is_new(frame):
-            statistics.duplicates += 1
-            return None
+        sequence, last = frame[1], self._sequence
+        if last is not None and (step := (sequence - last) & 0xFF) != 1:
+            if frame in self._recent:
+                statistics.duplicates += 1
+                return None
+            self._gaps[sequence] = (step - 1) & 0xFF
+            statistics.lost += self._gaps[sequence]
+        else:
+            self._gaps.pop(sequence, None)
+        self._sequence = sequence
+        self._recent.append(frame)
         layout = _LAYOUTS.get(frame[0])
         if layout is None:
             statistics.unknown += 1
@@ -211,20 +219,6 @@ class FrameDecoder:
             statistics.malformed += 1
             return None
         return bytes(frame)
-
-    def _is_new(self, frame: bytes) -> bool:
-        """Whether the frame is not a repeat of a recent one. Counts the frames missing before it."""
-        sequence, last = frame[1], self._sequence
-        if last is not None and (step := (sequence - last) & 0xFF) != 1:
-            if frame in self._recent:
-                return False
-            self._gaps[sequence] = (step - 1) & 0xFF
-            self.statistics.lost += self._gaps[sequence]
-        else:
-            self._gaps.pop(sequence, None)
-        self._sequence = sequence
-        self._recent.append(frame)
-        return True
 
     def forgive_gap(self, sequence: int) -> None:
         """Remove a loss that was counted at this frame, or at the one before it: the controller restarted.

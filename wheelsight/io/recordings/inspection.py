@@ -132,6 +132,10 @@ class OffsetMeter:
         return RegistrationOffset(at, float(_SEARCH_SCALES[scale]), strength, strength_as_is)
 
 
+# The fit of an offset in standard deviations over all shifts, and the offset.
+_FarFit = tuple[float, RegistrationOffset]
+
+
 class _FarSearch:
     """A search over large scales, large shifts and mirrored images, on the edges of a few frames.
 
@@ -159,16 +163,16 @@ class _FarSearch:
             for flips in _FLIPS
             for scale in range(len(_FAR_SCALES))
         }
-        (flips, scale), best = max(fits.items(), key=lambda item: item[1].deviations)
-        as_is = fits[_FLIPS[0], _AS_IS]
+        (flips, scale), (deviations, best) = max(fits.items(), key=lambda item: item[1][0])
+        deviations_as_is, as_is = fits[_FLIPS[0], _AS_IS]
         reach = float(_SEARCH_SCALES[-1])
         is_far = any(flips) or not 1 / reach < _FAR_SCALES[scale] < reach
-        if not is_far or best.deviations < max(_FAR_STANDS_OUT, _FAR_FACTOR * as_is.deviations):
+        if not is_far or deviations < max(_FAR_STANDS_OUT, _FAR_FACTOR * deviations_as_is):
             return None
-        return replace(best.offset, flips=flips, strength_as_is=as_is.offset.strength_as_is)
+        return replace(best, flips=flips, strength_as_is=as_is.strength_as_is)
 
     def _fit(self, edges: list[tuple[Any, IntArray]], flips: tuple[bool, bool], scale: float) -> _FarFit:
-        """The best fit over all shifts of edges that are flipped and scaled about the middle."""
+        """The best shift of edges that are flipped and scaled about the middle, and how far it stands out."""
         (height, width), (right, down) = self._shape, _FAR_PX
         columns, rows = _far_size(width, height)
         middle, step = np.array([(width - 1) / 2, (height - 1) / 2]), np.array([width / columns, height / rows])
@@ -187,15 +191,7 @@ class _FarSearch:
         shift_px = step * (np.array([x_best, y_best]) - _FAR_PX)
         strength, as_is = float(near.max()) / max(count, 1), float(fit[0, 0]) / max(count, 1)
         offset = RegistrationOffset((float(shift_px[0]), float(shift_px[1])), round(scale, 2), strength, as_is)
-        return _FarFit(float(near.max() / max(fit.std(), 1e-12)), offset)
-
-
-@dataclass(frozen=True, slots=True)
-class _FarFit:
-    """The best shift for a scale and flip, and its fit in standard deviations over all shifts."""
-
-    deviations: float
-    offset: RegistrationOffset
+        return float(near.max() / max(fit.std(), 1e-12)), offset
 
 
 def _correlation(spectrum: Any, moved: Any) -> Any:
@@ -415,7 +411,7 @@ def inspect_recording(recording: Recording, on_event: Callable[[], None] | None 
         duration_s=float(np.ptp(stamps_s)) if len(stamps_s) else 0.0,
         rate_hz=1 / period_s if period_s > 0 else float("nan"),
         gaps=tuple(Gap(float(stamps_s[i]), float(steps_s[i])) for i in long),
-        valid_depth_share=tally.valid_share,
+        valid_depth_share=float(tally.histogram.sum() / tally.pixels) if tally.pixels else float("nan"),
         depth_m=tally.depth_percentiles_m(),
         offset=offset,
         association=recording.association,
@@ -486,10 +482,6 @@ class _Tally:
         every = max(1, self.recording.frame_count // _OFFSET_FRAMES)
         if event.index % every == every // 2 and event.color.shape[:2] == event.depth_m.shape:
             self.offset_meter.add(event.color, event.depth_m)
-
-    @property
-    def valid_share(self) -> float:
-        return float(self.histogram.sum() / self.pixels) if self.pixels else float("nan")
 
     def depth_percentiles_m(self) -> dict[str, float]:
         """Depth at three percentiles, with a resolution of a quarter of a percent."""

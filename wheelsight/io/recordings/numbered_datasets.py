@@ -21,7 +21,7 @@ from wheelsight.core.trajectory import Trajectory, read_tum
 from wheelsight.io.recordings.image_recording import FramePaths, ImageRecording, pair_images, recording_of
 from wheelsight.io.recordings.images import DepthEncoding, color_size
 from wheelsight.io.recordings.recording import Layout, LeftOut, OpenOptions, Reader, choose_calibration, load_camera
-from wheelsight.io.recordings.tables import Line, ListedFile, read_lines
+from wheelsight.io.recordings.tables import ListedFile, read_lines
 from wheelsight.io.recordings.tum_datasets import DEPTH_FACTOR
 
 _ASSUMED_RATE_HZ = 30.0  # of the Kinects, Xtions and renderings of these datasets
@@ -329,33 +329,28 @@ def _read_log(path: Path, depth: list[ListedFile], warnings: list[str]) -> list[
     if not lines or len(lines) % _LINES_A_POSE:
         problem = f"holds {len(lines)} lines, not five a pose"
         raise TrajectoryError(problem, path=path, line=lines[-1].number if lines else None, fix=_FIX)
-    poses = [_pose(lines[at : at + _LINES_A_POSE], depth, path) for at in range(0, len(lines), _LINES_A_POSE)]
-    known = [pose for pose in poses if pose is not None]
-    if len(known) < len(poses):
-        warnings.append(f"{len(poses) - len(known)} of {len(poses)} poses of {path.name} are of no depth image here.")
+    known = []
+    for first, *others in zip(*[iter(lines)] * _LINES_A_POSE, strict=True):
+        try:
+            _, _, count = (int(word) for word in first.text.split())
+        except ValueError as error:
+            raise TrajectoryError("three whole numbers are expected", path=path, line=first.number, fix=_FIX) from error
+        rows = []
+        for line in others:
+            try:
+                a, b, c, d = (float(word) for word in line.text.split())
+            except ValueError as error:
+                raise TrajectoryError("four numbers are expected", path=path, line=line.number, fix=_FIX) from error
+            rows.append((a, b, c, d))
+        if 1 <= count <= len(depth):
+            known.append(WrittenPose(depth[count - 1].stamp_s, np.array(rows), path, first.number))
+    total = len(lines) // _LINES_A_POSE
+    if len(known) < total:
+        warnings.append(f"{total - len(known)} of {total} poses of {path.name} are of no depth image here.")
     stamps = [pose.stamp_s for pose in known]
     if any(later <= before for before, later in pairwise(stamps)):
         raise TrajectoryError("its third numbers do not grow", path=path, fix="put its poses in order of frames")
     return known
-
-
-def _pose(lines: list[Line], depth: list[ListedFile], path: Path) -> WrittenPose | None:
-    """The pose of five lines; None where there is no depth image of its number."""
-    first = lines[0]
-    try:
-        _, _, count = (int(word) for word in first.text.split())
-    except ValueError as error:
-        raise TrajectoryError("three whole numbers are expected", path=path, line=first.number, fix=_FIX) from error
-    rows = []
-    for line in lines[1:]:
-        try:
-            a, b, c, d = (float(word) for word in line.text.split())
-        except ValueError as error:
-            raise TrajectoryError("four numbers are expected", path=path, line=line.number, fix=_FIX) from error
-        rows.append((a, b, c, d))
-    if not 1 <= count <= len(depth):
-        return None
-    return WrittenPose(depth[count - 1].stamp_s, np.array(rows), path, first.number)
 
 
 _REPLICA_COLOR = re.compile(r"frame(\d{1,9})\.(?:jpe?g|png)")

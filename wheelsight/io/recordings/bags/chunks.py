@@ -75,11 +75,6 @@ class Allowance:
         self.bytes_left = _FREE_BYTES + _MOST_RATIO * size_bytes
         self.most_messages = _FREE_MESSAGES + size_bytes // _LEAST_MESSAGE_BYTES
 
-    @property
-    def most_records(self) -> int:
-        """The largest number of records of a chunk."""
-        return self.bytes_left // _RECORD_BYTES
-
     def unpacked(self, data: bytes, way: str, stated_bytes: int | None = None) -> bytes:
         """The decompressed content of a message or a chunk. Raises ValueError, and RecordingError as `take`."""
         if not way:
@@ -201,7 +196,7 @@ class ChunkedReader(ABC):
             self._last = None
             try:
                 content = self.content_at(place)
-                records, count = self.walk(content, self.allowance.most_records)
+                records, count = self.walk(content, self.allowance.bytes_left // _RECORD_BYTES)
             except (ValueError, LookupError, struct.error) as error:
                 raise self._refusal(f"its chunk at byte {place:,} {error}") from error
             self.allowance.take(0, count)

@@ -216,7 +216,6 @@ class BagRobot:
         calibration: the known parts, or None where nothing is known; `lacks` then says why.
         base: name of the base frame, or None.
         lacks: why the camera is unknown, where the bag has one.
-        needs_cameras, needs_wheels: the parts that a calibration must have for this bag.
     """
 
     calibration: Calibration | None
@@ -224,8 +223,6 @@ class BagRobot:
     transforms: Transforms
     warnings: tuple[str, ...]
     lacks: CalibrationError | None = None
-    needs_cameras: bool = False
-    needs_wheels: bool = False
 
 
 def read_robot(bag: OpenBag, roles: Roles) -> BagRobot:
@@ -259,8 +256,7 @@ def read_robot(bag: OpenBag, roles: Roles) -> BagRobot:
     calibration = reduce(Calibration.updated_by, known) if known else None
     if calibration is None and lacks is None:
         lacks = lacks_sizes(bag, roles)
-    needs = (roles.color is not None, roles.needs_sizes)
-    return BagRobot(calibration, base, transforms, tuple(warnings), lacks, *needs)
+    return BagRobot(calibration, base, transforms, tuple(warnings), lacks)
 
 
 def _base_frame(bag: OpenBag, roles: Roles, transforms: Transforms) -> str | None:
@@ -386,9 +382,9 @@ def _calibrated(bag: OpenBag, roles: Roles, robot: BagRobot, options: OpenOption
         raise robot.lacks
     calibration = load_calibration(*over, under=known) if over else known
     assert calibration is not None
-    if robot.needs_cameras and calibration.color is None:
+    if roles.color is not None and calibration.color is None:
         raise robot.lacks or CalibrationError("the camera's calibration is unknown", path=bag.path, fix="give --camera")
-    if robot.needs_wheels and calibration.any_wheels is None:
+    if roles.needs_sizes and calibration.any_wheels is None:
         raise lacks_sizes(bag, roles)
     return calibration
 
@@ -409,9 +405,12 @@ def _wheels(
         return None, [], None
     if roles.joints is not None:
         names = f"{'+'.join(roles.joints.left)} and {'+'.join(roles.joints.right)}"
-        ticks_per_turn = _ticks_per_turn(bag, roles, calibration)
-        if ticks_per_turn is not None:
-            return partial(JointTicks, roles.joints, ticks_per_turn), [], None
+        own = _own_with_used_wheels(bag, roles)
+        if own is not None and own.wheels is not None and calibration.wheels is not None:
+            # A bag of wheelsight stores counts as joint angles.
+            is_same = own.wheels.ticks_per_turn == calibration.wheels.ticks_per_turn
+            if not len(bag.decode(bag.first(roles.wheels.name)[0]).velocity) and is_same:
+                return partial(JointTicks, roles.joints, own.wheels.ticks_per_turn), [], None
         return partial(joint_speeds, roles.joints), [f"{roles.wheels.name}: wheels are the joints {names}."], None
     topic, source = roles.wheels.name, roles.source
     assert source is not None
@@ -431,16 +430,6 @@ def _wheels(
     if np.isfinite(stated).all() and (stated >= 0).all() and stated[0] > 0 and stated[2] > 0:
         variances = SpeedVariances(np.array([bag.header(bag.first(topic)[0]).stamp_s]), stated[None, :])
     return source.reader(nominal, nominal, by_twist), warnings, variances
-
-
-def _ticks_per_turn(bag: OpenBag, roles: Roles, calibration: Calibration) -> float | None:
-    """Counts per turn of the encoders in a bag of wheelsight that stores counts as joint angles; None in others."""
-    own = _own_with_used_wheels(bag, roles)
-    if own is None or own.wheels is None or calibration.wheels is None or roles.wheels is None:
-        return None
-    has_speeds = len(bag.decode(bag.first(roles.wheels.name)[0]).velocity) > 0
-    is_same = own.wheels.ticks_per_turn == calibration.wheels.ticks_per_turn
-    return own.wheels.ticks_per_turn if is_same and not has_speeds else None
 
 
 def _holonomic_wheels(

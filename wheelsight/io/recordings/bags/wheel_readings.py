@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.geometry import se2
@@ -36,27 +37,28 @@ class Joints:
     right: tuple[str, ...]
 
 
-class SpeedReader(Protocol):
-    """Makes wheel readings of one topic's messages, in order of time."""
+class SpeedReader(ABC):
+    """Makes wheel readings of one topic's messages, in order of time.
 
-    unusable: int
+    Attributes:
+        unusable: the number of messages that lack a number, or have invalid ones.
+    """
 
+    unusable = 0
+
+    @abstractmethod
     def add(self, stamp_s: float, message: Any) -> WheelReading | None:
         """The speeds between the last message and this one, or the counts of this one; None without any."""
 
     def end(self) -> WheelSpeeds | None:
         """The speeds after the last message, or None."""
+        return None
 
 
-class JointTicks:
-    """Counts of encoders, from joint angles that were computed from counts.
-
-    Attributes:
-        unusable: the number of messages that lack one of the joints, or have invalid numbers.
-    """
+class JointTicks(SpeedReader):
+    """Counts of encoders, from joint angles that were computed from counts."""
 
     def __init__(self, joints: Joints, ticks_per_turn: float) -> None:
-        self.unusable = 0
         self._names, self._per_rad = (joints.left[0], joints.right[0]), ticks_per_turn / (2 * math.pi)
 
     def add(self, stamp_s: float, message: Any) -> WheelTicks | None:
@@ -69,20 +71,14 @@ class JointTicks:
         left, right = (round(angle_rad * self._per_rad) for angle_rad in angles_rad)
         return WheelTicks(stamp_s, left, right)
 
-    def end(self) -> None:
-        """See `SpeedReader`."""
 
-
-class HeldSpeeds(Generic[_Content]):
+class HeldSpeeds(SpeedReader, Generic[_Content]):
     """Speeds between consecutive messages, from the contents of both.
 
     Args:
         content_of: gives the content of a message, or None where its numbers are invalid.
         between: gives the speeds between two messages: of the stamp of the first, both contents, and the time between.
         after: gives the speeds after the last message, of its stamp and content.
-
-    Attributes:
-        unusable: the number of messages without valid numbers.
     """
 
     def __init__(
@@ -91,7 +87,6 @@ class HeldSpeeds(Generic[_Content]):
         between: Callable[[float, _Content, _Content, float], WheelSpeeds],
         after: Callable[[float, _Content], WheelSpeeds],
     ) -> None:
-        self.unusable = 0
         self._content_of, self._between, self._after = content_of, between, after
         self._last: tuple[float, _Content] | None = None
 
@@ -217,7 +212,7 @@ class JointReader:
         return turned_rad
 
 
-class CountedTicks:
+class CountedTicks(SpeedReader):
     """Counts of encoders, from integers in fields or an array.
 
     Args:
@@ -225,15 +220,11 @@ class CountedTicks:
         sides: names of the left and the right wheels' numbers; those of a side are averaged.
         bits: of the counters, whose wrap-around is removed; 0 without wrap-around.
         per_number: the calibration's encoder counts per unit of these numbers.
-
-    Attributes:
-        unusable: the number of messages that lack one of the numbers.
     """
 
     def __init__(
         self, numbers_of: Callable[[Any], Mapping[str, float]], sides: Joints, bits: int, per_number: float = 1.0
     ) -> None:
-        self.unusable = 0
         self._numbers_of, self._sides, self._per_number = numbers_of, sides, per_number
         self._unrolled = {name: _Unrolled(bits) for name in (*sides.left, *sides.right)}
         self._last_s = -math.inf
@@ -255,20 +246,11 @@ class CountedTicks:
         )
         return WheelTicks(stamp_s, left, right)
 
-    def end(self) -> WheelSpeeds | None:
-        """See `SpeedReader`."""
-        return None
 
-
-class CountsApart:
-    """Counts of encoders with a topic for each wheel. Right counts are interpolated at the stamps of left ones.
-
-    Attributes:
-        unusable: always 0.
-    """
+class CountsApart(SpeedReader):
+    """Counts of encoders with a topic for each wheel. Right counts are interpolated at the stamps of left ones."""
 
     def __init__(self, bits: int) -> None:
-        self.unusable = 0
         self._unrolled = _Unrolled(bits), _Unrolled(bits)
         self._left: tuple[float, float] | None = None
         self._right: tuple[tuple[float, float], ...] = ()
@@ -282,10 +264,6 @@ class CountsApart:
         """Add a message of the right wheel. Returns the counts at the last left message, if that is not newer."""
         self._right = (*self._right[-1:], (stamp_s, self._unrolled[1](int(message.data))))
         return self._both()
-
-    def end(self) -> WheelSpeeds | None:
-        """See `SpeedReader`."""
-        return None
 
     def _both(self) -> WheelTicks | None:
         """The counts of both wheels at the last left message, once right messages enclose it; else None."""
@@ -313,19 +291,16 @@ class _Unrolled:
         return number + self._added
 
 
-class BasePoses:
+class BasePoses(SpeedReader):
     """The pose of a holonomic base by its own odometry.
 
     Args:
         pose_of: gives pose x, y, yaw and twist of a message, or None where its numbers are invalid. Without it, the
             mean twists of consecutive messages are integrated.
-
-    Attributes:
-        unusable: the number of messages without valid numbers.
     """
 
     def __init__(self, pose_of: Callable[[Any], _PoseAndTwist | None] | None) -> None:
-        self.unusable, self._pose_of = 0, pose_of
+        self._pose_of = pose_of
         self._T = se2.from_parts(0.0, 0.0, 0.0)
         self._last: tuple[float, tuple[float, float, float]] | None = None
 
@@ -347,24 +322,18 @@ class BasePoses:
         self._last = stamp_s, content
         return OdometryReading(stamp_s, x_m, y_m, yaw_rad)
 
-    def end(self) -> None:
-        """See `SpeedReader`."""
 
-
-class AllCounts:
+class AllCounts(SpeedReader):
     """Counts of all wheels of a holonomic base, from an array, or from angles or speeds of joints.
 
     Args:
         places: names of joints, or indices of an array, in the order of the calibration's wheels.
         bits: of an array's counters, whose wrap-around is removed; 0 without wrap-around.
         ticks_per_turn: counts per turn for joints; None for an array.
-
-    Attributes:
-        unusable: the number of messages that lack one of them.
     """
 
     def __init__(self, places: tuple[str, ...], bits: int = 0, ticks_per_turn: float | None = None) -> None:
-        self.unusable, self._places = 0, places
+        self._places = places
         self._unrolled = [_Unrolled(bits) for _ in places]
         self._joints = None if ticks_per_turn is None else JointReader(places)
         self._per_rad = 0.0 if ticks_per_turn is None else ticks_per_turn / (2 * math.pi)
@@ -389,9 +358,6 @@ class AllCounts:
             return None
         self._last_s = stamp_s
         return WheelCounts(stamp_s, counts)
-
-    def end(self) -> None:
-        """See `SpeedReader`."""
 
     def _of_joints(self, joints: JointReader, stamp_s: float, message: Any) -> tuple[int, ...] | None:
         """Counts from the integrated motion of joints; None where the message is invalid."""
