@@ -26,7 +26,7 @@ QUICK := $(if $(filter-out false 0,$(CI) $(SLOW)),,-m "not slow")
 # scikit-learn and skops, MuJoCo and matplotlib, scikit-image, rosbags, PyAV, Starlette with uvicorn and websockets, Dask, GTSAM.
 LOWEST := .venv-lowest
 LOWEST_TESTS := tests/test_package.py tests/cli/test_app.py tests/cli/test_run.py tests/cli/test_run_wheels.py \
-	tests/geometry/test_camera.py tests/geometry/test_se3.py tests/test_areas.py tests/camera_calibration/test_detection.py tests/devices/test_protocol.py \
+	tests/geometry/test_camera.py tests/geometry/test_se3.py tests/test_areas.py tests/calibration/test_detection.py tests/devices/test_protocol.py \
 	tests/devices/test_realsense.py tests/report/test_report_page.py tests/places/test_storage.py tests/simulation/test_scene.py \
 	tests/cli/test_simulate.py tests/mapping/test_export.py tests/recordings/rosbag/test_formats.py \
 	tests/recordings/test_azure_kinect.py tests/live_page/test_server.py tests/live_page/test_access.py \

@@ -17,9 +17,9 @@ import numpy as np
 
 from wheelsight.core.depth_errors import DepthError
 from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, PinholeCamera, se3, so3
-from wheelsight.vision.camera_calibration.board import Board, board_from
-from wheelsight.vision.camera_calibration.calibration import reading_m
-from wheelsight.vision.camera_calibration.views import BoardView, Corners, ViewSet
+from wheelsight_calibration.board import Board, board_from
+from wheelsight_calibration.cameras import reading_m
+from wheelsight_calibration.views import BoardView, Corners, ViewSet
 
 BOARD = board_from("8x5:60mm")  # on A2
 _PLATE_M = 0.09

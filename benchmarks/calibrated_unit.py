@@ -24,16 +24,16 @@ from benchmarks.calibrated_sources import with_calibration
 from benchmarks.unit_views import VIEWS, bench_of, views_of
 from wheelsight.core.calibration import Calibration, load_calibration, save_calibration, save_layer
 from wheelsight.core.calibration_parts import Wheels
-from wheelsight.core.camera_errors import typical_motion_errors
 from wheelsight.core.geometry import FloatArray, PinholeCamera, se3
+from wheelsight.core.settings.calibration import CameraCalibrationSettings, RefusalSettings
 from wheelsight.io.recordings.recording import express_for
-from wheelsight.vision.camera_calibration.calibration import CameraCalibration, calibrate_camera, camera_fields
-from wheelsight.vision.camera_calibration.model import CameraSetup
-from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings, RefusalSettings
-from wheelsight.vision.camera_calibration.views import ViewSet
-from wheelsight.vision.extrinsics import Sightings, calibrate_base, mount_values
-from wheelsight.wheels import fit_wheels
-from wheelsight.wheels.umbmark import square_run, umbmark_from_runs
+from wheelsight_calibration.base import Sightings, calibrate_base, mount_values
+from wheelsight_calibration.camera_model import CameraSetup
+from wheelsight_calibration.cameras import CameraCalibration, calibrate_camera, camera_fields
+from wheelsight_calibration.motion_errors import typical_motion_errors
+from wheelsight_calibration.squares import square_run, umbmark_from_runs
+from wheelsight_calibration.views import ViewSet
+from wheelsight_calibration.wheels import fit_wheels
 from wheelsight_sim import SimulatedRecording, SimulationSettings, camera_model, simulate, stream
 
 DISTANCES_M = (0.8, 1.2, 2.0, 3.0, 4.0)

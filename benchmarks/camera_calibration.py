@@ -21,11 +21,11 @@ from benchmarks.sequences import default_data_folder
 from benchmarks.table import Sheet, shown
 from wheelsight.core.files import write_text
 from wheelsight.core.geometry import FloatArray, PinholeCamera, se3, so3
-from wheelsight.vision.camera_calibration.board import board_from
-from wheelsight.vision.camera_calibration.calibration import CameraCalibration, calibrate_camera
-from wheelsight.vision.camera_calibration.model import CameraSetup
-from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings, RefusalSettings
-from wheelsight.vision.camera_calibration.views import read_views
+from wheelsight.core.settings.calibration import CameraCalibrationSettings, RefusalSettings
+from wheelsight_calibration.board import board_from
+from wheelsight_calibration.camera_model import CameraSetup
+from wheelsight_calibration.cameras import CameraCalibration, calibrate_camera
+from wheelsight_calibration.views import read_views
 
 SEEDS, VIEWS = 10, 40
 DISTANCES_M = (0.8, 1.2, 2.0, 3.0, 4.0)

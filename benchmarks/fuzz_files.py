@@ -83,12 +83,12 @@ from wheelsight.slam import RelativePose
 from wheelsight.slam.maps import MapFolder, driven_way, info_of, occupancy_of, rebuild, save_occupancy
 from wheelsight.slam.maps.folder import OCCUPANCY_FILE
 from wheelsight.slam.maps.keyframes import DepthSteps
-from wheelsight.vision.camera_calibration.board import board_from
-from wheelsight.vision.camera_calibration.views import read_views
-from wheelsight.wheels.umbmark import read_return_errors
 from wheelsight_batch import BatchRow, Case, Job, Outcome, Spread, read_rows
 from wheelsight_batch.batches import KeptOutcomes
 from wheelsight_batch.table import csv_text, rows_of
+from wheelsight_calibration.board import board_from
+from wheelsight_calibration.squares import read_return_errors
+from wheelsight_calibration.views import read_views
 from wheelsight_export import BagParts, export_bag, exported_at
 from wheelsight_papers import label_source, read_labels, train_places
 from wheelsight_sim import read_manual_velocities

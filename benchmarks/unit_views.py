@@ -13,8 +13,8 @@ import numpy as np
 
 from benchmarks.board_views import BOARD, board_corners, on_plate
 from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera, se3, so3
-from wheelsight.vision.camera_calibration.board import Board
-from wheelsight.vision.camera_calibration.views import BoardView, ViewSet
+from wheelsight_calibration.board import Board
+from wheelsight_calibration.views import BoardView, ViewSet
 from wheelsight_sim import CameraUnit, camera_model, realism_of, stream, unit_of
 from wheelsight_sim.depth_sensor import DepthDistortion
 from wheelsight_sim.scene import View as Seen

@@ -24,8 +24,8 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import ate, rpe
 from wheelsight.io.recordings import Recording, open_recording
 from wheelsight.wheels import Integration, integrate_log, mean_yaw_rates, ticks_from_speeds
-from wheelsight.wheels.calibration import fit_wheels
-from wheelsight.wheels.drive import drive_of
+from wheelsight_calibration.wheel_drive import drive_of
+from wheelsight_calibration.wheels import fit_wheels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

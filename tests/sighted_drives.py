@@ -13,8 +13,9 @@ from wheelsight.core.calibration_parts import DepthNoise, Wheels
 from wheelsight.core.depth_errors import PointErrors
 from wheelsight.core.geometry import FloatArray, PinholeCamera, se3
 from wheelsight.core.trajectory import Trajectory
-from wheelsight.vision.extrinsics import FloorDepths, Sightings
-from wheelsight.wheels import drive_from_ticks
+from wheelsight_calibration.base import Sightings
+from wheelsight_calibration.mount import FloorDepths
+from wheelsight_calibration.wheel_drive import drive_from_ticks
 from wheelsight_sim import RobotModel
 
 CAMERA = PinholeCamera(320, 240, 262.5, 262.5, 159.5, 119.5)

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self, get_args
 import numpy as np
 from pydantic import ValidationError, field_serializer, field_validator, model_validator
 
-from wheelsight.core.clocks import ClockSettings
+from wheelsight.core.checks import ClockSettings
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.files import StrPath, settings_text, write_text
 from wheelsight.core.geometry import FloatArray, se3
@@ -30,14 +30,13 @@ from wheelsight.core.settings import (
     setting,
 )
 from wheelsight.core.settings.base import RemovedSetting, SettingFault, over_profile, split_removed
+from wheelsight.core.settings.calibration import CameraCalibrationSettings, ExtrinsicsSettings
 from wheelsight.core.settings.fusion import AxisWeights, FusionSettings, OdometryTerm, Weights
 from wheelsight.io.recordings.recording import OpenOptions
 from wheelsight.mapping import SurfelSettings
 from wheelsight.navigation.settings import NavigationSettings
 from wheelsight.slam.settings import FROM_KEYFRAMES, LoopSettings, SessionSettings
-from wheelsight.vision.camera_calibration.settings import CameraCalibrationSettings
 from wheelsight.vision.dense import DenseSettings
-from wheelsight.vision.extrinsics import ExtrinsicsSettings
 from wheelsight.vision.features import FeatureSettings
 from wheelsight.wheels import WheelSettings
 

@@ -16,9 +16,9 @@ from wheelsight.core.calibration import Calibration, load_calibration, save_laye
 from wheelsight.core.depth_errors import DepthError
 from wheelsight.core.geometry import se3
 from wheelsight.core.messages import RgbdFrame, VelocityCommand
-from wheelsight.vision.camera_calibration.calibration import camera_fields
-from wheelsight.vision.extrinsics import calibrate_base, mount_values
-from wheelsight.wheels import fit_wheels
+from wheelsight_calibration.base import calibrate_base, mount_values
+from wheelsight_calibration.cameras import camera_fields
+from wheelsight_calibration.wheels import fit_wheels
 from wheelsight_sim import SimulatedRecording, SimulationSettings, simulate
 from wheelsight_sim.simulator import Simulator
 

@@ -16,7 +16,7 @@ from wheelsight.core.calibration import Calibration, load_calibration, save_cali
 from wheelsight.core.calibration_parts import Gyro, Wheels
 from wheelsight.core.geometry import PinholeCamera
 from wheelsight.core.trajectory import Trajectory, read_tum, write_tum
-from wheelsight.wheels.umbmark import corrected
+from wheelsight_calibration.squares import corrected
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

@@ -17,9 +17,10 @@ from typer.testing import Result
 
 from wheelsight.config import load_config
 from wheelsight.core.calibration import Calibration, load_calibration, read_layer, save_calibration
+from wheelsight.core.settings.calibration import ExtrinsicsSettings
 from wheelsight.io.recordings import OpenOptions, Recording, open_recording
-from wheelsight.vision import extrinsics
-from wheelsight.vision.extrinsics import BaseCalibration, ExtrinsicsSettings, base_from, mount_values
+from wheelsight_calibration import base
+from wheelsight_calibration.base import BaseCalibration, base_from, mount_values
 from wheelsight_sim import RobotModel, SimulationSettings, simulate, write_simulation
 
 Command = Callable[..., Result]
@@ -51,7 +52,7 @@ def drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: BaseCalibratio
         warning = f"{settings.floor.highest_m:g} high"
         return replace(found, recording=recording.name, warnings=(*found.warnings, warning))
 
-    monkeypatch.setattr(extrinsics, "calibrate_base", calibrate)
+    monkeypatch.setattr(base, "calibrate_base", calibrate)
     return tmp_path / "drive"
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from browser import open_page
-from camera_calibration.drawn_boards import pose, seen_board, write_views
+from calibration.drawn_boards import pose, seen_board, write_views
 from drives import simulate, write_recording
 from hand_fed_camera import HandFedCamera
 from typer.testing import CliRunner, Result
@@ -25,8 +25,8 @@ from wheelsight.core.geometry import PinholeCamera
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.io.devices.cameras import LIVE_CAMERAS
 from wheelsight.io.devices.live_camera import CameraStatus, LiveFrame
-from wheelsight.vision.camera_calibration import live_views
-from wheelsight.vision.camera_calibration.board import board_from
+from wheelsight_calibration import live_views
+from wheelsight_calibration.board import board_from
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]

@@ -17,7 +17,6 @@ from pseudo_terminal import Screen, terminal
 from sessions.seen_maps import RING, aside, write_seen
 
 from wheelsight.app.cli import app
-from wheelsight.app.cli.calibrate_camera import camera_progress
 from wheelsight.app.cli.drive_view import DriveView
 from wheelsight.app.cli.progress import FrameProgress, left_text
 from wheelsight.app.cli.record import shown_looks
@@ -25,6 +24,7 @@ from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import NavigationState, Navigator, StaticLayer, Transition
 from wheelsight_batch import Done, Outcome
 from wheelsight_batch.progress import BatchProgress
+from wheelsight_calibration.cli_camera import camera_progress
 
 PLANNING, DRIVING = NavigationState.PLANNING, NavigationState.DRIVING
 COLUMNS = pytest.mark.parametrize("columns", [60, 80])

@@ -12,8 +12,8 @@ from wheelsight.core.estimates import Status, WheelEstimate
 from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera, se3
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.estimation import ErrorStateFilter
+from wheelsight.estimation.agreement import Culprit
 from wheelsight.estimation.consistency_check import BaseCheck, ColorCheck
-from wheelsight.vision.extrinsics import Culprit
 
 CAMERA = PinholeCamera(80, 60, 73.0, 73.0, 39.5, 29.5)
 PERIOD_S, READING_S = 0.1, 0.02

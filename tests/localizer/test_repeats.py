@@ -19,7 +19,7 @@ from wheelsight.core.estimates import Estimate, Reason, Status
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.estimation import Localizer
 from wheelsight.io.recordings import Recording, open_recording
-from wheelsight.vision.extrinsics.calibration import watch
+from wheelsight_calibration.base import watch
 
 CAMERAS: tuple[dict[str, Any], ...] = (
     {"odometry": "features"},

@@ -8,8 +8,8 @@ import pytest
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.estimation import consistency_check
+from wheelsight.estimation.agreement import Culprit
 from wheelsight.estimation.consistency_check import MotionSegments, Verdict
-from wheelsight.vision.extrinsics import Culprit
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
 T_BASE_CAMERA = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.0], [0, 0, 0, 1]])

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.camera_errors import errors_of, motion_errors, place_errors, typical_motion_errors, with_error
+from wheelsight.core.camera_errors import errors_of, place_errors
 from wheelsight.core.depth_errors import NOMINAL_ERRORS, PointErrors, mode_of
 from wheelsight.core.geometry import FloatArray, PinholeCamera, se2, se3
+from wheelsight_calibration.motion_errors import motion_errors, typical_motion_errors, with_error
 from wheelsight_sim import RobotModel
 
 CAMERA = PinholeCamera(320, 240, 262.5, 262.5, 159.5, 119.5)

@@ -24,7 +24,7 @@ from wheelsight.io.recordings.clock_checks import (
     refuse_if_apart,
     stamp_warnings,
 )
-from wheelsight.vision.extrinsics import calibrate_base
+from wheelsight_calibration.base import calibrate_base
 
 APART = "share 0.0 s: their clocks count from different moments"
 LISTS, READINGS = ("rgb.txt", "depth.txt"), ("wheels.csv",)

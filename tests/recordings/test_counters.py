@@ -14,7 +14,7 @@ from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.messages import WheelSpeeds, WheelTicks
 from wheelsight.io.recordings import RecordingWriter, open_recording
 from wheelsight.io.recordings.clock_checks import counter_warnings
-from wheelsight.wheels import drive_of
+from wheelsight_calibration.wheel_drive import drive_of
 
 SMALL = Wheels(0.033, 0.033, 0.16, 4096.0)
 

@@ -10,8 +10,8 @@ from simulation.planes import WALL, by_wheels, plane, yaws_rad
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import se3
-from wheelsight.wheels.drive import drive_from_ticks
-from wheelsight.wheels.umbmark import SquareRun, corrected, umbmark_from_runs
+from wheelsight_calibration.squares import SquareRun, corrected, umbmark_from_runs
+from wheelsight_calibration.wheel_drive import drive_from_ticks
 from wheelsight_sim import Realism
 from wheelsight_sim.drivers import ManualVelocities, StopAndTurn, follow_route
 from wheelsight_sim.physics import simulate_drive

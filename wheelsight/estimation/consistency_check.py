@@ -26,15 +26,9 @@ from wheelsight.core.estimates import Estimate, FusedEstimate, WheelEstimate
 from wheelsight.core.geometry import Float32Array, FloatArray, interpolate_at, se3
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.messages import RgbdFrame
+from wheelsight.estimation.agreement import Agreement, Culprit, Explanation, depth_cause, height_below
 from wheelsight.estimation.fault_detection import COVERED_SIGMAS, covering_pose
 from wheelsight.estimation.filter import ErrorStateFilter
-from wheelsight.vision.extrinsics import (
-    Agreement,
-    Culprit,
-    Explanation,
-    depth_cause,
-    height_below,
-)
 
 # Comparison after which wheels and camera agree; later disagreements are slip, which the filter detects.
 ENOUGH_M, _ENOUGH_RAD = 3.0, 1.5  # found on the simulator

@@ -19,8 +19,8 @@ import numpy as np
 
 from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.camera_errors import frame_covariance, with_frame_error
-from wheelsight.core.clocks import Untimed
+from wheelsight.core.camera_errors import frame_covariance
+from wheelsight.core.checks import Untimed
 from wheelsight.core.estimates import (
     DEGENERATE_SCALE,
     STEP_BEGIN,
@@ -31,11 +31,13 @@ from wheelsight.core.estimates import (
     Reason,
     Status,
     WheelEstimate,
+    with_frame_error,
 )
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, WheelReading, WheelSpeeds, YawRate
+from wheelsight.estimation.agreement import Culprit
 from wheelsight.estimation.area_localizer import Places, PlaceSense
 from wheelsight.estimation.camera_localizer import RESTART_AFTER, CameraOdometry, FusedCamera, MapBuilder, mount_of
 from wheelsight.estimation.consistency_check import (
@@ -55,7 +57,6 @@ from wheelsight.estimation.wheel_localizer import ByWheels, slip_note
 from wheelsight.places import PlaceMatch
 from wheelsight.slam.place_recognition import KnownMap
 from wheelsight.vision.dense import DenseEstimate
-from wheelsight.vision.extrinsics import Culprit
 from wheelsight.vision.features import MatchedPixels
 from wheelsight.wheels import HolonomicOdometry, ReadingTimes, WheelSettings, odometry_of
 

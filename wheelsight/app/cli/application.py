@@ -9,7 +9,6 @@ import typer
 
 from wheelsight._version import __version__
 from wheelsight.app.cli import (
-    calibrate,
     drive,
     evaluate,
     info,
@@ -20,7 +19,6 @@ from wheelsight.app.cli import (
     simulate,
     wheels,
 )
-from wheelsight.app.cli.calibrate_camera import board_board
 from wheelsight.app.cli.compiling import warm_up_warm_up
 from wheelsight.app.cli.console import INPUT_IS_WRONG, CliCommand, Group, prepare_streams, print_error
 from wheelsight.app.cli.run_options import config_config
@@ -28,6 +26,8 @@ from wheelsight.app.cli.wheels import devices_devices
 from wheelsight.core.errors import WheelsightError
 from wheelsight.core.runtime import end_by_signals, exit_code, was_asked
 from wheelsight_batch.cli import batch
+from wheelsight_calibration.cli import calibrate_app
+from wheelsight_calibration.cli_camera import board_board
 from wheelsight_export.cli import export
 from wheelsight_papers.cli import places_app
 
@@ -91,7 +91,7 @@ _COMMANDS: tuple[tuple[str, tuple[tuple[Any, str, str], ...]], ...] = (
     (
         "Calibrate",
         (
-            (calibrate.calibrate_app, "calibrate", "Camera, wheels, and where the camera sits"),
+            (calibrate_app, "calibrate", "Camera, wheels, and where the camera sits"),
             (board_board, "board", "A board to calibrate cameras by, for a printer"),
         ),
     ),

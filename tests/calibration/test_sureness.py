@@ -1,0 +1,61 @@
+"""Calibrated wheels say how sure their sizes are: in files, and to the filter that joins them with a camera."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
+from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.errors import CalibrationError
+from wheelsight.estimation import ErrorStateSettings
+from wheelsight_calibration.wheels import DAILY_DRIFT_RAD_PER_M, stated
+from wheelsight_sim.robot import WheelSizeSettings, as_calibrated
+
+WHEELS = Wheels(0.17, 0.17, 0.5, 3200.0)
+SURE = replace(WHEELS, scale_sigma=0.003, drift_sigma_rad_per_m=0.001, turn_sigma=0.004)
+
+
+def test_what_is_stated_is_kept_and_what_is_not_is_not_written(tmp_path: Path) -> None:
+    for wheels in (WHEELS, SURE):
+        path = tmp_path / "calibration.yaml"
+        save_calibration(Calibration(wheels=wheels), path)
+        assert load_calibration(path).wheels == wheels
+        assert ("turn_sigma" in path.read_text(encoding="utf-8")) == (wheels is SURE)
+
+
+def test_the_filter_goes_by_what_is_stated() -> None:
+    settings = ErrorStateSettings()
+    assert settings.with_wheels(None) == settings.with_wheels(WHEELS) == settings
+    told = settings.with_wheels(replace(WHEELS, turn_sigma=0.004))
+    assert told.turn_sigma == 0.004
+    assert told.scale_sigma == settings.scale_sigma
+    assert settings.with_wheels(SURE).drift_sigma_rad_per_m == 0.001
+
+
+def test_a_fit_is_never_surer_than_tyres_are_from_day_to_day() -> None:
+    found = stated(WHEELS, 1e-9, 1e-9, 1e-9)
+    assert found.drift_sigma_rad_per_m == pytest.approx(DAILY_DRIFT_RAD_PER_M)
+    # A ratio known to a thousandth, on wheels half a metre apart, is two milliradians a metre.
+    assert stated(WHEELS, 1e-3, 0.01).drift_sigma_rad_per_m == pytest.approx(np.hypot(2e-3, DAILY_DRIFT_RAD_PER_M))
+    assert stated(WHEELS, 1e-3, 0.01).scale_sigma == 0
+
+
+def test_a_simulated_calibration_is_off_by_what_it_states() -> None:
+    settings = WheelSizeSettings()
+    drawn = [as_calibrated(WHEELS, settings, np.random.default_rng(seed)) for seed in range(400)]
+    drift = [np.log(w.right_radius_m / w.left_radius_m) / WHEELS.track_width_m for w in drawn]
+    scale = [(w.left_radius_m + w.right_radius_m) / 0.34 - 1 for w in drawn]
+    turn = [w.track_width_m / 0.5 - 1 for w in drawn]
+    for errors, name in ((drift, "drift_sigma_rad_per_m"), (scale, "scale_sigma"), (turn, "turn_sigma")):
+        assert np.std(errors) == pytest.approx(getattr(drawn[0], name), rel=0.1)
+
+
+def test_sigmas_that_nobody_has_are_refused() -> None:
+    with pytest.raises(CalibrationError, match="turn_sigma"):
+        replace(WHEELS, turn_sigma=-0.1)
+    with pytest.raises(CalibrationError, match="drift_sigma_rad_per_m"):
+        replace(WHEELS, drift_sigma_rad_per_m=3.0)

@@ -1,0 +1,250 @@
+"""`wheelsight calibrate`: cameras, wheels and mount of a robot, from a drive or from squares."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from wheelsight.app.cli.console import CliCommand, Group
+from wheelsight.app.cli.options import (
+    CalibrationFile,
+    Force,
+    Out,
+    RateHz,
+    RecordingPath,
+    Topics,
+    kept_in,
+    open_for,
+    option,
+    page_beside,
+    save_found,
+    settings_from,
+    wheel_fields,
+)
+from wheelsight.app.cli.run_options import SettingsFile
+from wheelsight_calibration.cli_camera import camera
+
+# wheelsight calibrate base
+
+
+def base(
+    recording: RecordingPath,
+    out: Out,
+    calibration: CalibrationFile = None,
+    rate_hz: RateHz = None,
+    topic: Topics = None,
+    config: SettingsFile = None,
+    force: Force = False,
+) -> None:
+    """Find where the camera sits on the robot and how late the wheels' stamps are, from an ordinary drive.
+
+    Roll, pitch and height come from the floor seen in depth; yaw, x, y and the delay from the motions of both sensors.
+    FILE gets T_base_camera and the wheels' delay; it keeps the wheels of --calibration, or of FILE itself.
+    A drive that hides some is refused, and what to drive is said: a minute or two, straight and with turns both ways.
+    Of --config the section extrinsics counts.
+
+    [bold]Examples[/bold]
+
+    wheelsight calibrate base my_drive --out base.yaml
+
+    wheelsight calibrate base my_drive --calibration wheels.yaml --out robot.yaml
+    """
+    from wheelsight.app.cli.compiling import compile_missing
+    from wheelsight.app.cli.progress import FrameProgress
+    from wheelsight_calibration.base import calibrate_base
+    from wheelsight_calibration.camera_page import write_base_page
+    from wheelsight_calibration.cli_results import measured_mount, print_mount
+
+    settings, page, kept = settings_from({}, config), page_beside(out, force), kept_in(out, calibration)
+    compile_missing(("wheels", "dense"))
+    source = open_for(recording, calibration, topic, rate_hz)
+    with FrameProgress("watching", source.frame_count) as progress:
+        found = calibrate_base(source, progress.advance, settings.extrinsics)
+    parts = {"T_base_camera": found.T_base_camera.tolist(), "wheels": {"delay_s": found.wheels.delay_s}}
+    measured = f"mount found on {source.name}", out, measured_mount(found)
+    written = save_found(parts, kept, source.calibration, *measured)
+    if page is not None:
+        write_base_page(found, page)
+    print_mount(found, written, page)
+
+
+# wheelsight calibrate robot
+
+
+Robot = Annotated[
+    Path, typer.Argument(metavar="FILE", help="The robot's calibration.yaml, there or not yet.", show_default=False)
+]
+Check = Annotated[
+    Path | None,
+    option("A drive that ends where it began, heading as at its start: checks all of FILE on it.", "RECORDING", False),
+]
+
+
+def robot(file: Robot, check: Check = None, topic: Topics = None) -> None:
+    """Lead through the calibration of a robot: what FILE has, what is missing, and what to do next.
+
+    In order: the camera by a board, the wheels by a drive, the mount by a drive, then a loop to check them on.
+    Each step writes its part into FILE and keeps the others.
+
+    [bold]Examples[/bold]
+
+    wheelsight calibrate robot robot.yaml
+
+    wheelsight calibrate robot robot.yaml --check loop
+    """
+    from wheelsight.app.cli.console import console, print_warning, rows_table
+    from wheelsight.core.inputs import is_there
+    from wheelsight_calibration.cli_results import HEAD, history_rows, loop_check, steps_of
+
+    stdout = console()
+    steps, history = steps_of(file)
+    rows = [(step.name, step.state, step.values) for step in steps]
+    stdout.print(rows_table(str(file) if is_there(file) else f"{file} (not there yet)", ("", "", "what"), rows))
+    if history:
+        stdout.print(rows_table("measured so far", HEAD, history_rows(history)))
+    missing = next((step for step in steps if not step.is_done), None)
+    if missing is not None:
+        stdout.print(f"next: {missing.name}. {missing.how}", markup=False)
+        for command in missing.commands:
+            stdout.print(f"  {command}", markup=False)
+    if check is not None:
+        lines, is_good = loop_check(check, file, topic)
+        stdout.print("\n".join(lines), markup=False)
+        if not is_good:
+            print_warning("the loop does not close as a calibrated robot's does; what to do is said above")
+    elif missing is None:
+        stdout.print(
+            f"next: a loop. Drive 20 m or more and end where you began: wheelsight calibrate robot {file} --check LOOP",
+            markup=False,
+        )
+
+
+# wheelsight calibrate wheels and umbmark
+
+
+calibrate_app = typer.Typer(
+    cls=Group,
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    help="Calibrate a robot: its cameras, its wheels, and where the camera sits.",
+)
+calibrate_app.command("camera", cls=CliCommand)(camera)
+calibrate_app.command("base", cls=CliCommand)(base)
+calibrate_app.command("robot", cls=CliCommand)(robot)
+
+Reference = Annotated[
+    Path | None,
+    option(
+        "Where it truly went, TUM text, such as visual odometry's; of what body, its '# frames:' line says.",
+        "TRAJECTORY",
+        "the recording's ground truth",
+    ),
+]
+TrainShare = Annotated[
+    float, typer.Option(metavar="SHARE", help="Share of the time to calibrate on; the rest shows what it is worth.")
+]
+Segment = Annotated[
+    float, typer.Option(metavar="METRES", min=0.05, help="Way between two poses of the reference that are compared.")
+]
+Delay = Annotated[bool, typer.Option("--delay/--no-delay", help="Also find how late the wheels' stamps are.")]
+Runs = Annotated[
+    list[Path],
+    typer.Argument(metavar="RUN...", help="Recordings of one square each, or one table.", show_default=False),
+]
+Side = Annotated[
+    float | None, typer.Option(metavar="METRES", help="Side of the squares.", show_default="a quarter of the way")
+]
+
+
+@calibrate_app.command("wheels", cls=CliCommand)
+def wheels(
+    recording: RecordingPath,
+    out: Out,
+    reference: Reference = None,
+    calibration: CalibrationFile = None,
+    train_share: TrainShare = 0.5,
+    segment: Segment = 1.0,
+    delay: Delay = True,
+    topic: Topics = None,
+    force: Force = False,
+) -> None:
+    """Fit both radii, the track width and the clocks' delay to a reference trajectory.
+
+    The first part is fitted, the rest shows what the result is worth.
+    A TRAJECTORY of wheelsight run, with covariances.csv beside it, is only as long as the camera's calibration has it:
+    then σ holds that too.
+    FILE gets what was found of the wheels, for wheelsight run --calibration;
+    other parts of --calibration, or of FILE itself, are kept.
+    A drive that leaves something open is refused, as a straight one does the track width;
+    what to drive instead is said.
+
+    [bold]Examples[/bold]
+
+    wheelsight calibrate wheels my_drive --out wheels.yaml
+
+    wheelsight calibrate wheels my_drive --reference visual/trajectory.txt --calibration nominal.yaml --out wheels.yaml
+    """
+    from wheelsight.app.run.runs import COVARIANCES_FILE
+    from wheelsight.core.trajectory import read_tum
+    from wheelsight_calibration.cli_results import measured_wheels, print_trial, show_steps
+    from wheelsight_calibration.wheel_page import write_wheel_page
+    from wheelsight_calibration.wheels import try_calibration
+
+    page, kept = page_beside(out, force), kept_in(out, calibration)
+    source = open_for(recording, calibration, topic)
+    truth = None if reference is None else read_tum(reference, body=source.body)
+    by_camera = reference is not None and reference.with_name(COVARIANCES_FILE).is_file()
+    options = {"train_share": train_share, "segment_m": segment, "with_delay": delay, "by_camera": by_camera}
+    with show_steps() as on_step:
+        trial = try_calibration(source, truth, on_step=on_step, **options)  # type: ignore[arg-type]
+    against = "its ground truth" if reference is None else reference.name
+    found = wheel_fields(trial.fit.wheels, delay="delay_s" in trial.fit.sigmas)
+    title = f"wheels fitted on {source.name} to {against}"
+    written = save_found(found, kept, source.calibration, title, out, measured_wheels(trial))
+    if page is not None:
+        write_wheel_page(trial, page)
+    print_trial(trial, written, page)
+
+
+@calibrate_app.command("umbmark", cls=CliCommand)
+def umbmark(
+    runs: Runs,
+    out: Out,
+    calibration: CalibrationFile = None,
+    side: Side = None,
+    topic: Topics = None,
+    force: Force = False,
+) -> None:
+    """Correct wheel ratio and track width by squares, driven both ways and measured by tape (Borenstein & Feng 1996).
+
+    A RUN is a recording of one square, with true poses at its start and end.
+    Or it is a table with columns direction (cw or ccw), x_m and y_m:
+    where each run truly ended, less where the robot believed to be, x along the first side, y to the left.
+    A table needs --side and --calibration.
+
+    [bold]Examples[/bold]
+
+    wheelsight calibrate umbmark squares/* --out wheels.yaml
+
+    wheelsight calibrate umbmark errors.csv --side 4 --calibration nominal.yaml --out wheels.yaml
+    """
+    from wheelsight_calibration.cli_results import (
+        measured_squares,
+        print_squares,
+        squares_from_recordings,
+        squares_from_table,
+    )
+    from wheelsight_calibration.wheel_page import write_squares_page
+
+    page, kept = page_beside(out, force), kept_in(out, calibration)
+    if len(runs) == 1 and not runs[0].is_dir():
+        squares = squares_from_table(runs[0], calibration, side)
+    else:
+        squares = squares_from_recordings([open_for(run, calibration, topic) for run in runs], side)
+    found = wheel_fields(squares.result.wheels, delay=False)
+    written = save_found(found, kept, squares.nominal, f"UMBmark, {squares.name}", out, measured_squares(squares))
+    if page is not None:
+        write_squares_page(squares.result, squares.after_m, squares.name, page)
+    print_squares(squares, written, page)
