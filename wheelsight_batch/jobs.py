@@ -8,11 +8,11 @@ import glob
 import hashlib
 import json
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from wheelsight.app.run import resolved
 from wheelsight.app.run.verdict import JOINED
@@ -34,7 +34,6 @@ _FILES = {
 }
 _NO_FILES = (FROM_NOWHERE, FROM_MATCHES, FROM_KEYFRAMES)
 _SEEDS = 2**32
-_Answer = TypeVar("_Answer")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,10 +110,17 @@ def plan_of(recordings: Sequence[StrPath], configs: Sequence[StrPath], seeds: in
     config_names = [DEFAULTS] if not given else short_names([file.with_suffix("") for file in given])
     cases, jobs = [], dict[str, Job]()
     for path, name in zip(paths, short_names(paths), strict=True):
-        digest = _answer_of(partial(digest_of, path))
+        digest = cache(partial(digest_of, path))
         for file, config_name in zip(files, config_names, strict=True):
-            case, made = _case(path, file, Case(name, config_name), digest, seeds)
-            cases.append(case)
+            case = Case(name, config_name)
+            try:
+                config, made = _jobs(path, file, digest(), seeds)
+            except Exception as error:  # one recording must not end the others
+                cases.append(replace(case, problem=problem_of(error)))
+                continue
+            chosen = "" if load_config(file).odometry else ",".join(config.odometry)
+            identifiers = tuple(job.id for job in made)
+            cases.append(replace(case, odometry=main_track(config), chosen=chosen, jobs=identifiers))
             jobs.update({job.id: job for job in made})
     return BatchPlan(tuple(cases), dict(sorted(jobs.items(), key=lambda item: -item[1].weight)))
 
@@ -142,31 +148,6 @@ def seeded(config: Config, seeds: int) -> Iterator[Config]:
         features = config.features.model_copy(update={"seed": (config.features.seed + more) % _SEEDS})
         recognition = config.recognition.model_copy(update={"seed": (config.recognition.seed + more) % _SEEDS})
         yield config.model_copy(update={"features": features, "recognition": recognition})
-
-
-class _JobProblem(NamedTuple):
-    """The reason for a missing answer."""
-
-    text: str
-
-
-def _case(
-    path: Path, file: Path | None, case: Case, digest: Digest | _JobProblem, seeds: int
-) -> tuple[Case, list[Job]]:
-    found = digest if isinstance(digest, _JobProblem) else _answer_of(lambda: _jobs(path, file, digest, seeds))
-    if isinstance(found, _JobProblem):
-        return replace(case, problem=found.text), []
-    config, jobs = found
-    chosen = "" if load_config(file).odometry else ",".join(config.odometry)
-    return replace(case, odometry=main_track(config), chosen=chosen, jobs=tuple(job.id for job in jobs)), jobs
-
-
-def _answer_of(work: Callable[[], _Answer]) -> _Answer | _JobProblem:
-    """The answer, or the problem of an error."""
-    try:
-        return work()
-    except Exception as error:  # one recording must not end the others
-        return _JobProblem(problem_of(error))
 
 
 def _jobs(path: Path, file: Path | None, digest: Digest, seeds: int) -> tuple[Config, list[Job]]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from wheelsight.io.recordings import Recording
-    from wheelsight.places import Describer, PlaceModel
+    from wheelsight.places import PlaceModel
     from wheelsight_papers.dataset import LabelledDrive, LabelSource
     from wheelsight_papers.training import PlaceTrial
 
@@ -117,14 +116,15 @@ def label(
     wheelsight places label my_drive --labels my_drive-labels.csv --every 0.5 --out check.html
     """
     from wheelsight.app.cli.console import print_note
+    from wheelsight.app.cli.progress import FrameProgress
     from wheelsight_papers.dataset import make_sheet
     from wheelsight_papers.places_page import write_sheet
 
     check_out(out, force)
     opened = open_listed(recording, topic)
     source = source_of(opened, labels, areas, trajectory)
-    with show_progress("reading", None) as advance:
-        sheet = make_sheet(opened, source, every, advance)
+    with FrameProgress("reading", None) as progress:
+        sheet = make_sheet(opened, source, every, progress.advance)
     write_sheet(sheet, out, source.description)
     shown = f"{len(sheet.pictures)} thumbnails, {int((sheet.labels >= 0).sum())} of them with an area proposed"
     print_note(f"{shown}, are in {out}; open it in a browser, and hand what it saves to places train --labels")
@@ -155,9 +155,10 @@ def train(
     wheelsight places train my_drive --labels my_drive-labels.csv --description histograms --trees 6 --out six.places
     """
     from wheelsight.app.cli.console import console
+    from wheelsight.app.cli.progress import FrameProgress
     from wheelsight.core.runtime import needed
     from wheelsight.places import ForestSettings, describer_from
-    from wheelsight_papers.dataset import train_on_drives
+    from wheelsight_papers.dataset import describe_drive, train_on_drives
 
     for library in ("sklearn", "skops"):  # refused before the long work
         needed(library)
@@ -165,8 +166,11 @@ def train(
     opened, sources, names = open_labelled(recordings, labels or [], areas, topic)
     compile_missing(_KERNELS)
     describer = describer_from({"kind": description})
-    drives = described(opened, sources, names, describer)
-    with show_progress("growing trees", None):
+    drives = []
+    for one, source in zip(opened, sources, strict=True):
+        with FrameProgress(f"describing {one.name}", one.frame_count) as progress:
+            drives.append(describe_drive(one, source, names, describer, progress.advance))
+    with FrameProgress("growing trees", None):
         model = train_on_drives(drives, names, describer, ForestSettings(trees=trees, max_depth=depth, seed=seed))
     model.save(out)
     for table in training_tables(model, drives):
@@ -195,6 +199,7 @@ def try_model(
     wheelsight places test floor.places my_drive --labels my_drive-labels.csv --json
     """
     from wheelsight.app.cli.console import console, print_json
+    from wheelsight.app.cli.progress import FrameProgress
     from wheelsight.core.runtime import needed
     from wheelsight.places import PlaceModel
     from wheelsight_papers.dataset import frames_of, stamps_of
@@ -209,8 +214,8 @@ def try_model(
     stamps_s = stamps_of(opened)
     label_at = dict(zip(stamps_s, source.of_frames(stamps_s, known.area_names).tolist(), strict=True))
     compile_missing(_KERNELS)
-    with show_progress("naming areas", opened.frame_count) as advance:
-        trial = try_places(known, frames_of(opened, advance), label_at.__getitem__)
+    with FrameProgress("naming areas", opened.frame_count) as progress:
+        trial = try_places(known, frames_of(opened, progress.advance), label_at.__getitem__)
     if out is not None:
         write_places_page(trial, known, opened.name, out)
     if as_json:
@@ -239,6 +244,7 @@ def predict(
     wheelsight places label thursday --labels predictions.csv --out check.html
     """
     from wheelsight.app.cli.console import percent, print_note
+    from wheelsight.app.cli.progress import FrameProgress
     from wheelsight.core.files import write_text
     from wheelsight.places import PlaceModel
     from wheelsight_papers.dataset import frames_of
@@ -247,8 +253,8 @@ def predict(
     check_out(out, force)
     known, opened = PlaceModel.load(model), open_listed(recording, topic)
     compile_missing(_KERNELS)
-    with show_progress("naming areas", opened.frame_count) as advance:
-        answers = answer_all(known, frames_of(opened, advance))
+    with FrameProgress("naming areas", opened.frame_count) as progress:
+        answers = answer_all(known, frames_of(opened, progress.advance))
     write_text(out, predictions_csv(answers, known.area_names))
     named = percent(float((answers.named >= 0).mean()))
     print_note(f"{len(answers)} frames are in {out}, {named} of them with an area named")
@@ -289,15 +295,6 @@ def source_of(
     return source
 
 
-@contextmanager
-def show_progress(action: str, count: int | None) -> Iterator[Callable[[], None]]:
-    """A progress bar; yields the function that advances it by one."""
-    from wheelsight.app.cli.progress import FrameProgress
-
-    with FrameProgress(action, count) as progress:
-        yield progress.advance
-
-
 def open_labelled(
     folders: Sequence[Path], labels: Sequence[Path], areas: Path | None, topics: Sequence[str] | None
 ) -> tuple[list[Recording], list[LabelSource], tuple[str, ...]]:
@@ -315,19 +312,6 @@ def open_labelled(
     of_frames = [source.of_frames(stamps_of(r), names) for r, source in zip(recordings, sources, strict=True)]
     check_every_area(of_frames, names, sources[0].path if len(sources) == 1 else sources[0].areas_path)
     return recordings, sources, names
-
-
-def described(
-    recordings: Sequence[Recording], sources: Sequence[LabelSource], names: tuple[str, ...], describer: Describer
-) -> list[LabelledDrive]:
-    """The descriptors and labels of each recording."""
-    from wheelsight_papers.dataset import describe_drive
-
-    drives = []
-    for recording, source in zip(recordings, sources, strict=True):
-        with show_progress(f"describing {recording.name}", recording.frame_count) as advance:
-            drives.append(describe_drive(recording, source, names, describer, advance))
-    return drives
 
 
 # Results
