@@ -13,7 +13,7 @@ import logging
 import math
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
@@ -163,9 +163,6 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-# Log
-
-
 _LOGGER = logging.getLogger("wheelsight")
 _FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 _LEVELS = (logging.WARNING, logging.INFO, logging.DEBUG)
@@ -282,9 +279,6 @@ def log_options(panel: str | None) -> tuple[Any, ...]:
     return tuple(made)
 
 
-# Help
-
-
 _EXAMPLES, _LAST = "[bold]Examples[/bold]", "Help"
 
 
@@ -328,9 +322,6 @@ def laid_out(text: str) -> str:
     return "\n\n".join(paragraphs)
 
 
-# Options as fields of a class
-
-
 Options = TypeVar("Options")
 
 
@@ -338,6 +329,10 @@ def takes(kind: type[Options]) -> Callable[[Callable[[Options], None]], Callable
     """Turn a function of one dataclass into a command. Its options are the fields, with annotations and defaults."""
     # Of each class by the names of its own module: bases may come from others.
     hints, named = get_type_hints(kind, include_extras=True), inspect.signature(kind).parameters
+    for one in fields(kind):  # type: ignore[arg-type]
+        if "option" in one.metadata:
+            flag = "--" + one.name.strip("_").replace("_", "-")
+            hints[one.name] = Annotated[hints[one.name], one.metadata["option"](flag)]
     signature = inspect.Signature([one.replace(annotation=hints[name]) for name, one in named.items()])
 
     def command_of(work: Callable[[Options], None]) -> Callable[..., None]:

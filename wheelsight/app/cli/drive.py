@@ -49,17 +49,11 @@ def drive(options: DriveOptions) -> None:
     [bold]Examples[/bold]
 
     wheelsight drive --sim flat --explore --out home
-
     wheelsight drive --sim flat --map home --to kitchen --out drive
-
     wheelsight drive --sim flat --map home --to kitchen --rerun drive.rrd
-
     wheelsight drive --sim flat --day 1 --map home --to 3.2,1.5,90 --to desk --back
-
     wheelsight drive --sim flat --map home --follow drive/trajectory.txt --back
-
     wheelsight drive --robot /dev/ttyUSB0 --camera any --calibration robot.yaml --map home --to kitchen
-
     wheelsight drive --sim flat --map home --known-start 0,0,0 --to kitchen --set navigation.limits.forward_m_s=0.5
     """
     from wheelsight.app.cli.compiling import compile_missing
@@ -79,9 +73,6 @@ def drive(options: DriveOptions) -> None:
     if options.out is not None:
         write(record, options.out)
     print_results(record, left_out)
-
-
-# The drive
 
 
 class _StopSignal(Exception):  # noqa: N818 - it is no error
@@ -207,9 +198,6 @@ def _do_all(
         run(partial(drive.go_to, NamedGoal(drive.start, "the start"), on_step))
 
 
-# Results
-
-
 _FAILED = 1
 # Share of periods that may come late before it is said.
 _OFTEN = 0.01
@@ -288,9 +276,6 @@ def print_results(record: DriveRecord, left_out: str = "") -> None:
         )
     if record.is_interrupted or touched or not record.has_arrived:
         raise typer.Exit(exit_code() if record.is_interrupted else _FAILED)
-
-
-# Options
 
 
 _CALLED = {"profile": "--profile", "known_map.path": "--map", "known_map.start": "--known-start"}
@@ -397,9 +382,6 @@ def _opened(path: Path) -> closing[MapFolder]:
     return closing(MapFolder.open(find_map(path)))
 
 
-# Robots
-
-
 _QUESTION = "Is the floor around the robot free, and is somebody at the stop button?"
 # The paper's format is recognised within 3 s, the framed protocol at its first frame.
 _HEARD_WITHIN_S, _LOOK_S = 3.5, 0.02
@@ -503,9 +485,6 @@ def _linked(options: RobotOptions, config: Config) -> Iterator[Robot]:
             typer.echo("nothing moved", err=True)
             raise typer.Exit(1)
         yield robot
-
-
-# Goals
 
 
 def poses_of(words: Sequence[str], folder: MapFolder) -> list[FloatArray]:

@@ -162,9 +162,6 @@ def facts_of(feedback: Feedback, so_far: SoFar, seen_m2: float) -> Iterator[tupl
     yield "monitor", monitor_words(feedback)
 
 
-# Watchers
-
-
 class DriveWatch:
     """Passes a drive to the terminal and to Rerun.
 
@@ -204,9 +201,6 @@ def watching(rerun: str | None, robot: Robot, config: Config) -> Iterator[DriveW
 
     with open_drive_log(rerun, robot.calibration, config.viewer) as log:
         yield DriveWatch(view, log)
-
-
-# The plan as characters
 
 
 class Sign(IntEnum):

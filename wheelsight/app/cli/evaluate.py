@@ -42,7 +42,6 @@ def evaluate(
     [bold]Examples[/bold]
 
     wheelsight evaluate results/trajectory.txt rgbd_dataset_freiburg1_desk/groundtruth.txt
-
     wheelsight evaluate monocular.txt truth.txt --scale --json
     """
     from wheelsight.app.cli.console import console, print_json, print_note, print_warning

@@ -48,9 +48,7 @@ def info(
     [bold]Examples[/bold]
 
     wheelsight info rgbd_dataset_freiburg1_desk
-
     wheelsight info my_recording --camera my_camera.yaml --json
-
     wheelsight info robot.bag --topic depth=/camera/depth/image_raw
     """
     from wheelsight.app.cli.console import console, facts_table, print_json, print_warning
@@ -134,9 +132,6 @@ def _frame_facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
     if offset is not None and not offset.is_clear:
         checked = "the images agree with shared pixels"
     yield "registration", f"{joined}; {checked}"
-
-
-# Topics, clocks, truth and drops
 
 
 def topic_facts(topics: Sequence[RecordedTopic]) -> Iterator[tuple[str, str]]:

@@ -6,10 +6,11 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from wheelsight.app.cli.options import option_field
 from wheelsight.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -18,10 +19,10 @@ if TYPE_CHECKING:
     from wheelsight.slam.maps import MapFolder, MapInfo
 
 
-# wheelsight map info
-
-
 _MB = 1e6
+MapPath = Annotated[
+    Path, typer.Argument(metavar="DIR", help="The map's folder, or that of the run that left it.", show_default=False)
+]
 
 
 def print_info(folder: MapFolder, as_json: bool) -> None:
@@ -73,9 +74,6 @@ def _facts(found: MapInfo) -> Iterator[tuple[str, str]]:
 
 def _size(size: int | None, missing: str) -> str:
     return missing if size is None else f"{size / _MB:.1f} MB"
-
-
-# wheelsight map name
 
 
 _FORM = "X,Y,YAW_DEG in metres and degrees, such as 3.2,1.5,90; or X,Y for any heading"
@@ -159,32 +157,25 @@ def pose_text(pose: FloatArray) -> str:
     return f"{pose[0]:.2f}, {pose[1]:.2f} m, {yaw}"
 
 
-# wheelsight map export
-
-
 _SUFFIXES = {"--out": (".ply",), "--occupancy": (".yaml", ".yml"), "--picture": (".png",)}
 
 
 @dataclass(frozen=True, slots=True)
-class Exports:
-    """Files to write; at least one.
+class MapExportOptions:
+    """Options of `wheelsight map export`; at least one file is named."""
 
-    Attributes:
-        points: PLY file of the surfels.
-        occupancy: YAML file of the occupancy map.
-        picture: PNG file of the same.
-        resolution_m: side of its cells; None: as settings say.
-        everything: all surfels, and not only stable ones.
-    """
-
-    points: Path | None
-    occupancy: Path | None
-    picture: Path | None
-    resolution_m: float | None
-    everything: bool
+    source: MapPath
+    out: Path | None = option_field("PLY file of the surfels to write.", "FILE", False)
+    occupancy: Path | None = option_field("YAML file of the occupancy map; its PGM stands beside it.", "FILE", False)
+    picture: Path | None = option_field("PNG file: a picture of that.", "FILE", False)
+    resolution: float | None = option_field("Side of the occupancy map's cells.", "METRES", "0.05", min=0.01, max=1)
+    everything: bool = option_field(
+        "All surfels, and not only those seen often enough to be sure.", default=False, flag="--all"
+    )
+    force: bool = option_field("Overwrite what is there.", default=False)
 
 
-def write_exports(folder: MapFolder, wanted: Exports, force: bool) -> None:
+def write_exports(folder: MapFolder, wanted: MapExportOptions) -> None:
     """Write a map for other programs: all files, or none if one cannot be written."""
     from wheelsight.app.cli.compiling import compile_missing
     from wheelsight.app.cli.console import print_note
@@ -193,19 +184,19 @@ def write_exports(folder: MapFolder, wanted: Exports, force: bool) -> None:
     from wheelsight.slam.maps import fuse_keyframes
     from wheelsight_export.meshes import write_ply
 
-    _check(wanted, force)
-    if wanted.points is not None:
+    _check(wanted)
+    if wanted.out is not None:
         surfels = folder.surfels()
         if not surfels:
             print_note("the map has no surfels; they are fused of its keyframes")
             compile_missing(["dense"])
             with FrameProgress("fusing", None, unit="keyframes") as progress:
                 surfels = fuse_keyframes(folder, on_keyframe=progress.reach)
-        count = write_ply(surfels, wanted.points, stable_only=not wanted.everything)
-        typer.echo(f"{count:,} points, {wanted.points.stat().st_size / _MB:.1f} MB: {wanted.points}")
+        count = write_ply(surfels, wanted.out, stable_only=not wanted.everything)
+        typer.echo(f"{count:,} points, {wanted.out.stat().st_size / _MB:.1f} MB: {wanted.out}")
     if wanted.occupancy is None and wanted.picture is None:
         return
-    grid = grid_of(folder, wanted.resolution_m)
+    grid = grid_of(folder, wanted.resolution)
     if wanted.occupancy is not None:
         about, image = write_ros_map(grid.to_ros(), wanted.occupancy)
         rows, columns = grid.kind.shape
@@ -216,14 +207,14 @@ def write_exports(folder: MapFolder, wanted: Exports, force: bool) -> None:
         write_picture(grid, folder, wanted.picture)
 
 
-def _check(wanted: Exports, force: bool) -> None:
+def _check(wanted: MapExportOptions) -> None:
     from wheelsight.app.cli.options import check_out
     from wheelsight.core.errors import ConfigError
 
-    files = dict(zip(_SUFFIXES, (wanted.points, wanted.occupancy, wanted.picture), strict=True))
+    files = dict(zip(_SUFFIXES, (wanted.out, wanted.occupancy, wanted.picture), strict=True))
     if not any(files.values()):
         raise ConfigError("nothing is asked for", fix="--out points.ply, --occupancy plan.yaml or --picture plan.png")
-    if wanted.resolution_m is not None and wanted.occupancy is None and wanted.picture is None:
+    if wanted.resolution is not None and wanted.occupancy is None and wanted.picture is None:
         raise ConfigError("--resolution is of occupancy maps", fix="--occupancy plan.yaml or --picture plan.png")
     for option, path in files.items():
         if path is not None and path.suffix.lower() not in _SUFFIXES[option]:
@@ -231,9 +222,9 @@ def _check(wanted: Exports, force: bool) -> None:
             raise ConfigError(f"{option} is {str(path)!r}, which does not end in {ends}", fix=f"give a name in {ends}")
     for path in files.values():
         if path is not None:
-            check_out(path, force)
+            check_out(path, wanted.force)
     if wanted.occupancy is not None:
-        check_out(wanted.occupancy.with_suffix(".pgm"), force)
+        check_out(wanted.occupancy.with_suffix(".pgm"), wanted.force)
 
 
 def grid_of(folder: MapFolder, resolution_m: float | None = None) -> OccupancyGrid:
@@ -254,9 +245,6 @@ def grid_of(folder: MapFolder, resolution_m: float | None = None) -> OccupancyGr
     mapper = OccupancyMapper(folder.calibration, settings)
     with FrameProgress("occupancy", None, unit="keyframes") as progress:
         return occupancy_of(folder, settings, progress.reach, mapper)
-
-
-# The picture of a map
 
 
 def write_picture(grid: OccupancyGrid, folder: MapFolder, out: Path) -> None:

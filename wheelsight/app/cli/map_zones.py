@@ -6,10 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from wheelsight.app.cli.map_contents import MapPath
+from wheelsight.app.cli.options import option_field
 from wheelsight.core.errors import ConfigError, MapError
 
 if TYPE_CHECKING:
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
     from wheelsight.slam.maps import MapFolder
 
 
-def change_zones(source: Path, asked: AskedZone) -> None:
+def change_zones(asked: ZoneOptions) -> None:
     """Add zones or areas, or remove one. Raises ConfigError, MapError, AreaError, OutputError."""
     from wheelsight.app.cli.compiling import compile_missing
     from wheelsight.app.cli.console import print_warning
@@ -29,7 +31,7 @@ def change_zones(source: Path, asked: AskedZone) -> None:
     from wheelsight.slam.maps.folder import OCCUPANCY_FILE
 
     drawn = drawn_by(asked)
-    folder = MapFolder.open(find_map(source), read_only=False)
+    folder = MapFolder.open(find_map(asked.source), read_only=False)
     try:
         known = current_edits(folder)
         if asked.forget is None:
@@ -127,31 +129,36 @@ def _what(edit: MapEdit) -> str:
     return "keep-out zone" if edit.kind == EditKind.KEEP_OUT else "wiped place"
 
 
-# Options
-
-
+_ZONES = "What is there"
 _WHICH = "--keep-out, --speed M_S, --wipe or --area NAME"
 _FORM = "X,Y in metres in the map, such as 2,-1 3,-1 3,0.5; two are opposite corners of a rectangle"
 
 
 @dataclass(frozen=True, slots=True)
-class AskedZone:
-    """The options: one kind of zone or area with its corners; without options, a list.
+class ZoneOptions:
+    """Options of `wheelsight map zone`: one kind of zone or area with its corners; without options, a list."""
 
-    Attributes:
-        corners: words, of one or more corners each.
-        keep_out, speed_m_s, wipe, area: what is in them.
-        areas: an areas.yaml.
-        forget: number in the list, from 1 on.
-    """
-
-    corners: tuple[str, ...]
-    keep_out: bool
-    speed_m_s: float | None
-    wipe: bool
-    area: str | None
-    areas: Path | None
-    forget: int | None
+    source: MapPath
+    corners: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="X,Y...",
+            help="Corners in the order of the outline, metres in the map; two are opposite corners of a rectangle.",
+            show_default=False,
+        ),
+    ] = None
+    keep_out: bool = option_field("Robots do not drive there.", default=False, panel=_ZONES)
+    speed: float | None = option_field("The speed limit there, in metres a second.", "M_S", False, _ZONES)
+    wipe: bool = option_field("Obstacles that the map has there are gone: free.", default=False, panel=_ZONES)
+    area: str | None = option_field("It is called so, for wheelsight drive --to NAME.", "NAME", False, _ZONES)
+    areas: Path | None = option_field(
+        "All areas of an areas.yaml, whose corners must be in this map's frame; that of a simulated world is in "
+        "the building's.",
+        "FILE",
+        False,
+        _ZONES,
+    )
+    forget: int | None = option_field("Forget the one of this number in the list.", "NUMBER", False, _ZONES)
 
     @property
     def option(self) -> str | None:
@@ -159,13 +166,13 @@ class AskedZone:
         return next(iter(self._options()), None)
 
     def _options(self) -> list[str]:
-        values = (self.keep_out or None, self.speed_m_s, self.wipe or None, self.area, self.areas, self.forget)
+        values = (self.keep_out or None, self.speed, self.wipe or None, self.area, self.areas, self.forget)
         names = ("--keep-out", "--speed", "--wipe", "--area", "--areas", "--forget")
         return [name for name, value in zip(names, values, strict=True) if value is not None]
 
     def check(self) -> None:
         """Check the options. Raises ConfigError for invalid combinations."""
-        for word in self.corners:
+        for word in self.corners or ():
             if word.startswith("-") and not word[1:2].isdigit() and word[1:2] != ".":
                 raise ConfigError(f"there is no option {word}", fix=f"{_WHICH}; --areas FILE or --forget NUMBER")
         options = self._options()
@@ -175,13 +182,11 @@ class AskedZone:
             raise ConfigError("what is in these corners is not said", fix=_WHICH)
         if self.option in ("--areas", "--forget") and self.corners:
             raise ConfigError(f"{self.option} has no corners", fix="leave them out")
-        if self.speed_m_s is not None and not 0 < self.speed_m_s < math.inf:
-            raise ConfigError(
-                f"--speed is {self.speed_m_s:g}", fix="metres a second, over 0, such as 0.3; or --keep-out"
-            )
+        if self.speed is not None and not 0 < self.speed < math.inf:
+            raise ConfigError(f"--speed is {self.speed:g}", fix="metres a second, over 0, such as 0.3; or --keep-out")
 
 
-def drawn_by(asked: AskedZone) -> Sequence[MapEdit]:
+def drawn_by(asked: ZoneOptions) -> Sequence[MapEdit]:
     """The edits of the options, not attached to keyframes. Raises ConfigError, MapError, AreaError."""
     import numpy as np
 
@@ -194,7 +199,7 @@ def drawn_by(asked: AskedZone) -> Sequence[MapEdit]:
         return []
     # (N, 2) corners of words such as "2,-1" or "2,-1 3,-1 3,0.5"
     option, corners = asked.option or "", []
-    for text in (text for word in asked.corners for text in word.split()):
+    for text in (text for word in asked.corners or () for text in word.split()):
         try:
             x_m, y_m = map(float, text.split(","))
         except ValueError:
@@ -208,8 +213,8 @@ def drawn_by(asked: AskedZone) -> Sequence[MapEdit]:
         (x, y), (far_x, far_y) = corners
         corners = [(x, y), (far_x, y), (far_x, far_y), (x, far_y)]
     polygon = np.array(corners)
-    if asked.speed_m_s is not None:
-        return [MapEdit(EditKind.SPEED, polygon, limit_m_s=asked.speed_m_s)]
+    if asked.speed is not None:
+        return [MapEdit(EditKind.SPEED, polygon, limit_m_s=asked.speed)]
     if asked.area is not None:
         return [MapEdit(EditKind.AREA, polygon, name=asked.area)]
     return [MapEdit(EditKind.KEEP_OUT if asked.keep_out else EditKind.WIPED, polygon)]

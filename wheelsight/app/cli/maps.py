@@ -10,9 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wheelsight.app.cli.compiling import compile_missing
-from wheelsight.app.cli.console import CliCommand, Group, print_warning
-from wheelsight.app.cli.map_contents import Exports, name_place, print_info, print_names, write_exports
-from wheelsight.app.cli.map_zones import AskedZone, change_zones, print_zones
+from wheelsight.app.cli.console import CliCommand, Group, print_warning, takes
+from wheelsight.app.cli.map_contents import (
+    MapExportOptions,
+    MapPath,
+    name_place,
+    print_info,
+    print_names,
+    write_exports,
+)
+from wheelsight.app.cli.map_zones import ZoneOptions, change_zones, print_zones
 from wheelsight.app.cli.options import option
 from wheelsight.core.errors import ConfigError
 
@@ -20,16 +27,7 @@ if TYPE_CHECKING:
     from wheelsight.slam.maps import MapFolder
 
 
-def zone(
-    source: MapPath,
-    corners: Corners = None,
-    keep_out: KeepOut = False,
-    speed: Speed = None,
-    wipe: Wipe = False,
-    area: AreaName = None,
-    areas: AreasFile = None,
-    forget: Forget = None,
-) -> None:
+def zone(options: ZoneOptions) -> None:
     """Mark where robots must not drive, must drive slowly, or what is gone; name an area; or list all marks.
 
     Zones and areas are in the map's edits.json. Each hangs on the nearest keyframe and moves with it, as where a loop
@@ -39,23 +37,17 @@ def zone(
     [bold]Examples[/bold]
 
     wheelsight map zone home --keep-out 2,-1 3,-1 3,0.5
-
     wheelsight map zone home --speed 0.3 -1,2 4,3
-
     wheelsight map zone home --wipe 5,0 5.4,0.4
-
     wheelsight map zone home --area kitchen 4,-3 7,-3 7,0 4,0
-
     wheelsight map zone home
-
     wheelsight map zone home --forget 2
     """
-    asked = AskedZone(tuple(corners or ()), keep_out, speed, wipe, area, areas, forget)
-    asked.check()
-    if asked.option is None:
-        print_zones(_opened(source))
+    options.check()
+    if options.option is None:
+        print_zones(_opened(options.source))
     else:
-        change_zones(source, asked)
+        change_zones(options)
 
 
 maps_app = typer.Typer(cls=Group, no_args_is_help=True, rich_markup_mode="rich")
@@ -76,7 +68,6 @@ def info(
     [bold]Examples[/bold]
 
     wheelsight map info results
-
     wheelsight map info results/map --json
     """
     print_info(_opened(source, is_incomplete_read=True), as_json)
@@ -98,9 +89,7 @@ def name(
     [bold]Examples[/bold]
 
     wheelsight map name home kitchen --at 3.2,1.5,90
-
     wheelsight map name home --list
-
     wheelsight map name home kitchen --remove
     """
     if sum((show_list, remove, at is not None)) != 1:
@@ -116,21 +105,12 @@ def name(
 
 
 # Else -1,2 would be an option; what is none is refused by the work.
-maps_app.command(cls=CliCommand, context_settings={"ignore_unknown_options": True})(zone)
+maps_app.command(cls=CliCommand, context_settings={"ignore_unknown_options": True})(takes(ZoneOptions)(zone))
 
 
 @maps_app.command(cls=CliCommand)
-def export(
-    source: MapPath,
-    out: Points = None,
-    occupancy: Occupancy = None,
-    picture: Picture = None,
-    resolution: Resolution = None,
-    everything: Annotated[
-        bool, typer.Option("--all", help="All surfels, and not only those seen often enough to be sure.")
-    ] = False,
-    force: Force = False,
-) -> None:
+@takes(MapExportOptions)
+def export(options: MapExportOptions) -> None:
     """Write the map where its keyframes are by now: surfels as points, and what of the floor is free.
 
     Where the map has no surfels, as one of a run that was killed, they are fused of its keyframes first. Nav2's
@@ -139,12 +119,10 @@ def export(
     [bold]Examples[/bold]
 
     wheelsight map export results --out kitchen.ply
-
     wheelsight map export results/map --all --out all_points.ply --force
-
     wheelsight map export results --occupancy plan.yaml --picture plan.png --resolution 0.05
     """
-    write_exports(_opened(source), Exports(out, occupancy, picture, resolution, everything), force)
+    write_exports(_opened(options.source), options)
 
 
 @maps_app.command(cls=CliCommand)
@@ -156,7 +134,6 @@ def rebuild(source: MapPath, out: NewMap) -> None:
     [bold]Examples[/bold]
 
     wheelsight map rebuild results --out rebuilt
-
     wheelsight map rebuild results/map --out rebuilt
     """
     from wheelsight.slam.maps import info_of, rebuild
@@ -184,7 +161,6 @@ def merge(
     [bold]Examples[/bold]
 
     wheelsight map merge monday tuesday --out both
-
     wheelsight map merge ground_floor/map stairs/map --out house
     """
     from wheelsight.slam.maps import merge
@@ -209,7 +185,6 @@ def prune(source: MapPath, out: NewMap) -> None:
     [bold]Examples[/bold]
 
     wheelsight map prune results --out pruned
-
     wheelsight map prune house/map --out house_pruned
     """
     from wheelsight.slam.maps import prune
@@ -236,19 +211,10 @@ def _progress(action: str) -> Iterator[Callable[[str, int, int], None]]:
         yield lambda doing, done, total: progress.reach(done, total, doing)
 
 
-# Options
-
-
-_ZONES = "What is there"
-
-MapPath = Annotated[
-    Path, typer.Argument(metavar="DIR", help="The map's folder, or that of the run that left it.", show_default=False)
-]
 NewMap = Annotated[
     Path,
     typer.Option("--out", metavar="DIR", help="Folder of the new map; empty, or not there yet.", show_default=False),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
 Called = Annotated[str | None, typer.Argument(metavar="NAME", help="What the place is called.", show_default=False)]
 At = Annotated[
     str | None,
@@ -257,41 +223,4 @@ At = Annotated[
         "X,Y[,YAW_DEG]",
         False,
     ),
-]
-Corners = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="X,Y...",
-        help="Corners in the order of the outline, metres in the map; two are opposite corners of a rectangle.",
-        show_default=False,
-    ),
-]
-KeepOut = Annotated[bool, typer.Option("--keep-out", help="Robots do not drive there.", rich_help_panel=_ZONES)]
-Speed = Annotated[float | None, option("The speed limit there, in metres a second.", "M_S", False, _ZONES)]
-Wipe = Annotated[
-    bool, typer.Option("--wipe", help="Obstacles that the map has there are gone: free.", rich_help_panel=_ZONES)
-]
-AreaName = Annotated[str | None, option("It is called so, for wheelsight drive --to NAME.", "NAME", False, _ZONES)]
-AreasFile = Annotated[
-    Path | None,
-    option(
-        "All areas of an areas.yaml, whose corners must be in this map's frame; that of a simulated world is in "
-        "the building's.",
-        "FILE",
-        False,
-        _ZONES,
-    ),
-]
-Forget = Annotated[int | None, option("Forget the one of this number in the list.", "NUMBER", False, _ZONES)]
-Points = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="PLY file of the surfels to write.", show_default=False)
-]
-Occupancy = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="YAML file of the occupancy map; its PGM stands beside it.", show_default=False),
-]
-Picture = Annotated[Path | None, typer.Option(metavar="FILE", help="PNG file: a picture of that.", show_default=False)]
-Resolution = Annotated[
-    float | None,
-    typer.Option(metavar="METRES", min=0.01, max=1, help="Side of the occupancy map's cells.", show_default="0.05"),
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -36,6 +37,30 @@ def option(
     """
     flags = [details.pop("flag")] if "flag" in details else []
     return typer.Option(*flags, metavar=metavar, help=text, show_default=shown, rich_help_panel=panel, **details)
+
+
+def option_field(
+    text: str,
+    metavar: str | None = None,
+    shown: str | bool = True,
+    panel: str | None = None,
+    *,
+    default: Any = None,
+    setting: str = "",
+    **details: Any,
+) -> Any:
+    """Return a dataclass field that `takes` makes an `option` of, named as the field where `details` have no flag.
+
+    `setting` is the dotted name of the setting of `Config` that it sets.
+    """
+
+    def named(flag: str) -> Any:
+        how = {"flag": flag, **details}
+        if setting:
+            SET_BY[setting] = how["flag"].partition("/")[0]
+        return option(text, metavar, shown, panel, **how)
+
+    return field(default=default, metadata={"option": named, "setting": setting})
 
 
 def setting_option(name: str, flag: str, text: str, *how: Any, **details: Any) -> Any:
@@ -171,9 +196,6 @@ Rerun = Annotated[
 ]
 
 
-# Outputs
-
-
 def can_draw() -> bool:
     """Whether a page can be drawn; else it warns that all but the page is written."""
     from wheelsight.app.cli.console import print_warning
@@ -213,9 +235,6 @@ def check_rerun(target: str | None, force: bool | None = None) -> None:
 
     if is_file(target):
         check_out(Path(target), force, "--rerun")
-
-
-# Calibrations
 
 
 Out = Annotated[

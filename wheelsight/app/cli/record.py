@@ -7,12 +7,10 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, get_args
+from typing import TYPE_CHECKING, get_args
 
-import typer
-
-from wheelsight.app.cli.console import console, print_note, print_warning
-from wheelsight.app.cli.options import OUTPUT, Topics, option
+from wheelsight.app.cli.console import console, print_note, print_warning, takes
+from wheelsight.app.cli.options import OUTPUT, Topics, option_field
 from wheelsight.app.cli.wheels import Baud, Seconds
 from wheelsight.core.errors import ConfigError, OutputError
 from wheelsight.core.runtime import until_stopped
@@ -35,60 +33,38 @@ _BAG_WAIT_S = 0.4
 _BAG_FLUSH_S = 0.5
 _SENSORS = "Sensors"
 
-CameraKind = Annotated[
-    str | None,
-    option(
+
+@dataclass(frozen=True, slots=True)
+class RecordOptions:
+    """Options of `record`."""
+
+    out: Path | None = option_field("Folder of the recording; made.", "DIR", False, OUTPUT)
+    bag: Path | None = option_field("Write a bag of ROS 2, .mcap, in place of a folder.", "FILE", False, OUTPUT)
+    color: str = option_field("How colour is kept: exactly, or small.", "png|jpeg", default="png", panel=OUTPUT)
+    resume: bool = option_field("Go on with the recording in DIR.", default=False, panel=OUTPUT)
+    force: bool = option_field("Overwrite a recording in DIR.", default=False, panel=OUTPUT)
+    camera: str | None = option_field(
         "Camera: its kind, or kind:serial number; any for the first that is plugged in; recording:DIR plays one.",
         "NAME",
         "none",
         _SENSORS,
-    ),
-]
-WheelsPort = Annotated[str | None, option("Serial port of the wheel controller.", "PORT", "none", _SENSORS)]
-Calibrations = Annotated[
-    list[Path] | None,
-    option(
+    )
+    wheels: str | None = option_field("Serial port of the wheel controller.", "PORT", "none", _SENSORS)
+    baud: Baud = 115200
+    calibration: list[Path] | None = option_field(
         "calibration.yaml to put into the recording, over what the camera says of itself. May be given again.",
         "FILE",
         "none",
         _SENSORS,
-    ),
-]
-Infrared = Annotated[
-    bool,
-    typer.Option("--infrared", help="Infrared images too, where the camera has them.", rich_help_panel=_SENSORS),
-]
-Out = Annotated[
-    Path | None,
-    typer.Option(metavar="DIR", help="Folder of the recording; made.", show_default=False, rich_help_panel=OUTPUT),
-]
-Bag = Annotated[Path | None, option("Write a bag of ROS 2, .mcap, in place of a folder.", "FILE", False, OUTPUT)]
-Color = Annotated[
-    str,
-    typer.Option(metavar="png|jpeg", help="How colour is kept: exactly, or small.", rich_help_panel=OUTPUT),
-]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with the recording in DIR.", rich_help_panel=OUTPUT)]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite a recording in DIR.", rich_help_panel=OUTPUT)]
-SettingsFile = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Settings in YAML: camera and recorder.", show_default=False)
-]
+    )
+    infrared: bool = option_field("Infrared images too, where the camera has them.", default=False, panel=_SENSORS)
+    topic: Topics = None
+    seconds: Seconds = None
+    config: Path | None = option_field("Settings in YAML: camera and recorder.", "FILE", False)
 
 
-def record(
-    out: Out = None,
-    bag: Bag = None,
-    color: Color = "png",
-    resume: Resume = False,
-    force: Force = False,
-    camera: CameraKind = None,
-    wheels: WheelsPort = None,
-    baud: Baud = 115200,
-    calibration: Calibrations = None,
-    infrared: Infrared = False,
-    topic: Topics = None,
-    seconds: Seconds = None,
-    config: SettingsFile = None,
-) -> None:
+@takes(RecordOptions)
+def record(options: RecordOptions) -> None:
     """Record a camera, wheels, or both until Ctrl-C, SIGTERM or SIGHUP, which `wheelsight run DIR` reads.
 
     Everything is on its way to the disk within a second, so whatever ends the recording leaves a valid one; --resume
@@ -98,44 +74,21 @@ def record(
     [bold]Examples[/bold]
 
     wheelsight record --camera any --wheels /dev/ttyUSB0 --out corridor --calibration robot.yaml
-
     wheelsight record --camera realsense --color jpeg --out corridor
-
     wheelsight record --camera any --wheels /dev/ttyUSB0 --out corridor --resume
-
     wheelsight record --wheels /dev/ttyUSB0 --out square --seconds 60
-
     wheelsight record --camera any --wheels /dev/ttyUSB0 --calibration robot.yaml --bag corridor.mcap
     """
-    asked = SensorOptions(camera, wheels, tuple(calibration or ()), infrared, baud, config, tuple(topic or ()))
     with (
         until_stopped() as is_over,
-        opened_recording(asked, place_of(out, bag), color, force=force, resume=resume) as session,
-        shown_looks(seconds) as show,
+        opened_recording(options) as session,
+        shown_looks(options.seconds) as show,
     ):
-        session.run(is_over, show, seconds)
-
-
-# Sensors
-
-
-@dataclass(frozen=True, slots=True)
-class SensorOptions:
-    """Options of the sensors."""
-
-    camera: str | None
-    wheels: str | None
-    calibration: tuple[Path, ...]
-    infrared: bool
-    baud: int
-    config: Path | None
-    topics: tuple[str, ...] = ()
+        session.run(is_over, show, options.seconds)
 
 
 @contextmanager
-def opened_recording(
-    asked: SensorOptions, out: Path | BagPlace, color: str, *, force: bool, resume: bool
-) -> Iterator[RecordingSession]:
+def opened_recording(asked: RecordOptions) -> Iterator[RecordingSession]:
     """Open sensors and recording for the block. A refusal leaves no folder; the end prints a summary.
 
     Raises InputError.
@@ -147,14 +100,15 @@ def opened_recording(
     from wheelsight.io.devices.recorder import LiveRecorder, RecordingSession
     from wheelsight.io.recordings import RecordingWriter
 
-    _check(asked, color, force=force, resume=resume)
+    out, force, resume = place_of(asked.out, asked.bag), asked.force, asked.resume
+    _check(asked)
     of_camera, of_recorder = LiveCameraSettings(), RecorderSettings()
     if asked.config is not None:
         from wheelsight.config import load_config  # takes seconds, which a robot that stands ready need not wait
 
         config = load_config(asked.config)
         of_camera, of_recorder = config.camera, config.recorder
-    infrared, topics = of_camera.infrared or asked.infrared, asked.topics or of_camera.topics
+    infrared, topics = of_camera.infrared or asked.infrared, tuple(asked.topic or ()) or of_camera.topics
     of_camera = of_camera.model_copy(update={"infrared": infrared, "topics": topics})
     bag = out if isinstance(out, BagPlace) else None
     folder = out.path.parent if isinstance(out, BagPlace) else out
@@ -170,9 +124,9 @@ def opened_recording(
             link = opened.enter_context(WheelLink(asked.wheels, asked.baud, note_status(asked.wheels)))
         writer: LiveWriter
         if bag is not None:
-            writer = bag.writer(calibration, color)
+            writer = bag.writer(calibration, asked.color)
         else:
-            writer = RecordingWriter(folder, calibration, force, color=color, resume=resume)  # type: ignore[arg-type]
+            writer = RecordingWriter(folder, calibration, force, color=asked.color, resume=resume)  # type: ignore[arg-type]
         recorder = opened.enter_context(LiveRecorder(writer, of_recorder))
         # Stamps in the future mean that the clock was set back.
         ahead_s = writer.last_stamp_s - host_clock.now_s()
@@ -183,23 +137,23 @@ def opened_recording(
         yield RecordingSession(recorder, folder, camera, link, note)
 
 
-def _check(asked: SensorOptions, color: str, *, force: bool, resume: bool) -> None:
+def _check(asked: RecordOptions) -> None:
     from wheelsight.io.recordings.images import ColorFormat
 
     if asked.camera is None and asked.wheels is None:
         raise ConfigError("there is nothing to record", fix="--camera NAME, --wheels PORT, or both")
-    if color not in get_args(ColorFormat):
-        raise ConfigError(f"--color is {color!r}", fix=f"one of {', '.join(get_args(ColorFormat))}")
-    if force and resume:
+    if asked.color not in get_args(ColorFormat):
+        raise ConfigError(f"--color is {asked.color!r}", fix=f"one of {', '.join(get_args(ColorFormat))}")
+    if asked.force and asked.resume:
         raise ConfigError("--force starts over and --resume does not", fix="one of them")
     if asked.infrared and asked.camera is None:
         raise ConfigError("--infrared is of a camera", fix="add --camera NAME")
-    if asked.topics and not (asked.camera or "").startswith("recording:"):
+    if asked.topic and not (asked.camera or "").startswith("recording:"):
         raise ConfigError("--topic is of a bag", fix="--camera recording:BAG, or leave it out")
 
 
 def _camera(
-    asked: SensorOptions, settings: LiveCameraSettings, resumed: Path | None, opened: ExitStack
+    asked: RecordOptions, settings: LiveCameraSettings, resumed: Path | None, opened: ExitStack
 ) -> tuple[LiveCamera | None, Calibration | None]:
     """The camera, if any, and the calibration of the recording. Raises DeviceError, CalibrationError."""
     from wheelsight.app.cli.console import print_warning
@@ -213,14 +167,11 @@ def _camera(
         raise ConfigError("--resume goes by the recording's own calibration", fix="leave out --calibration")
     if asked.camera is None:
         return None, known or (load_calibration(*asked.calibration) if asked.calibration else None)
-    camera, calibration = open_robot_camera(asked.camera, settings, asked.calibration, known)
+    camera, calibration = open_robot_camera(asked.camera, settings, asked.calibration or (), known)
     opened.callback(camera.close)
     for warning in camera.warnings:
         print_warning(warning)
     return camera, calibration
-
-
-# Outputs
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,9 +214,6 @@ def place_of(out: Path | None, bag: Path | None) -> Path | BagPlace:
     if out is None:
         raise ConfigError("--out or --bag is needed", fix="--out DIR, or --bag FILE.mcap")
     return out
-
-
-# Progress
 
 
 # A line for a log, where no terminal watches.

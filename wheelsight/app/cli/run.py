@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -73,19 +72,15 @@ def run(options: RunOptions) -> None:
     """
     from wheelsight.app.run import default_odometry
 
-    asked = LiveRun.of(options)
-    asked.check(options.realtime, options.wheels_from)
+    check_source(options)
     settings = settings_from(options.settings(), options.config)
     chosen = ""
-    with asked.source(settings, options.out, options.realtime, options.wheels_from, options.force) as source:
+    with source_of(options, settings) as source:
         if not settings.odometry:
             choice = default_odometry(source, settings)
             settings, chosen = settings.with_odometry(choice.odometry), choice.sentence
         records = track(source, settings, options.out, options.force, options.rerun, chosen)
     print_summary(records, options.out)
-
-
-# The run
 
 
 def track(
@@ -139,59 +134,36 @@ def track(
         raise typer.Exit(exit_code()) from interruption
 
 
-# Sources
+def check_source(asked: RunOptions) -> None:
+    """Check options of the source, live or recorded. Raises ConfigError for invalid combinations."""
+    if not asked.live:
+        needs = {"--wheels": asked.wheels, "--seconds": asked.seconds, "--record": asked.record}
+        if given := [option for option, value in needs.items() if value is not None]:
+            raise ConfigError(f"{given[0]} is of a live run", fix="add --live, or leave it out")
+        if asked.recording is None:
+            raise ConfigError("no recording is named", fix="wheelsight run RECORDING, or --live --camera NAME")
+        return
+    if asked.recording is not None:
+        raise ConfigError("--live follows sensors, no recording", fix="leave one of them out")
+    if asked.realtime or asked.wheels_from is not None:
+        raise ConfigError("--realtime plays a recording", fix="with --live, --wheels PORT alone")
+    if asked.camera is None and asked.wheels is None:
+        raise ConfigError("there is nothing to listen to", fix="--camera NAME, --wheels PORT, or both")
 
 
-@dataclass(frozen=True, slots=True)
-class LiveRun:
-    """Options of the source, live or recorded."""
+def source_of(asked: RunOptions, settings: Config) -> AbstractContextManager[EventSource]:
+    """The source of the run, open in the block. Raises InputError."""
+    from wheelsight.app.cli.options import open_source
 
-    live: bool
-    recording: Path | None
-    camera: str | None
-    wheels: str | None
-    seconds: float | None
-    record: Path | None
-    calibration: tuple[str, ...]
-    baud: int | None
-
-    @classmethod
-    def of(cls, given: RunOptions) -> LiveRun:
-        """The part of all options."""
-        sensors = given.recording, given.camera, given.wheels
-        return cls(given.live, *sensors, given.seconds, given.record, tuple(given.calibration or ()), given.baud)
-
-    def check(self, realtime: bool, wheels_from: str | None) -> None:
-        """Raises ConfigError for invalid combinations of options."""
-        if not self.live:
-            needs = {"--wheels": self.wheels, "--seconds": self.seconds, "--record": self.record}
-            if given := [option for option, value in needs.items() if value is not None]:
-                raise ConfigError(f"{given[0]} is of a live run", fix="add --live, or leave it out")
-            if self.recording is None:
-                raise ConfigError("no recording is named", fix="wheelsight run RECORDING, or --live --camera NAME")
-            return
-        if self.recording is not None:
-            raise ConfigError("--live follows sensors, no recording", fix="leave one of them out")
-        if realtime or wheels_from is not None:
-            raise ConfigError("--realtime plays a recording", fix="with --live, --wheels PORT alone")
-        if self.camera is None and self.wheels is None:
-            raise ConfigError("there is nothing to listen to", fix="--camera NAME, --wheels PORT, or both")
-
-    def source(
-        self, settings: Config, out: Path, realtime: bool, wheels_from: str | None, force: bool
-    ) -> AbstractContextManager[EventSource]:
-        """The source of the run, open in the block. Raises InputError."""
-        from wheelsight.app.cli.options import open_source
-
-        if self.live:
-            return _opened(self, settings, out, force)
-        assert self.recording is not None
-        recording = open_source(self.recording, settings)
-        return played(recording, realtime, wheels_from, self.baud, settings.realtime)
+    if asked.live:
+        return _opened(asked, settings)
+    assert asked.recording is not None
+    recording = open_source(asked.recording, settings)
+    return played(recording, asked.realtime, asked.wheels_from, asked.baud, settings.realtime)
 
 
 @contextmanager
-def _opened(asked: LiveRun, settings: Config, out: Path, force: bool) -> Iterator[LiveSource]:
+def _opened(asked: RunOptions, settings: Config) -> Iterator[LiveSource]:
     """Sensors, kernels and recorder, ready for the first event."""
     from wheelsight.app.cli.compiling import compile_missing
     from wheelsight.app.cli.console import print_note
@@ -208,14 +180,14 @@ def _opened(asked: LiveRun, settings: Config, out: Path, force: bool) -> Iterato
     from wheelsight.io.recordings import RecordingWriter
 
     with ExitStack() as opened:
-        opened.enter_context(new_output_folder(out, force))  # refused before a device is touched
+        opened.enter_context(new_output_folder(asked.out, asked.force))  # refused before a device is touched
         compile_missing(parts_of(settings))  # minutes, in which a camera had better not run
         camera = None
         if asked.camera is not None:
             of_camera = settings.camera.model_copy(
                 update={"topics": settings.recording.topics or settings.camera.topics}
             )
-            camera, calibration = open_robot_camera(asked.camera, of_camera, asked.calibration)
+            camera, calibration = open_robot_camera(asked.camera, of_camera, asked.calibration or ())
             opened.callback(camera.close)
         elif asked.calibration:
             calibration = load_calibration(*asked.calibration)
@@ -226,7 +198,7 @@ def _opened(asked: LiveRun, settings: Config, out: Path, force: bool) -> Iterato
             link = opened.enter_context(WheelLink(asked.wheels, asked.baud or BAUDRATE, note_status(asked.wheels)))
         recorder = None
         if asked.record is not None:
-            writer = RecordingWriter(asked.record, calibration, force)
+            writer = RecordingWriter(asked.record, calibration, asked.force)
             recorder = opened.enter_context(LiveRecorder(writer, settings.recorder))
             opened.callback(print_end, writer, recorder, asked.record, calibration.color is not None)
         sensors = LiveSensors(calibration, camera, link, recorder)
@@ -237,9 +209,6 @@ def _opened(asked: LiveRun, settings: Config, out: Path, force: bool) -> Iterato
             lambda: print_note(f"ready; following {how_long}"),
             note,
         )
-
-
-# Progress
 
 
 @contextmanager
@@ -319,9 +288,6 @@ def words(recording: InRealTime) -> str:
     return ", ".join(parts)
 
 
-# Status beside the progress bar
-
-
 _JOINED = "joined"
 
 
@@ -351,9 +317,6 @@ def count(n: int) -> str:
     if n < 1000:
         return str(n)
     return f"{n / 1e3:.0f}k" if n < 999_500 else f"{n / 1e6:.2f}M"
-
-
-# Results
 
 
 _ON_THE_PAGE_ONLY = ("ATE, max", "of the way", "turn a metre", "95 % within", "time covered")  # 80 signs wide

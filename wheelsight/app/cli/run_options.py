@@ -4,7 +4,7 @@ settings.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
 
@@ -22,299 +22,161 @@ from wheelsight.app.cli.options import (
     Rerun,
     Topics,
     option,
-    setting_option,
+    option_field,
     settings_from,
 )
 
-# Sensors
-
-
 _REAL_TIME, _LIVE = "In real time", "Live, in place of a recording"
+_ODOMETRY, _AREAS, _MAPS = "Odometry", "Areas that rectify wheels", "Loops and maps"
 
-LiveRecording = Annotated[
-    Path | None,
-    typer.Argument(
-        metavar="RECORDING",
-        help="Folder of the recording, or a ROS bag; [bold]sample[/bold] is one that comes along; none with --live.",
-        show_default=False,
-    ),
-]
-LiveCamera = Annotated[
-    str | None,
-    option(
-        "Calibration to use: the name of a shipped one, such as freiburg1, or a calibration.yaml. With --live: "
-        "the camera, as for wheelsight record.",
-        "NAME|FILE",
-        "what the recording itself says",
-        INPUT,
-        flag="--camera",
-    ),
-]
-RealTime = Annotated[
-    bool,
-    option(
-        "Play the recording in real time; frames that come too fast are dropped.", panel=_REAL_TIME, flag="--realtime"
-    ),
-]
-WheelsFrom = Annotated[
-    str | None,
-    option(
-        "Wheel readings in real time from elsewhere: a serial port, the pipe of wheels serve, or a wheels.csv.",
-        "FROM",
-        "the recording's own",
-        _REAL_TIME,
-    ),
-]
-Baud = Annotated[int | None, option("Baud rate of the port.", "RATE", "115200", _REAL_TIME, min=1)]
-Live = Annotated[
-    bool,
-    option(
-        "Follow what --camera and --wheels show just now, until Ctrl-C or --seconds, in place of a recording.",
-        panel=_LIVE,
-        flag="--live",
-    ),
-]
-Wheels = Annotated[str | None, option("With --live: serial port of the wheel controller.", "PORT", "none", _LIVE)]
-Seconds = Annotated[
-    float | None, option("With --live: stop so long after ready.", "SECONDS", "at Ctrl-C", _LIVE, min=0)
-]
-Record = Annotated[Path | None, option("With --live: record what is followed, too.", "DIR", "not recorded", _LIVE)]
-
-
-# Odometry and areas
-
-
-_ODOMETRY, _AREAS = "Odometry", "Areas that rectify wheels"
-
-Odometry = Annotated[
-    str | None,
-    setting_option(
-        "odometry",
-        "--odometry",
-        "How motion is estimated: features, dense, wheels, or several; wheels and a camera are joined too.",
-        "NAME[,NAME]",
-        "all sensors that the recording has, joined",
-        _ODOMETRY,
-    ),
-]
-Fusion = Annotated[
-    str | None,
-    setting_option(
-        "fusion.filter",
-        "--fusion",
-        "How wheels and camera are joined: default, ligocki (eq. 2), or none.",
-        "NAME",
-        "default, where both are named",
-        _ODOMETRY,
-    ),
-]
-Reference = Annotated[
-    str | None,
-    setting_option(
-        "features.reference",
-        "--reference",
-        "What a frame is aligned with: previous or keyframes.",
-        "NAME",
-        "keyframes",
-        _ODOMETRY,
-    ),
-]
-Integration = Annotated[
-    str | None,
-    setting_option(
-        "wheels.integration",
-        "--integration",
-        "How wheels are integrated: arc, midpoint or euler.",
-        "NAME",
-        "arc",
-        _ODOMETRY,
-    ),
-]
-Gyro = Annotated[
-    bool | None,
-    setting_option(
-        "wheels.gyro", "--gyro/--no-gyro", "Join a gyroscope with the wheels.", shown="--gyro", panel=_ODOMETRY
-    ),
-]
-Seed = Annotated[
-    int | None, setting_option("features.seed", "--seed", "Seed of all random choices.", shown="0", panel=_ODOMETRY)
-]
-Model = Annotated[
-    str | None,
-    setting_option(
-        "places.model",
-        "--places",
-        "Rectify wheels, joined or alone, by the areas that frames show.",
-        "MODEL",
-        False,
-        _AREAS,
-    ),
-]
-Rectify = Annotated[
-    str | None,
-    setting_option(
-        "places.rectify",
-        "--rectify",
-        "probabilistic: a filter with covariance; paper: eq. 5.",
-        "WAY",
-        "probabilistic",
-        _AREAS,
-    ),
-]
-Areas = Annotated[
-    str | None,
-    setting_option(
-        "places.areas", "--areas", "areas.yaml of the model.", "FILE", "that in the recording's folder", _AREAS
-    ),
-]
-OdometryTerm = Annotated[
-    str | None,
-    setting_option(
-        "places.odometry_term",
-        "--odometry-term",
-        "Odometry in eq. 5: increment or absolute.",
-        "NAME",
-        "increment",
-        _AREAS,
-    ),
-]
-Weights = Annotated[
-    str | None,
-    setting_option("places.weights", "--weights", "alpha, beta, gamma of eq. 5.", "A,B,G", "0,0.9,0.1", _AREAS),
-]
-
-
-# Maps and loops
-
-
-_MAPS = "Loops and maps"
-
-Map = Annotated[
-    str | None,
-    setting_option(
-        "map", "--map", "What dense odometry builds and tracks against: surfels.", "NAME", "keyframes alone", _MAPS
-    ),
-]
-Loops = Annotated[
-    str | None,
-    setting_option(
-        "loops.source",
-        "--loops",
-        "Correct the way by places that were recognised: keyframes, those that the camera sees again; matches, "
-        "the recording's own and its loops.csv; or a file like that.",
-        "SOURCE",
-        "none",
-        _MAPS,
-    ),
-]
-MapFrom = Annotated[
-    Path | None,
-    setting_option(
-        "known_map.path",
-        "--map-from",
-        "Find oneself in a map of before: that of an earlier run with --map surfels.",
-        "DIR",
-        False,
-        _MAPS,
-    ),
-]
-Extend = Annotated[
-    bool,
-    setting_option("known_map.extend", "--extend", "Add to the map of --map-from what this drive sees.", panel=_MAPS),
-]
-Start = Annotated[
-    str | None,
-    setting_option(
-        "places.start",
-        "--start",
-        "Where the base stands at first, in the map of --map-from or of the areas.",
-        "X,Y,YAW_DEG",
-        "recognised; of areas, by ground truth",
-        _MAPS,
-    ),
-]
-
-
-# All options
-
-
-Out = Annotated[Path, option("Folder for the results; made if need be.", "DIR", False, OUTPUT)]
 SettingsFile = Annotated[
     Path | None, option("Settings in YAML; options given here win over it.", "FILE", False, SETTINGS)
 ]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite results in DIR.", rich_help_panel=OUTPUT)]
 
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
     """Options of `run`; None where one was left out."""
 
-    out: Out
-    recording: LiveRecording = None
-    camera: LiveCamera = None
+    out: Annotated[Path, option("Folder for the results; made if need be.", "DIR", False, OUTPUT)]
+    recording: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="RECORDING",
+            help="Folder of the recording, or a ROS bag; [bold]sample[/bold] is one that comes along; none with "
+            "--live.",
+            show_default=False,
+        ),
+    ] = None
+    camera: str | None = option_field(
+        "Calibration to use: the name of a shipped one, such as freiburg1, or a calibration.yaml. With --live: "
+        "the camera, as for wheelsight record.",
+        "NAME|FILE",
+        "what the recording itself says",
+        INPUT,
+    )
     calibration: CalibrationFile = None
     depth_factor: DepthFactor = None
     max_gap: MaxGap = None
     rate_hz: RateHz = None
     topic: Topics = None
-    force: Force = False
+    force: bool = option_field("Overwrite results in DIR.", default=False, panel=OUTPUT)
     rerun: Rerun = None
-    odometry: Odometry = None
-    fusion: Fusion = None
-    reference: Reference = None
-    integration: Integration = None
-    gyro: Gyro = None
-    seed: Seed = None
-    map_: Map = None
-    loops: Loops = None
-    map_from: MapFrom = None
-    extend: Extend = False
-    start: Start = None
+    odometry: str | None = option_field(
+        "How motion is estimated: features, dense, wheels, or several; wheels and a camera are joined too.",
+        "NAME[,NAME]",
+        "all sensors that the recording has, joined",
+        _ODOMETRY,
+        setting="odometry",
+    )
+    fusion: str | None = option_field(
+        "How wheels and camera are joined: default, ligocki (eq. 2), or none.",
+        "NAME",
+        "default, where both are named",
+        _ODOMETRY,
+        setting="fusion.filter",
+    )
+    reference: str | None = option_field(
+        "What a frame is aligned with: previous or keyframes.",
+        "NAME",
+        "keyframes",
+        _ODOMETRY,
+        setting="features.reference",
+    )
+    integration: str | None = option_field(
+        "How wheels are integrated: arc, midpoint or euler.", "NAME", "arc", _ODOMETRY, setting="wheels.integration"
+    )
+    gyro: bool | None = option_field(
+        "Join a gyroscope with the wheels.",
+        shown="--gyro",
+        panel=_ODOMETRY,
+        flag="--gyro/--no-gyro",
+        setting="wheels.gyro",
+    )
+    seed: int | None = option_field("Seed of all random choices.", shown="0", panel=_ODOMETRY, setting="features.seed")
+    map_: str | None = option_field(
+        "What dense odometry builds and tracks against: surfels.", "NAME", "keyframes alone", _MAPS, setting="map"
+    )
+    loops: str | None = option_field(
+        "Correct the way by places that were recognised: keyframes, those that the camera sees again; matches, "
+        "the recording's own and its loops.csv; or a file like that.",
+        "SOURCE",
+        "none",
+        _MAPS,
+        setting="loops.source",
+    )
+    map_from: Path | None = option_field(
+        "Find oneself in a map of before: that of an earlier run with --map surfels.",
+        "DIR",
+        False,
+        _MAPS,
+        setting="known_map.path",
+    )
+    extend: bool = option_field(
+        "Add to the map of --map-from what this drive sees.", default=False, panel=_MAPS, setting="known_map.extend"
+    )
+    start: str | None = option_field(
+        "Where the base stands at first, in the map of --map-from or of the areas.",
+        "X,Y,YAW_DEG",
+        "recognised; of areas, by ground truth",
+        _MAPS,
+        setting="places.start",
+    )
     config: SettingsFile = None
     profile: Profile = None
-    places: Model = None
-    rectify: Rectify = None
-    areas: Areas = None
-    odometry_term: OdometryTerm = None
-    weights: Weights = None
-    realtime: RealTime = False
-    wheels_from: WheelsFrom = None
-    baud: Baud = None
-    live: Live = False
-    wheels: Wheels = None
-    seconds: Seconds = None
-    record: Record = None
+    places: str | None = option_field(
+        "Rectify wheels, joined or alone, by the areas that frames show.",
+        "MODEL",
+        False,
+        _AREAS,
+        setting="places.model",
+    )
+    rectify: str | None = option_field(
+        "probabilistic: a filter with covariance; paper: eq. 5.",
+        "WAY",
+        "probabilistic",
+        _AREAS,
+        setting="places.rectify",
+    )
+    areas: str | None = option_field(
+        "areas.yaml of the model.", "FILE", "that in the recording's folder", _AREAS, setting="places.areas"
+    )
+    odometry_term: str | None = option_field(
+        "Odometry in eq. 5: increment or absolute.", "NAME", "increment", _AREAS, setting="places.odometry_term"
+    )
+    weights: str | None = option_field(
+        "alpha, beta, gamma of eq. 5.", "A,B,G", "0,0.9,0.1", _AREAS, setting="places.weights"
+    )
+    realtime: bool = option_field(
+        "Play the recording in real time; frames that come too fast are dropped.", default=False, panel=_REAL_TIME
+    )
+    wheels_from: str | None = option_field(
+        "Wheel readings in real time from elsewhere: a serial port, the pipe of wheels serve, or a wheels.csv.",
+        "FROM",
+        "the recording's own",
+        _REAL_TIME,
+    )
+    baud: int | None = option_field("Baud rate of the port.", "RATE", "115200", _REAL_TIME, min=1)
+    live: bool = option_field(
+        "Follow what --camera and --wheels show just now, until Ctrl-C or --seconds, in place of a recording.",
+        default=False,
+        panel=_LIVE,
+    )
+    wheels: str | None = option_field("With --live: serial port of the wheel controller.", "PORT", "none", _LIVE)
+    seconds: float | None = option_field("With --live: stop so long after ready.", "SECONDS", "at Ctrl-C", _LIVE, min=0)
+    record: Path | None = option_field("With --live: record what is followed, too.", "DIR", "not recorded", _LIVE)
 
     def settings(self) -> dict[str, object]:
         """Values of the options that set settings, by their dotted names, as `settings_from` takes them."""
-        return {
-            "profile": self.profile,
-            "odometry": self.odometry,
-            "fusion.filter": self.fusion,
-            "map": self.map_,
-            "loops.source": self.loops,
-            "known_map.path": None if self.map_from is None else str(self.map_from),
-            "known_map.extend": self.extend or None,
-            "recording.camera": None if self.live else self.camera,  # of a live run it names a device
-            "recording.calibration": self.calibration,
-            "recording.depth_factor": self.depth_factor,
-            "recording.max_gap_s": self.max_gap,
-            "recording.rate_hz": self.rate_hz,
-            "recording.topics": self.topic,
-            "features.reference": self.reference,
-            "features.seed": self.seed,
-            "wheels.integration": self.integration,
-            "wheels.gyro": self.gyro,
-            "places.model": self.places,
-            "places.areas": self.areas,
-            "places.rectify": self.rectify,
-            "places.start" if self.map_from is None else "known_map.start": self.start,
-            "places.odometry_term": self.odometry_term,
-            "places.weights": self.weights,
-        }
-
-
-# wheelsight config
+        given = {one.metadata.get("setting"): getattr(self, one.name) for one in fields(self)}
+        given |= {f"recording.{name}": getattr(self, name) for name in ("calibration", "depth_factor", "rate_hz")}
+        given |= {"recording.max_gap_s": self.max_gap, "recording.topics": self.topic, "profile": self.profile}
+        given["recording.camera"] = None if self.live else self.camera  # of a live run it names a device
+        given["known_map.path"] = None if self.map_from is None else str(self.map_from)
+        given["known_map.extend"] = self.extend or None
+        if self.map_from is not None:
+            given["known_map.start"] = given.pop("places.start")
+        return {name: value for name, value in given.items() if name}
 
 
 def config_config(
@@ -332,9 +194,7 @@ def config_config(
     [bold]Examples[/bold]
 
     wheelsight config --profile pi --changed
-
     wheelsight config > settings.yaml
-
     wheelsight config --config old-run/config.yaml --drop-removed --changed > settings.yaml
     """
     from wheelsight.app.cli.console import print_warning

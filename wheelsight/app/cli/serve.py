@@ -14,14 +14,14 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import typer
 
 from wheelsight.app.cli.console import print_note, print_warning, takes
 from wheelsight.app.cli.drive import check_robot, kernels_of, robot_of, settings_of, start_of
 from wheelsight.app.cli.drive_options import KnownStart, MapPath, Rate, Rerun, RobotOptions, SettingsOptions
-from wheelsight.app.cli.options import OUTPUT, option
+from wheelsight.app.cli.options import OUTPUT, option_field
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.runtime import until_stopped
 
@@ -29,39 +29,7 @@ if TYPE_CHECKING:
     from wheelsight.app.page import Access
 
 
-# Options
-
-
 _PAGE = "The page"
-
-MapsFolder = Annotated[
-    Path | None,
-    option(
-        "Folder for maps that are made, each in one of its own; those that are there can be driven in.",
-        "DIR",
-        "none",
-        OUTPUT,
-        flag="--out",
-    ),
-]
-Host = Annotated[
-    str,
-    option(
-        "Where the page is served: this computer alone, or, behind a token, any that reaches the address.",
-        "ADDRESS",
-        panel=_PAGE,
-    ),
-]
-Port = Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.", rich_help_panel=_PAGE)]
-Token = Annotated[
-    str | None,
-    option(
-        "What each request must hold; 16 letters and digits at least.",
-        "TEXT",
-        "a new one; none on this computer alone",
-        _PAGE,
-    ),
-]
 
 
 @dataclass(frozen=True)
@@ -70,11 +38,26 @@ class PageOptions:
 
     map_: MapPath = None
     known_start: KnownStart = None
-    out: MapsFolder = None
+    out: Path | None = option_field(
+        "Folder for maps that are made, each in one of its own; those that are there can be driven in.",
+        "DIR",
+        "none",
+        OUTPUT,
+    )
     rerun: Rerun = None
-    host: Host = "127.0.0.1"
-    port: Port = 8765
-    token: Token = None
+    host: str = option_field(
+        "Where the page is served: this computer alone, or, behind a token, any that reaches the address.",
+        "ADDRESS",
+        default="127.0.0.1",
+        panel=_PAGE,
+    )
+    port: int = option_field("0: any that is free.", default=8765, panel=_PAGE, min=0, max=65535)
+    token: str | None = option_field(
+        "What each request must hold; 16 letters and digits at least.",
+        "TEXT",
+        "a new one; none on this computer alone",
+        _PAGE,
+    )
 
 
 @dataclass(frozen=True)
@@ -82,9 +65,6 @@ class ServeOptions(RobotOptions, SettingsOptions, PageOptions):
     """All options; fields of the last base come first."""
 
     rate: Rate = 5.0
-
-
-# The command
 
 
 @takes(ServeOptions)
@@ -99,9 +79,7 @@ def serve(options: ServeOptions) -> None:
     [bold]Examples[/bold]
 
     wheelsight serve --sim studio --out maps
-
     wheelsight serve --sim flat --map home --known-start 0,0,0
-
     wheelsight serve --robot /dev/ttyUSB0 --camera any --calibration robot.yaml --map home --host 192.168.1.20
     """
     from wheelsight.app.cli.compiling import compile_missing
@@ -148,9 +126,6 @@ def serve(options: ServeOptions) -> None:
                 # Before slow work, such as closing pages and writing a map.
                 session.stop("the program ends")
             print_note("stopped; ending")
-
-
-# Terminal
 
 
 _LOOK_S, _ENDS_S = 0.1, 2.0
@@ -236,9 +211,6 @@ class _Line:
     due_s: float
     wait_s: float = 1.0
     times: int = 0
-
-
-# The session
 
 
 _TOKEN_BYTES, _SHORTEST_TOKEN = 24, 16

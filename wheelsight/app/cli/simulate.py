@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from wheelsight.app.cli.console import takes
-from wheelsight.app.cli.options import OUTPUT, option
+from wheelsight.app.cli.options import OUTPUT, option_field
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.runtime import exit_code
 
@@ -20,181 +20,78 @@ if TYPE_CHECKING:
     from wheelsight_sim import FloorPlan, SimulationSettings
 
 
-# Options of the robot and its camera
-
-
-_DRIVE, _CAMERA, _ROBOT, _FAULTS = "The drive", "The camera", "The true robot", "Faults"
-
-
-def _times(what: str) -> Any:
-    """An option of the times of a fault."""
-    return typer.Option(metavar="FROM:TO", help=what, rich_help_panel=_FAULTS)
-
-
-Laps = Annotated[int, typer.Option(help="How often the world's route is driven.", rich_help_panel=_DRIVE)]
-Speed = Annotated[float, typer.Option(metavar="M/S", help="Speed on straights, up to 1.2 m/s.", rich_help_panel=_DRIVE)]
-Duration = Annotated[
-    float | None,
-    typer.Option(metavar="SECONDS", help="Stop after so long.", show_default="the whole route", rich_help_panel=_DRIVE),
-]
-Reverse = Annotated[
-    bool, typer.Option("--reverse", help="Drive the route from its end to its start.", rich_help_panel=_DRIVE)
-]
-DriveFile = Annotated[
-    Path | None, option("Velocities to drive in place of the route.", "CSV", False, _DRIVE, flag="--drive")
-]
-StopAndTurn = Annotated[
-    bool, option("Stop at each waypoint and turn on the spot, as UMBmark asks.", panel=_DRIVE, flag="--stop-and-turn")
-]
-Camera = Annotated[
-    str, typer.Option(metavar="NAME", help="Which camera to carry; see --list.", rich_help_panel=_CAMERA)
-]
-Size = Annotated[str, option("Size of the images in pixels, or by the camera's own.", "WxH|half|full", panel=_CAMERA)]
-Rate = Annotated[
-    float | None,
-    typer.Option(metavar="HZ", help="Images a second.", show_default="the camera's own", rich_help_panel=_CAMERA),
-]
-MotionBlur = Annotated[
-    bool, typer.Option("--motion-blur", help="Smear colour by the motion during exposure.", rich_help_panel=_CAMERA)
-]
-Realism = Annotated[
-    str,
-    option(
-        "`real`: all that real sensors do; `ideal`: nothing but their noise, for closed forms.", "NAME", panel=_CAMERA
-    ),
-]
-Base = Annotated[
-    str,
-    option(
-        "`differential`: a wheelchair; `mecanum`, `omni-3`, `omni-4`, `increments`: a base that drives sideways.",
-        "KIND",
-        panel=_ROBOT,
-    ),
-]
-LeftRadius = Annotated[
-    float | None,
-    typer.Option(metavar="M", help="Of the left wheel.", show_default="0.17", rich_help_panel=_ROBOT),
-]
-RightRadius = Annotated[
-    float | None,
-    typer.Option(metavar="M", help="Of the right wheel.", show_default="0.17", rich_help_panel=_ROBOT),
-]
-Track = Annotated[
-    float | None,
-    typer.Option(metavar="M", help="Distance between the wheels.", show_default="0.52", rich_help_panel=_ROBOT),
-]
-NoSlip = Annotated[bool, typer.Option("--no-slip", help="Let wheels never slip.", rich_help_panel=_ROBOT)]
-Gyro = Annotated[bool, typer.Option("--gyro", help="Carry a gyroscope; DIR gets gyro.csv.", rich_help_panel=_ROBOT)]
-Dropout = Annotated[list[str] | None, _times("Seconds without wheel readings.")]
-Unplug = Annotated[list[str] | None, _times("Seconds whose pulses are lost.")]
-Ice = Annotated[
-    list[str] | None,
-    typer.Option(metavar="X,Y,R", help="A round patch of ice, in metres.", rich_help_panel=_FAULTS),
-]
-Lift = Annotated[list[str] | None, _times("Seconds with the left wheel in the air.")]
-Cover = Annotated[list[str] | None, _times("Seconds with something lying on the camera.")]
-
-
-# All options
-
-
 _WORLD, _PLAN = "The world", "A building of your own"
-
-
-World = Annotated[
-    str | None, typer.Argument(metavar="WORLD", help="What to drive through; see --list.", show_default=False)
-]
-Out = Annotated[Path | None, option("Folder of the recording; made if need be.", "DIR", False, OUTPUT)]
-ShowList = Annotated[
-    bool, typer.Option("--list", help="Show all worlds and cameras, and exit.", rich_help_panel=_WORLD)
-]
-Plan = Annotated[
-    Path | None,
-    option(
-        "Floor plan to drive through in place of WORLD: of ROS map_server, or an image with --resolution.",
-        "FILE",
-        False,
-        _PLAN,
-    ),
-]
-Resolution = Annotated[
-    float | None,
-    typer.Option(metavar="M", help="Metres a pixel of a bare image.", show_default=False, rich_help_panel=_PLAN),
-]
-AreasImage = Annotated[
-    Path | None,
-    option(
-        "The plan's rooms, one colour each or parted by lines; they become areas.yaml.",
-        "IMAGE",
-        False,
-        _PLAN,
-        flag="--areas",
-    ),
-]
-Start = Annotated[
-    str | None, option("Where in the plan the base begins.", "X,Y,YAW_DEG", "a roomy place, by --seed", _PLAN)
-]
-WayLength = Annotated[
-    float | None,
-    option("How long the tour is, about.", "METRES", "up to 100, or as --duration takes", _PLAN, flag="--way"),
-]
-Seed = Annotated[
-    int, typer.Option(help="Of everything random; the same seed makes the same bytes.", rich_help_panel=_WORLD)
-]
-Day = Annotated[
-    int, option("Another day in the same building: other light, people, noise; chairs moved.", "N", panel=_WORLD)
-]
-PassersBy = Annotated[
-    int, typer.Option("--passers-by", metavar="N", help="How many people walk about.", rich_help_panel=_WORLD)
-]
-Doors = Annotated[
-    int, typer.Option("--doors", metavar="N", help="How many doors open and shut meanwhile.", rich_help_panel=_WORLD)
-]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite a recording in DIR.", rich_help_panel=OUTPUT)]
+_DRIVE, _CAMERA, _ROBOT, _FAULTS = "The drive", "The camera", "The true robot", "Faults"
 
 
 @dataclass(frozen=True, slots=True)
 class SimulateOptions:
     """Options of `simulate`."""
 
-    world: World = None
-    out: Out = None
-    force: Force = False
-    show_list: ShowList = False
-    seed: Seed = 0
-    day: Day = 0
-    passers_by: PassersBy = 0
-    doors: Doors = 0
-    laps: Laps = 1
-    speed: Speed = 0.8
-    duration: Duration = None
-    reverse: Reverse = False
-    stop_and_turn: StopAndTurn = False
-    drive: DriveFile = None
-    camera: Camera = "kinect-v1"
-    size: Size = "half"
-    rate: Rate = None
-    realism: Realism = "real"
-    motion_blur: MotionBlur = False
-    plan: Plan = None
-    resolution: Resolution = None
-    areas: AreasImage = None
-    start: Start = None
-    way: WayLength = None
-    base: Base = "differential"
-    left_radius: LeftRadius = None
-    right_radius: RightRadius = None
-    track: Track = None
-    no_slip: NoSlip = False
-    gyro: Gyro = False
-    dropout: Dropout = None
-    unplug: Unplug = None
-    ice: Ice = None
-    lift: Lift = None
-    cover: Cover = None
-
-
-# The command
+    world: Annotated[
+        str | None, typer.Argument(metavar="WORLD", help="What to drive through; see --list.", show_default=False)
+    ] = None
+    out: Path | None = option_field("Folder of the recording; made if need be.", "DIR", False, OUTPUT)
+    force: bool = option_field("Overwrite a recording in DIR.", default=False, panel=OUTPUT)
+    show_list: bool = option_field("Show all worlds and cameras, and exit.", default=False, panel=_WORLD, flag="--list")
+    seed: int = option_field("Of everything random; the same seed makes the same bytes.", default=0, panel=_WORLD)
+    day: int = option_field(
+        "Another day in the same building: other light, people, noise; chairs moved.", "N", default=0, panel=_WORLD
+    )
+    passers_by: int = option_field("How many people walk about.", "N", default=0, panel=_WORLD)
+    doors: int = option_field("How many doors open and shut meanwhile.", "N", default=0, panel=_WORLD)
+    laps: int = option_field("How often the world's route is driven.", default=1, panel=_DRIVE)
+    speed: float = option_field("Speed on straights, up to 1.2 m/s.", "M/S", default=0.8, panel=_DRIVE)
+    duration: float | None = option_field("Stop after so long.", "SECONDS", "the whole route", _DRIVE)
+    reverse: bool = option_field("Drive the route from its end to its start.", default=False, panel=_DRIVE)
+    stop_and_turn: bool = option_field(
+        "Stop at each waypoint and turn on the spot, as UMBmark asks.", default=False, panel=_DRIVE
+    )
+    drive: Path | None = option_field("Velocities to drive in place of the route.", "CSV", False, _DRIVE)
+    camera: str = option_field("Which camera to carry; see --list.", "NAME", default="kinect-v1", panel=_CAMERA)
+    size: str = option_field(
+        "Size of the images in pixels, or by the camera's own.", "WxH|half|full", default="half", panel=_CAMERA
+    )
+    rate: float | None = option_field("Images a second.", "HZ", "the camera's own", _CAMERA)
+    realism: str = option_field(
+        "`real`: all that real sensors do; `ideal`: nothing but their noise, for closed forms.",
+        "NAME",
+        default="real",
+        panel=_CAMERA,
+    )
+    motion_blur: bool = option_field("Smear colour by the motion during exposure.", default=False, panel=_CAMERA)
+    plan: Path | None = option_field(
+        "Floor plan to drive through in place of WORLD: of ROS map_server, or an image with --resolution.",
+        "FILE",
+        False,
+        _PLAN,
+    )
+    resolution: float | None = option_field("Metres a pixel of a bare image.", "M", False, _PLAN)
+    areas: Path | None = option_field(
+        "The plan's rooms, one colour each or parted by lines; they become areas.yaml.", "IMAGE", False, _PLAN
+    )
+    start: str | None = option_field(
+        "Where in the plan the base begins.", "X,Y,YAW_DEG", "a roomy place, by --seed", _PLAN
+    )
+    way: float | None = option_field(
+        "How long the tour is, about.", "METRES", "up to 100, or as --duration takes", _PLAN
+    )
+    base: str = option_field(
+        "`differential`: a wheelchair; `mecanum`, `omni-3`, `omni-4`, `increments`: a base that drives sideways.",
+        "KIND",
+        default="differential",
+        panel=_ROBOT,
+    )
+    left_radius: float | None = option_field("Of the left wheel.", "M", "0.17", _ROBOT)
+    right_radius: float | None = option_field("Of the right wheel.", "M", "0.17", _ROBOT)
+    track: float | None = option_field("Distance between the wheels.", "M", "0.52", _ROBOT)
+    no_slip: bool = option_field("Let wheels never slip.", default=False, panel=_ROBOT)
+    gyro: bool = option_field("Carry a gyroscope; DIR gets gyro.csv.", default=False, panel=_ROBOT)
+    dropout: list[str] | None = option_field("Seconds without wheel readings.", "FROM:TO", panel=_FAULTS)
+    unplug: list[str] | None = option_field("Seconds whose pulses are lost.", "FROM:TO", panel=_FAULTS)
+    ice: list[str] | None = option_field("A round patch of ice, in metres.", "X,Y,R", panel=_FAULTS)
+    lift: list[str] | None = option_field("Seconds with the left wheel in the air.", "FROM:TO", panel=_FAULTS)
+    cover: list[str] | None = option_field("Seconds with something lying on the camera.", "FROM:TO", panel=_FAULTS)
 
 
 @takes(SimulateOptions)
@@ -208,17 +105,11 @@ def simulate(options: SimulateOptions) -> None:
     [bold]Examples[/bold]
 
     wheelsight simulate floor4 --out floor
-
     wheelsight simulate floor4 --laps 2 --camera kinect-v1 --seed 7 --out two_laps
-
     wheelsight simulate square --stop-and-turn --right-radius 0.1717 --track 0.53 --out square
-
     wheelsight simulate flat --lift 12:15 --cover 20:25 --out mishaps
-
     wheelsight simulate --plan office.yaml --duration 60 --out office
-
     wheelsight simulate --plan flat.png --resolution 0.05 --areas rooms.png --way 40 --start 3,2.5,90 --out flat
-
     wheelsight simulate --list
     """
     if options.show_list:
@@ -266,9 +157,6 @@ def _simulate(settings: SimulationSettings, out: Path, force: bool) -> None:
             print_note(f"interrupted; {out} holds the drive up to there, {frames} frames" if frames else "interrupted")
             raise typer.Exit(exit_code()) from interruption
     print_note(f"{writer.frames} frames and {writer.readings} wheel readings are in {out}; plan: {out / 'plan.png'}")
-
-
-# Parser of the options
 
 
 _TIMES_FORM = "FROM:TO in seconds, such as 12:15.5"

@@ -56,7 +56,6 @@ def monitor(
     [bold]Examples[/bold]
 
     wheelsight wheels monitor /dev/ttyUSB0
-
     wheelsight wheels monitor /dev/ttyUSB0 --calibration robot.yaml --baud 57600
     """
     from rich.live import Live
@@ -96,7 +95,6 @@ def serve(
     [bold]Examples[/bold]
 
     wheelsight wheels serve /dev/ttyUSB0 --pipe /run/robot/wheels --calibration robot.yaml
-
     jq -c '[.x_m, .y_m, .yaw_rad]' /run/robot/wheels
     """
     from wheelsight.app.cli.console import print_note
@@ -144,7 +142,6 @@ def simulate(
     [bold]Examples[/bold]
 
     wheelsight wheels simulate
-
     wheelsight wheels simulate ttyARDUINO --plain --motion turns
     """
     from wheelsight.app.cli.console import print_note
@@ -194,9 +191,6 @@ def _wheels_of(path: Path) -> Wheels:
 
 def _wait_s(rate_hz: float, seconds: float | None) -> float:
     return min(1 / rate_hz, seconds if seconds else 1 / rate_hz)
-
-
-# wheelsight wheels monitor
 
 
 _SHORTEST_S = 0.5
@@ -273,9 +267,6 @@ def _facts(look: LinkLook) -> Iterator[tuple[str, str]]:
     yield "port", f"{line.bytes} bytes, {report.reconnects} times plugged in again"
 
 
-# wheelsight devices
-
-
 def devices_devices(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of lines.")] = False,
 ) -> None:
@@ -286,7 +277,6 @@ def devices_devices(
     [bold]Examples[/bold]
 
     wheelsight devices
-
     wheelsight devices --json
     """
     from wheelsight.app.cli.console import print_json

@@ -352,9 +352,6 @@ class _Counted(logging.Handler):
         self._on_line(f"page: {line}")
 
 
-# Application
-
-
 _log = logging.getLogger("uvicorn.page")
 _TOO_LARGE, _APP_PULSE_S = 1009, 0.05
 # To send to a page that has gone by then raises the one or the other.
@@ -520,9 +517,6 @@ class _Socket:
             with suppress(RuntimeError, WebSocketDisconnect, TimeoutError):
                 async with asyncio.timeout(_SEND_S):
                     await websocket.close(sent_away.code, str(sent_away))
-
-
-# Viewers
 
 
 # How many refusals wait for a page that reads slowly.

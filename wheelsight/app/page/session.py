@@ -30,9 +30,6 @@ from wheelsight.core.settings import LivePageSettings
 from wheelsight.navigation import Feedback, NavigationResult, NavigationState, Transition
 from wheelsight.navigation.settings import SILENT_S
 
-# Messages
-
-
 _FARTHEST_M, _LONGEST_NAME = 1e4, 60
 _Name = Annotated[str, Field(min_length=1, max_length=_LONGEST_NAME)]
 

@@ -176,9 +176,6 @@ def _rounded(values: FloatArray | Sequence[FloatArray] | None) -> Any:
     return None if values is None else np.round(np.asarray(values, float), 2).tolist()
 
 
-# What a session drives with
-
-
 class NamedPlaces(Protocol):
     """Named places of a map."""
 
@@ -234,9 +231,6 @@ class Watch(Protocol):
 
     def step(self, feedback: Feedback, navigator: Navigator) -> None:
         """The end of a period; another navigator than before means another map."""
-
-
-# Images
 
 
 # Blue, green, red, as OpenCV has them; distinguishable with red-green colour blindness (Okabe & Ito 2008).

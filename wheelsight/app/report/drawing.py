@@ -199,9 +199,6 @@ def warm_frames(record: RunRecord) -> list[FrameRecord]:
     return [frame for frame in used_frames(record) if frame.index not in cold]
 
 
-# Lines over time
-
-
 DRAWN_POINTS = 4000
 _SAME_STAMP_S = 1e-3  # stamps of one frame in two files differ by no more than their last decimal
 

@@ -154,9 +154,6 @@ def verdict(record: DriveRecord) -> tuple[str, str, str]:
     return "Arrived", " ".join(remarks) or "At every goal, by its own localization.", "amber" if remarks else "green"
 
 
-# Figures
-
-
 _PLAN_PX, _TIME_PX = 640, 460
 _AROUND_M = 0.5
 # A person who is tracked without a break has a row each 0.05 s; a walking person moves less than this in the time.
@@ -296,9 +293,6 @@ def _add_marks(figure: go.Figure, points: FloatArray, texts: list[str], name: st
         marker={**marker, **rim},
         hovertemplate="%{text}: %{x:.2f}, %{y:.2f} m<extra></extra>",
     )
-
-
-# Tables
 
 
 def goal_rows(record: DriveRecord) -> words.Table:

@@ -15,9 +15,6 @@ from wheelsight.app.run.run_record import MatchPicture
 from wheelsight.core.geometry import ByteArray, FloatArray
 from wheelsight.mapping.plan import MapCloud
 
-# Matches
-
-
 INLIER_RGB = (0, 158, 115)
 OUTLIER_RGB = (213, 94, 0)
 _HALO_RGB = (255, 255, 255)
@@ -87,9 +84,6 @@ def _panel(color: ByteArray) -> tuple[ByteArray, float]:
 def _fixed(point: FloatArray) -> tuple[int, int]:
     x, y = (point * (1 << _SUBPIXEL_BITS)).round().astype(int).tolist()
     return x, y
-
-
-# View of a cloud of points
 
 
 # As of `cloud.js`.
@@ -184,9 +178,6 @@ def draw_cloud(
         ends = ends[(ends[..., 2] > 0).all(axis=1), :, :2]
         cv2.polylines(image, list(np.rint(ends).astype(np.int32)), False, colour, 2, cv2.LINE_AA)
     return image
-
-
-# Packed data
 
 
 # Of its extent: a figure 1000 px wide may be zoomed in a hundred times before such a rounding moves a line by a pixel.

@@ -256,9 +256,6 @@ def _title(title: str, of: str) -> str:
     return f"{of.capitalize()}: {title[0].lower()}{title[1:]}" if of else title
 
 
-# Files
-
-
 _FILES = {
     "trajectory.txt": "where it went, in TUM's format: stamp, position, quaternion",
     "covariances.csv": "how surely each pose of it is known",
@@ -296,9 +293,6 @@ def files_section(folder: Path | None, odometries: Sequence[str] = ()) -> str:
     head = "<thead><tr>" + "".join(f'<th scope="col">{name}</th>' for name in ("File", "Size [kB]", "What it is"))
     table = f'<div class="scroll"><table class="files">\n{head}</tr></thead>\n<tbody>\n' + "\n".join(rows)
     return html.section("files", "Files", intro, table + "\n</tbody>\n</table></div>")
-
-
-# Loops
 
 
 # More lines than this hide what lies below.
@@ -367,9 +361,6 @@ def loops_figure(record: RunRecord) -> go.Figure:
     return figure
 
 
-# Map
-
-
 def map_section(record: RunRecord, of: str = "") -> str:
     """The map from above and from the camera's poses; "" without a map.
 
@@ -411,9 +402,6 @@ def map_tile(found: MapRecord) -> tuple[str, str, str]:
     """A tile: name, value, and a relative value."""
     stable = words.percent(found.status.stable / found.status.surfels) if found.status.surfels else "0 %"
     return "Surfels in the map", f"{found.status.surfels:,}", f"{stable} of them stable"
-
-
-# Figures of the map
 
 
 _HEIGHT_PX = 640
@@ -484,9 +472,6 @@ def _panel(image: ByteArray) -> ByteArray:
     size = (_PANEL_WIDTH_PX, max(1, round(image.shape[0] * _PANEL_WIDTH_PX / image.shape[1])))
     how = cv2.INTER_AREA if image.shape[1] > _PANEL_WIDTH_PX else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(image, size, interpolation=how), np.uint8)
-
-
-# Cloud of points
 
 
 _MOST_LOOPS = 400

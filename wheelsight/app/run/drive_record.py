@@ -393,9 +393,6 @@ class _Clearance:
         return max(nearest_m - costmap.resolution_m / 2, 0.0)
 
 
-# Files
-
-
 DRIVE_FILE, WAY_FILE, SETTINGS_FILE = "drive.json", "trajectory.txt", "config.yaml"
 _PLAN_STEP_M = 0.1
 

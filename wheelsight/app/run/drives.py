@@ -291,9 +291,6 @@ def near_floor_m(calibration: Calibration, config: Config) -> float:
     return DepthViewer(calibration, s.footprint.outline, s.live).near_m
 
 
-# Localization
-
-
 @contextmanager
 def localization_of(
     make: Make, *arguments: Any, in_step: bool, tells_keyframes: bool = False
@@ -333,9 +330,6 @@ def known_localizer(calibration: Calibration, config: Config, *, waits: bool = F
     known, folder = opened
     with closing(folder), closing(Localizer(calibration, config, known=known, waits=waits)) as localizer:
         yield localizer
-
-
-# Exploration
 
 
 class MappingLocalizer:
@@ -451,9 +445,6 @@ def loops_of(path: StrPath) -> int:
     """How many loops a map has, once its exploration is over. Raises MapError."""
     with closing(MapFolder.open(path)) as folder:
         return sum(edge.is_loop for edge in folder.edges)
-
-
-# Recorded paths
 
 
 _log = logging.getLogger(__name__)

@@ -429,9 +429,6 @@ def floor_map() -> SurfelMap:
     return surfel_map
 
 
-# Rehearsals in real time
-
-
 class Rehearses(EventSource, Protocol):
     """A source with events to rehearse by; a run's own localizers must not process them."""
 

@@ -27,9 +27,6 @@ from wheelsight.slam.loop_closing import ClosedLoops, corrected_by
 from wheelsight.slam.maps import MapFolder, find_map, in_largest_piece
 from wheelsight.slam.place_recognition import KnownMap
 
-# The run's own map
-
-
 MAP_FILE = "map.surfels"
 _WIDTHS_PX = (640, 320, 160)
 _FAR_M = 100.0
@@ -188,9 +185,6 @@ def _rendered(surfel_map: SurfelMap, T_map_color: FloatArray, camera: PinholeCam
     view = surfel_map.render(T_map_color, intrinsics, shape, far_m=_FAR_M)
     image = np.where(view.color[..., :1] < 0, view.grey[..., None], view.color)
     return np.where(view.depth_m[..., None] > 0, image, np.float32(-1))
-
-
-# The known map
 
 
 def open_known(

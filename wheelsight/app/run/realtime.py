@@ -217,9 +217,6 @@ def in_real_time(
             yield RealTimeRecording(recording, wheels, clock, settings)
 
 
-# Player
-
-
 _LONGEST_WAIT_S = 60.0  # of one wait, after which it goes on: no thread sleeps for ever
 THREAD = "wheelsight-player"
 
@@ -410,9 +407,6 @@ class Playing:
 def _stamp_s(event: Event) -> float:
     """Sort key. A NaN stamp comes first: the localizer rejects it."""
     return -math.inf if math.isnan(event.stamp_s) else event.stamp_s
-
-
-# Wheel readings beside the recording
 
 
 WHEELS_THREAD = "wheelsight-wheels"

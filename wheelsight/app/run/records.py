@@ -217,9 +217,6 @@ def _peak_memory_mb() -> float | None:
     return peak / (1e6 if sys.platform == "darwin" else 1e6 / 1024)
 
 
-# Map folders
-
-
 @contextmanager
 def keeping_maps(
     tracks: Sequence[RunTrack], source: EventSource, config: Config, folder: Path, known: MapFolder | None = None

@@ -254,9 +254,6 @@ def _lost(report: CameraReport) -> int:
     return report.device_drops + report.host_drops + report.stale
 
 
-# Facts about a source before its first event
-
-
 LIVE = "live"
 # Frames to show of a source of unknown length: each index is this factor later than the one before.
 _FIRST_FRAME, _LATER = 10, 4
@@ -292,9 +289,6 @@ def spread(wanted: int, frame_count: int | None) -> list[int]:
     if frame_count is None:
         return [_FIRST_FRAME * _LATER**number for number in range(wanted)]
     return [int((number + 0.5) * frame_count / wanted) for number in range(wanted)]
-
-
-# Choice of the odometry
 
 
 def default_odometry(source: EventSource, config: Config) -> Choice:

@@ -316,9 +316,6 @@ def _versions() -> dict[str, str]:
     }
 
 
-# Covariances
-
-
 COVARIANCES_FILE = "covariances.csv"
 _AXES = ("vx", "vy", "vz", "wx", "wy", "wz")
 _UPPER = np.triu_indices(6)
@@ -353,9 +350,6 @@ def with_covariances(trajectory: Trajectory, path: StrPath) -> Trajectory:
     C = np.zeros((len(rows), 6, 6))
     C[:, _UPPER[0], _UPPER[1]] = C[:, _UPPER[1], _UPPER[0]] = rows[:, 1:]
     return replace(trajectory, covariances=C)
-
-
-# Files
 
 
 PAGE_FILE = "report.html"

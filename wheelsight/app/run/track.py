@@ -158,9 +158,6 @@ def _unmoved(count: int) -> FloatArray:
     return T
 
 
-# Tracks
-
-
 # What a track's record lists. Rectified and joined tracks list frames, though they have a pose at each reading too.
 UNITS: dict[TrackName, Literal["frame", "reading"]] = {
     "features": "frame",

@@ -612,9 +612,6 @@ def _counted(reasons: tuple[tuple[str, int], ...]) -> str:
     return f"{text}, other reasons ({others:,})" if others else text
 
 
-# Key figures
-
-
 SKIPPED = "skipped"
 # A first frame that compiles or loads kernels is slower than the usual one by at least this factor. Fewer frames than
 # the second number give no usual time.
@@ -713,9 +710,6 @@ def lost_spans_s(record: RunRecord) -> list[tuple[float, float]]:
 
 def _percentile(values: np.ndarray, percent: float) -> float:
     return float(np.percentile(values, percent)) if len(values) else float("nan")
-
-
-# Joined sensors
 
 
 JOINED = "joined"
