@@ -1,13 +1,16 @@
-"""`OneCaller` refuses concurrent calls of an object with a state. `Rows` shares an image, `Worker` runs functions."""
+"""`OneCaller` refuses concurrent calls of an object with a state. `Rows` shares an image, `Worker` runs functions, and
+`Stopwatch` adds up the times of stages.
+"""
 
 from __future__ import annotations
 
 import itertools
 import os
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import wraps
 from typing import Any, Concatenate, Generic, ParamSpec, Protocol, Self, TypeVar
 
@@ -21,6 +24,19 @@ _YIELDED = 5
 
 Given = ParamSpec("Given")
 Answer = TypeVar("Answer")
+
+
+class Closing:
+    """An object that the end of a `with` block closes."""
+
+    def close(self) -> None:
+        """Release what it holds."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 class OneCaller:
@@ -269,3 +285,23 @@ class WorkerBeside(Generic[Answer]):
                 self._is_busy = False
                 if self._is_asked and self._work is None:
                     self._answers, self._error = answers, error
+
+
+class Stopwatch:
+    """Adds up seconds by stage name, from one `restart` to the next."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    def restart(self) -> None:
+        """Reset all times."""
+        self.seconds = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Count the time of a block under `name`."""
+        started = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started

@@ -13,13 +13,13 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Self
 
 from wheelsight.core.calibration import Calibration, load_calibration
 from wheelsight.core.errors import CalibrationError, DeviceError, RecordingError
 from wheelsight.core.files import StrPath
 from wheelsight.core.messages import AngularVelocity, RgbdFrame, SkippedFrame
 from wheelsight.core.settings import LiveCameraSettings
+from wheelsight.core.threads import Closing
 from wheelsight.io.devices import host_clock
 from wheelsight.io.devices.camera_driver import CameraDriver
 from wheelsight.io.devices.live_camera import CameraReport, CameraStatus, LiveCamera, LiveFrame, StreamingCamera
@@ -130,7 +130,7 @@ _LATEST_S = 0.1
 _MOST_READINGS = 4000
 
 
-class PlayedCamera:
+class PlayedCamera(Closing):
     """A `LiveCamera` that plays recorded frames in real time, to show and test live work without a camera.
 
     Its stamps are those of the host clock, without error. It pauses while no frames are fetched, as before a run is
@@ -230,12 +230,6 @@ class PlayedCamera:
         self._is_over.set()
         self._thread.join()
         self._set_status(CameraStatus.CLOSED)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _play(self, frames: Iterable[RgbdFrame | SkippedFrame]) -> None:
         """The thread: give each frame at its time."""

@@ -20,6 +20,7 @@ from wheelsight.core.errors import CalibrationError, DeviceError
 from wheelsight.core.geometry.arrays import UInt16Array
 from wheelsight.core.messages import AngularVelocity, RgbdFrame, SkippedFrame
 from wheelsight.core.settings import LiveCameraSettings
+from wheelsight.core.threads import Closing
 from wheelsight.io.devices import host_clock
 from wheelsight.io.devices.camera_driver import CameraDriver, DeviceImages, GyroDriver, OpenedDevice, PlaybackEndedError
 from wheelsight.io.devices.host_clock import CLOCK_LATE_S, CameraClock
@@ -158,7 +159,7 @@ _CLOSING_S = 3.0
 _RETRY_S = 0.25  # between two attempts to open a camera that was unplugged, of the 2 s it may take
 
 
-class StreamingCamera:
+class StreamingCamera(Closing):
     """A `LiveCamera` of any driver. Use it in a `with` block.
 
     Args:
@@ -266,12 +267,6 @@ class StreamingCamera:
         if self._thread is not threading.current_thread():
             self._thread.join(_CLOSING_S)
         atexit.unregister(self.close)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _run(self) -> None:
         """The thread: read until the camera is closed, or a played file ends."""

@@ -472,8 +472,9 @@ class OpenNI2Driver:
         metres = _DEPTH_FORMATS.get(depth.what.format, math.nan)
         depth_m = np.multiply(depth.what.pixels, np.float32(metres), dtype=np.float32)
         has_clock = not self._source.uri.startswith(_KINECT_V2)
-        stamps_s = (color.stamp_s, depth.stamp_s) if has_clock else (None, None)
-        return DeviceImages(np.asarray(color.what.pixels, np.uint8), depth_m, *stamps_s, color.what.index, infrared)
+        color_s, depth_s = (color.stamp_s, depth.stamp_s) if has_clock else (None, None)
+        pixels = np.asarray(color.what.pixels, np.uint8)
+        return DeviceImages(pixels, depth_m, color_s, depth_s, color.what.index, infrared)
 
 
 def is_file(where: str) -> bool:

@@ -17,6 +17,7 @@ from wheelsight.core.errors import ArgumentError, OutputError, RecordingError
 from wheelsight.core.files import StrPath, output_error
 from wheelsight.core.messages import AngularVelocity, WheelTicks, YawRate
 from wheelsight.core.settings import RecorderSettings
+from wheelsight.core.threads import Closing
 from wheelsight.io.devices.live_camera import (
     CameraReport,
     CameraStatus,
@@ -64,7 +65,7 @@ class _Waiting:
     since_s: float
 
 
-class LiveRecorder:
+class LiveRecorder(Closing):
     """Writes frames and readings of live sensors without blocking them. Use it in a `with` block.
 
     Threads encode and write images; another lists them in order of arrival. Readings are small and written at once. A
@@ -139,12 +140,6 @@ class LiveRecorder:
         self._thread.join()
         self._pool.shutdown(cancel_futures=True)
         self._writer.close()
-
-    def __enter__(self) -> LiveRecorder:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _list(self) -> None:
         """The thread: add frames to the lists, in order, once their images are written."""

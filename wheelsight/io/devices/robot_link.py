@@ -20,6 +20,7 @@ from wheelsight.core.robots import (
     VelocityControl,
     WheelControlSettings,
 )
+from wheelsight.core.threads import Closing
 from wheelsight.io.devices.live_camera import take_angular_velocities
 from wheelsight.io.devices.wheel_link import WheelLink
 from wheelsight.io.devices.wire_formats import Format
@@ -39,7 +40,7 @@ class Frames(Protocol):
         """Release the camera; may be called twice."""
 
 
-class LinkRobot:
+class LinkRobot(Closing):
     """A `Robot` with closed-loop control of each wheel's speed, from the encoders' ticks.
 
     It sends nothing before the first command to move. It stops the motors, with the reason in `stop_reason`, where
@@ -165,12 +166,6 @@ class LinkRobot:
             self._link.close()
             if self._frames is not None:
                 self._frames.close()
-
-    def __enter__(self) -> LinkRobot:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _obey(self, ticks: WheelTicks | None, command: VelocityCommand) -> None:
         """Update the wheels' loop and send its duties. Ticks that came late are ignored."""

@@ -18,6 +18,7 @@ from cobs import cobs
 
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import DeviceError
+from wheelsight.core.threads import Closing
 from wheelsight.io.devices.wire_formats import (
     FULL_DUTY,
     Ack,
@@ -114,7 +115,7 @@ class Practice:
         return pulses
 
 
-class SimulatedController:
+class SimulatedController(Closing):
     """Sends counts every 20 ms from a thread and obeys commands, as the firmware. It can restart and be unplugged.
 
     Attributes:
@@ -216,12 +217,6 @@ class SimulatedController:
         self._is_over.set()
         self._thread.join()
         self.unplug()
-
-    def __enter__(self) -> SimulatedController:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _send_counts(self) -> None:
         """Count the pulses of a period, and send them."""

@@ -326,10 +326,9 @@ class PlainTracker:
             self.refused += len(self._waiting)
             self._waiting.clear()
         self._waiting.append(now)
-        return self._confirm(last) if len(self._waiting) >= _CONFIRMING_LINES else []
-
-    def _confirm(self, last: _PlainReading) -> list[PlainStep]:
-        """Accept the waiting readings, as motion where possible, else as those of a board that restarted."""
+        if len(self._waiting) < _CONFIRMING_LINES:
+            return []
+        # Accept the waiting readings, as motion where possible, else as those of a board that restarted.
         waiting = self._waiting
         # Later than the last, and not far ahead of the host's clock: a digit of the time may have been lost.
         later = [

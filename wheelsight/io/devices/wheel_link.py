@@ -23,6 +23,7 @@ from serial.tools.list_ports import comports
 
 from wheelsight.core.errors import DeviceError
 from wheelsight.core.messages import WheelTicks
+from wheelsight.core.threads import Closing
 from wheelsight.io.devices import host_clock
 from wheelsight.io.devices.tick_tracking import TickTracker
 from wheelsight.io.devices.wire_formats import (
@@ -86,7 +87,7 @@ class LinkReport:
     other_line: str = ""
 
 
-class WheelLink:
+class WheelLink(Closing):
     """The serial line to a wheel controller. Use it in a `with` block.
 
     It sends nothing before the first command, so an unknown device receives nothing. Stamps are the times of the counts
@@ -234,12 +235,6 @@ class WheelLink:
         if self._thread is not threading.current_thread():
             self._thread.join()
         atexit.unregister(self.close)
-
-    def __enter__(self) -> WheelLink:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _run(self) -> None:
         """The thread: read, and repeat the motors' command, until closed."""

@@ -18,6 +18,7 @@ from wheelsight.core.errors import DeviceError, OutputError
 from wheelsight.core.files import StrPath, output_error
 from wheelsight.core.inputs import parse_json
 from wheelsight.core.messages import WheelTicks
+from wheelsight.core.threads import Closing
 from wheelsight.io.devices.wheel_link import BAUDRATE, LinkStatus, WheelLink
 
 _LOOK_MS = 100
@@ -140,7 +141,7 @@ _MOST_WAITING = 256
 _Identity = tuple[int, int, int]
 
 
-class TelemetryPipe:
+class TelemetryPipe(Closing):
     """Writes lines to a POSIX named pipe without waiting. Use it in a `with` block, whose end removes the pipe.
 
     One reader at a time may connect; two would each get some of the lines. Lines are not kept without a reader. A slow
@@ -221,12 +222,6 @@ class TelemetryPipe:
             if self._lock is not None and _identity(self.path.stat()) == self._identity:
                 self.path.unlink()
         self._unlock()
-
-    def __enter__(self) -> TelemetryPipe:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _disconnect(self) -> None:
         """Drop waiting lines and close the pipe for writing."""

@@ -229,7 +229,21 @@ class AzureKinectReader:
         if (color.width, color.height) != listed.color_size or not calibration.is_registered or color.has_distortion:
             problem = "the given calibration is not of undistorted colour images with depth registered to them"
             raise CalibrationError(problem, path=folder, fix="leave the cameras out: the recording has its own")
-        pairs, association = _pair(listed, options.max_gap_s, folder)
+        color_s, depth_s = (np.array(pts, float) * listed.tick_s for pts in (listed.color_pts, listed.depth_pts))
+        found = associate(color_s, depth_s - listed.depth_delay_s, options.max_gap_s)
+        if not len(found):
+            if listed.is_cut_off:
+                raise RecordingError("is cut off before the first pair of images", path=folder, fix="copy it again")
+            counts = f"{len(color_s)} colour and {len(depth_s)} depth images"
+            problem = f"of {counts}, none lie within {options.max_gap_s:g} s"
+            raise RecordingError(problem, path=folder, fix="raise --max-gap, or record both")
+        late_s = depth_s[found[:, 1]] - color_s[found[:, 0]]
+        pairs = [
+            _KinectPair(float(color_s[i]), listed.color_pts[i], listed.depth_pts[j], late)
+            for (i, j), late in zip(found.tolist(), late_s.tolist(), strict=True)
+        ]
+        largest_s = float(np.abs(late_s - listed.depth_delay_s).max())
+        association = AssociationReport(len(color_s), len(depth_s), len(pairs), options.max_gap_s, largest_s)
         warnings = ["Its gyroscope and accelerometer are not read."] if listed.has_imu else []
         if listed.is_cut_off:
             warnings.append("The file is cut off; what comes before is read.")
@@ -453,21 +467,3 @@ def _calibration_in(container: Any, path: Path) -> Any:
             except ValueError as error:
                 raise RecordingError(f"its calibration.json {error}", path=path) from error
     raise RecordingError("has no calibration.json", path=path, fix="record with k4arecorder, which attaches it")
-
-
-def _pair(listed: _Listed, max_gap_s: float, path: Path) -> tuple[list[_KinectPair], AssociationReport]:
-    """The pairs of colour and depth images. Raises RecordingError where there are none."""
-    color_s, depth_s = (np.array(pts, float) * listed.tick_s for pts in (listed.color_pts, listed.depth_pts))
-    found = associate(color_s, depth_s - listed.depth_delay_s, max_gap_s)
-    if not len(found):
-        if listed.is_cut_off:
-            raise RecordingError("is cut off before the first pair of images", path=path, fix="copy it again")
-        problem = f"of {len(color_s)} colour and {len(depth_s)} depth images, none lie within {max_gap_s:g} s"
-        raise RecordingError(problem, path=path, fix="raise --max-gap, or record both")
-    late_s = depth_s[found[:, 1]] - color_s[found[:, 0]]
-    pairs = [
-        _KinectPair(float(color_s[i]), listed.color_pts[i], listed.depth_pts[j], late)
-        for (i, j), late in zip(found.tolist(), late_s.tolist(), strict=True)
-    ]
-    largest_s = float(np.abs(late_s - listed.depth_delay_s).max())
-    return pairs, AssociationReport(len(color_s), len(depth_s), len(pairs), max_gap_s, largest_s)

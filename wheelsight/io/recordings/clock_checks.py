@@ -198,7 +198,24 @@ def counter_warnings(wheels: Wheels | None, readings: Sequence[WheelReading]) ->
     ticks = [reading for reading in readings if isinstance(reading, WheelTicks)]
     if wheels is None or len(ticks) < _FEWEST_READINGS:
         return []
-    warnings = _leaps(wheels, ticks)
+    warnings, first = list[str](), ticks[0]
+    sides = {
+        "left": np.array([reading.left - first.left for reading in ticks], float),
+        "right": np.array([reading.right - first.right for reading in ticks], float),
+    }
+    leaps = {side: leap for side, counts in sides.items() if (leap := _leap(counts, wheels.counter_span)) is not None}
+    if leaps:
+        index, side = min((index, side) for side, (index, _) in leaps.items())
+        before, after = (getattr(ticks[i], side) for i in (index, index + 1))
+        modulus = float(np.median([modulus for _, modulus in leaps.values()]))
+        bits = _bits(modulus)
+        remedy = f"about {modulus:.0f}: set wheels.counter_modulus in the calibration"
+        if bits is not None:
+            remedy = f"{2**bits}: set wheels.counter_bits to {bits} in the calibration"
+        at_s = ticks[index + 1].stamp_s
+        warnings.append(
+            f"The {side} counter leaps from {before} to {after} at {at_s:.3f} s: it seems to wrap at {remedy}."
+        )
     # A wheel at top speed may turn by half the counter's range or more in the usual period.
     period_s = float(np.median(np.diff([reading.stamp_s for reading in ticks])))
     half_m = 0.5 * wheels.counter_span * min(wheels.left_m_per_tick, wheels.right_m_per_tick)
@@ -209,30 +226,6 @@ def counter_warnings(wheels: Wheels | None, readings: Sequence[WheelReading]) ->
             f"wheels.max_speed_m_s to what they do, below {half_m / period_s:.2g}."
         )
     return warnings
-
-
-def _leaps(wheels: Wheels, ticks: Sequence[WheelTicks]) -> list[str]:
-    """A warning about the first jump of a counter that looks like a roll-over."""
-    first = ticks[0]
-    sides = {
-        "left": np.array([reading.left - first.left for reading in ticks], float),
-        "right": np.array([reading.right - first.right for reading in ticks], float),
-    }
-    found = {side: jump for side, counts in sides.items() if (jump := _leap(counts, wheels.counter_span)) is not None}
-    if not found:
-        return []
-    moduli = [modulus for _, modulus in found.values()]
-    index, side = min((index, side) for side, (index, _) in found.items())
-    before, after = (getattr(ticks[i], side) for i in (index, index + 1))
-    modulus = float(np.median(moduli))
-    bits = _bits(modulus)
-    remedy = f"about {modulus:.0f}: set wheels.counter_modulus in the calibration"
-    if bits is not None:
-        remedy = f"{2**bits}: set wheels.counter_bits to {bits} in the calibration"
-    return [
-        f"The {side} counter leaps from {before} to {after} at {ticks[index + 1].stamp_s:.3f} s: it seems to wrap at "
-        f"{remedy}."
-    ]
 
 
 def _leap(counts: FloatArray, span: int) -> tuple[int, float] | None:

@@ -36,7 +36,7 @@ from wheelsight.core.messages import (
     YawRate,
 )
 from wheelsight.core.stamps import StampCheck
-from wheelsight.core.threads import OneCaller, one_at_a_time
+from wheelsight.core.threads import Closing, OneCaller, one_at_a_time
 from wheelsight.core.trajectory import Trajectory, tum_header, tum_lines, write_tum
 from wheelsight.io.recordings.image_recording import ImageRecording, recording_of
 from wheelsight.io.recordings.images import SUFFIXES, ColorFormat, DepthEncoding, write_color, write_units
@@ -249,7 +249,7 @@ class LiveWriter(Protocol):
         """Close all files. Raises OutputError."""
 
 
-class RecordingWriter(OneCaller):
+class RecordingWriter(Closing, OneCaller):
     """Writes events into a folder as they come. Use it in a `with` block; `open_recording` reads the folder.
 
     PNG stores colour without loss. Depth has a resolution of 0.2 mm: 16 bits with 5000 units per metre, as in the TUM
@@ -471,12 +471,6 @@ class RecordingWriter(OneCaller):
         """Close all files. Without it, only data in the system's buffers is lost."""
         for stream in self._lists.values():
             stream.close()
-
-    def __enter__(self) -> RecordingWriter:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _known_calibration(self) -> Calibration:
         if self._calibration is None:

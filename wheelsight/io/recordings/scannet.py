@@ -83,8 +83,21 @@ def read_sens(path: Path) -> SensFile:
         with open_binary(path, _FILE, RecordingError) as stream:
             size = stream.seek(0, 2)
             stream.seek(0)
-            header = _read_header(stream, path)
-            frames = _read_frames(stream, header, size, path)
+            header, frames = _read_header(stream, path), list[SensFrame]()
+            for number in range(header.frame_count):
+                data = stream.read(_FRAME.size)
+                if len(data) < _FRAME.size:
+                    break
+                *pose, color_stamp, _, color_bytes, depth_bytes = _FRAME.unpack(data)
+                if max(color_bytes, depth_bytes) > _LARGEST_IMAGE:
+                    problem = f"frame {number} says its images have {color_bytes} and {depth_bytes} bytes"
+                    raise RecordingError(problem, path=path, fix=_COPY)
+                at = stream.tell()
+                if at + color_bytes + depth_bytes > size:
+                    break
+                T = np.array(pose, np.float64).reshape(4, 4)
+                frames.append(SensFrame(T, color_stamp, at, color_bytes, depth_bytes))
+                stream.seek(at + color_bytes + depth_bytes)
     except OSError as error:
         raise RecordingError(f"cannot be read: {error.strerror}", path=path) from error
     if not frames:
@@ -142,26 +155,6 @@ def _read_header(stream: BinaryIO, path: Path) -> SensHeader:
     return SensHeader(
         sensor, K_color, T_color, K_depth, T_depth, depth_kind, color_size, depth_size, float(shift), count
     )
-
-
-def _read_frames(stream: BinaryIO, header: SensHeader, size: int, path: Path) -> list[SensFrame]:
-    """The complete frames."""
-    frames: list[SensFrame] = []
-    for number in range(header.frame_count):
-        data = stream.read(_FRAME.size)
-        if len(data) < _FRAME.size:
-            break
-        *pose, color_stamp, _, color_bytes, depth_bytes = _FRAME.unpack(data)
-        if max(color_bytes, depth_bytes) > _LARGEST_IMAGE:
-            problem = f"frame {number} says its images have {color_bytes} and {depth_bytes} bytes"
-            raise RecordingError(problem, path=path, fix=_COPY)
-        at = stream.tell()
-        if at + color_bytes + depth_bytes > size:
-            break
-        T = np.array(pose, np.float64).reshape(4, 4)
-        frames.append(SensFrame(T, color_stamp, at, color_bytes, depth_bytes))
-        stream.seek(at + color_bytes + depth_bytes)
-    return frames
 
 
 def _exactly(stream: BinaryIO, count: int, path: Path) -> bytes:
