@@ -16,7 +16,7 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.runtime import exit_code
 
 if TYPE_CHECKING:
-    from wheelsight_batch import BatchRow
+    pass
 
 
 _WORSE = 1
@@ -50,8 +50,8 @@ def batch(
 
     wheelsight batch data --scheduler tcp://192.168.1.5:8786 --out table
     """
-    from wheelsight.app.cli.console import console, print_note
-    from wheelsight_batch import PAGE_FILE, TABLE_FILE, named_recordings, plan_of, read_rows
+    from wheelsight.app.cli.console import console, print_note, print_warning
+    from wheelsight_batch import PAGE_FILE, TABLE_FILE, compare, named_recordings, plan_of, read_rows
     from wheelsight_batch.progress import batch_table, notes_on, run_plan
     from wheelsight_batch.table import DONE
 
@@ -72,33 +72,21 @@ def batch(
     stdout.print(
         f"{len(rows) - len(broken)} of {len(rows)} rows are whole; table: {out / TABLE_FILE}, {out / PAGE_FILE}"
     )
-    is_worse = before is not None and _is_worse(rows, before, allowed, allowed_cost)
-    if broken or is_worse:
+    worse: Sequence[str] = ()
+    if before is not None:
+        found = compare(rows, before, allowed, allowed_cost)
+        worse = found.worse
+        if not found.compared:
+            fix = "give another --baseline"
+            raise ConfigError("the baseline has none of these recordings and configurations", fix=fix)
+        for line in found.unmatched:
+            print_warning(line)
+        for line in worse:
+            stdout.print(f"worse: {line}")
+        judged = f"{found.compared} rows held against the baseline, {100 * allowed:g} % allowed"
+        stdout.print(f"{judged}: {len(worse) or 'none'} of their figures worse")
+    if broken or worse:
         raise typer.Exit(INPUT_IS_WRONG if broken else _WORSE)
-
-
-def _is_worse(
-    rows: Sequence[BatchRow],
-    before: Sequence[BatchRow],
-    tolerance: float,
-    cost_tolerance: float | None,
-) -> bool:
-    """Print figures that are worse than the baseline; True if there are any. Raises ConfigError without common rows."""
-    from wheelsight.app.cli.console import console, print_warning
-    from wheelsight.core.errors import ConfigError
-    from wheelsight_batch import compare
-
-    found = compare(rows, before, tolerance, cost_tolerance)
-    if not found.compared:
-        raise ConfigError("the baseline has none of these recordings and configurations", fix="give another --baseline")
-    for line in found.unmatched:
-        print_warning(line)
-    stdout = console()
-    for line in found.worse:
-        stdout.print(f"worse: {line}")
-    judged = f"{found.compared} rows held against the baseline, {100 * tolerance:g} % allowed"
-    stdout.print(f"{judged}: {len(found.worse) or 'none'} of their figures worse")
-    return bool(found.worse)
 
 
 # Options

@@ -20,27 +20,13 @@ from wheelsight.app.cli.console import print_note
 from wheelsight.app.cli.progress import left_text, progress_line, whole
 from wheelsight.app.run.kernels import parts_of
 from wheelsight.config import Config
-from wheelsight_batch import (
-    BatchPlan,
-    BatchRow,
-    Done,
-    Job,
-    Outcome,
-    run_batch,
-    run_job,
-    run_on_fleet,
-    run_on_processes,
-)
+from wheelsight_batch import BatchPlan, BatchRow, Done, Job, Outcome, run_batch, run_job, run_on_fleet, run_on_processes
 from wheelsight_batch.batches import KeptOutcomes
 from wheelsight_batch.table import DONE, FIGURES, shown
 
 
 def run_plan(
-    plan: BatchPlan,
-    out: Path,
-    processes: int,
-    scheduler: str | None,
-    notes: Sequence[str] = (),
+    plan: BatchPlan, out: Path, processes: int, scheduler: str | None, notes: Sequence[str] = ()
 ) -> Sequence[BatchRow]:
     """Run the jobs that are not done, and return the rows of the table. Notes and progress go to stderr."""
     done = KeptOutcomes(out).found(plan.jobs)  # refuses a folder of something else before anything is compiled

@@ -86,23 +86,21 @@ class BatchRow:
 
 def rows_of(cases: Sequence[Case], outcomes: Mapping[str, Outcome]) -> tuple[BatchRow, ...]:
     """A row for each case, from outcomes by job identifier."""
-    return tuple(_row(case, [outcomes[job] for job in case.jobs]) for case in cases)
-
-
-def _row(case: Case, outcomes: Sequence[Outcome]) -> BatchRow:
-    well = [outcome for outcome in outcomes if outcome.problem is None]
-    broken = [outcome.problem for outcome in outcomes if outcome.problem is not None]
-    status = DONE if not broken else f"{len(broken)} of {len(outcomes)} broken"
-    if not well:
-        status = BROKEN
-    problem = case.problem or next(iter(broken), "")
-    figures = {}
-    for figure in FIGURES:
-        values = [value for outcome in well if (value := outcome.figures.get(figure.name)) is not None]
-        if values:
-            worst = min(values) if figure.grows_better else max(values)
-            figures[figure.name] = Spread(statistics.median(values), worst)
-    return BatchRow(case.recording, case.config, case.odometry, len(well), status, problem, figures)
+    rows = []
+    for case in cases:
+        done = [outcomes[job] for job in case.jobs]
+        well = [outcome for outcome in done if outcome.problem is None]
+        broken = [outcome.problem for outcome in done if outcome.problem is not None]
+        status = BROKEN if not well else DONE if not broken else f"{len(broken)} of {len(done)} broken"
+        figures = {}
+        for figure in FIGURES:
+            values = [value for outcome in well if (value := outcome.figures.get(figure.name)) is not None]
+            if values:
+                worst = min(values) if figure.grows_better else max(values)
+                figures[figure.name] = Spread(statistics.median(values), worst)
+        problem = case.problem or next(iter(broken), "")
+        rows.append(BatchRow(case.recording, case.config, case.odometry, len(well), status, problem, figures))
+    return tuple(rows)
 
 
 def shown(figure: Figure, value: float) -> str:
@@ -189,10 +187,7 @@ class Comparison:
 
 
 def compare(
-    rows: Sequence[BatchRow],
-    baseline: Sequence[BatchRow],
-    tolerance: float,
-    cost_tolerance: float | None = None,
+    rows: Sequence[BatchRow], baseline: Sequence[BatchRow], tolerance: float, cost_tolerance: float | None = None
 ) -> Comparison:
     """Compare medians and worst seeds with the baseline's row of the same recording and configuration.
 

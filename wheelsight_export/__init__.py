@@ -25,7 +25,6 @@ if TYPE_CHECKING:
         open_drive_log,
         open_rerun,
         start_viewer,
-        why_no_rerun,
     )
     from wheelsight_export.sources import Exported, exported_at
 
@@ -50,7 +49,6 @@ __all__ = [
     "open_drive_log",
     "open_rerun",
     "start_viewer",
-    "why_no_rerun",
     "write_mesh_ply",
     "write_ply",
 ]

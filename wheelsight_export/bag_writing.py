@@ -578,12 +578,7 @@ class Messages:
         return self._make(_TF, stamped)
 
     def odometry(
-        self,
-        stamp_s: float,
-        frames: tuple[str, str],
-        T: FloatArray,
-        twist: FloatArray,
-        covariance: FloatArray | None,
+        self, stamp_s: float, frames: tuple[str, str], T: FloatArray, twist: FloatArray, covariance: FloatArray | None
     ) -> Any:
         """Odometry.
 

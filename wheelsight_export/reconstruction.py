@@ -92,8 +92,7 @@ def export_nerfstudio(
 def write_points(points: ColoredPoints, path: Path) -> None:
     """Points and colours as PLY. Raises OutputError."""
     table = np.zeros(
-        len(points.p_map),
-        [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")],
+        len(points.p_map), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
     )
     for axis in range(3):
         table["xyz"[axis]] = points.p_map[:, axis]

@@ -29,7 +29,7 @@ from wheelsight.core.files import check_name, output_error
 from wheelsight.core.geometry import ByteArray, FloatArray, IntArray, se3
 from wheelsight.core.keyframes import KeyframeId, KeyframeStore
 from wheelsight.core.messages import Event, RgbdFrame
-from wheelsight.core.runtime import needed, why_missing
+from wheelsight.core.runtime import needed
 from wheelsight.core.settings import ViewerSettings
 from wheelsight.mapping.plan import cloud_of
 from wheelsight.navigation import (
@@ -332,10 +332,7 @@ class RerunScene:
         mount = np.eye(4) if calibration.T_base_camera is None else calibration.T_base_camera
         depth_color = np.eye(4) if calibration.T_color_depth is None else se3.invert(calibration.T_color_depth)
         self.log(CAMERA, self.transform(mount), static=True)
-        for place, camera, T in (
-            (COLOR, calibration.color, depth_color),
-            (DEPTH, calibration.depth, np.eye(4)),
-        ):
+        for place, camera, T in ((COLOR, calibration.color, depth_color), (DEPTH, calibration.depth, np.eye(4))):
             scale = min(1.0, _IMAGE_WIDTH_PX / camera.width)
             K = np.array([[camera.fx, 0, camera.cx + 0.5], [0, camera.fy, camera.cy + 0.5], [0, 0, 1 / scale]]) * scale
             size = [round(scale * camera.width), round(scale * camera.height)]
@@ -468,11 +465,6 @@ _ADDRESS = "rerun+http://"
 # A viewer that does not listen by then never will: one on a busy machine of two cores took 2 s.
 _START_S = 20.0
 VIEWER = (sys.executable, "-m", "rerun")
-
-
-def why_no_rerun() -> str | None:
-    """Why Rerun is unavailable: it is not installed. None if it is."""
-    return why_missing("rerun")
 
 
 def is_file(target: str) -> bool:

@@ -228,13 +228,7 @@ def try_model(
 
 
 @places_app.command(cls=CliCommand)
-def predict(
-    model: Model,
-    recording: RecordingPath,
-    out: CsvFile,
-    topic: Topics = None,
-    force: Force = False,
-) -> None:
+def predict(model: Model, recording: RecordingPath, out: CsvFile, topic: Topics = None, force: Force = False) -> None:
     """Name the area of each frame: stamp_s, area (empty: unknown), and the probability of every area.
 
     [bold]Examples[/bold]

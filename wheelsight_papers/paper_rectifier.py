@@ -12,7 +12,7 @@ since. Yaw is that of the wheels, as in the paper.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -177,7 +177,7 @@ def fit_weights(areas: AreaMap, drives: Sequence[TrainingDrive], odometry_term: 
     coordinates = coordinates_of(areas)
     by_camera = [coordinates[drive.area_indices] for drive in drives]
 
-    def error_m(free: tuple[float, float, float]) -> float:
+    def error_m(free: Sequence[float]) -> float:
         weights = _weights_of(free)
         apart = [
             np.linalg.norm(rectify_drive(drive.odometry, t, weights, odometry_term) - drive.truth, axis=1)
@@ -185,25 +185,18 @@ def fit_weights(areas: AreaMap, drives: Sequence[TrainingDrive], odometry_term: 
         ]
         return float(np.concatenate(apart).mean())
 
-    best = min(_STARTS, key=error_m)
+    best: tuple[float, ...] = min(_STARTS, key=error_m)
     for _ in range(_MOST_ROUNDS):
         before = best
         for place in range(3):
-            best = min(best, *_along(best, place), key=error_m)
+            trials = [(*best[:place], float(share), *best[place + 1 :]) for share in _SHARES]
+            best = min(best, *trials, key=error_m)
         if best == before:
             break
     return _weights_of(best)
 
 
-def _along(free: tuple[float, float, float], place: int) -> Iterator[tuple[float, float, float]]:
-    """Yield `free` with each value of the search at one place."""
-    for share in _SHARES:
-        trial = list(free)
-        trial[place] = float(share)
-        yield trial[0], trial[1], trial[2]
-
-
-def _weights_of(free: tuple[float, float, float]) -> Weights:
+def _weights_of(free: Sequence[float]) -> Weights:
     gamma, share, alone = free
     beta = (1 - gamma) * share
     return Weights(AxisWeights(max(1 - gamma - beta, 0.0), beta, gamma), AxisWeights(1 - alone, alone))

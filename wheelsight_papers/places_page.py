@@ -212,10 +212,7 @@ def time_figure(trial: PlaceTrial) -> go.Figure:
     )
     best, confidence = answers.probabilities.argmax(axis=1), answers.probabilities.max(axis=1)
     wrong = trial.is_judged & ~trial.is_right & answers.has_depth
-    for name, which, color in (
-        ("most probable area", answers.has_depth & ~wrong, BLUE),
-        ("wrong", wrong, VERMILLION),
-    ):
+    for name, which, color in (("most probable area", answers.has_depth & ~wrong, BLUE), ("wrong", wrong, VERMILLION)):
         figure.add_scatter(
             x=seconds[which],
             y=best[which],

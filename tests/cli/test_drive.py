@@ -21,12 +21,12 @@ from wheelsight.app.cli import app
 from wheelsight.core.calibration import Calibration, save_calibration
 from wheelsight.core.calibration_parts import HolonomicWheels
 from wheelsight.core.errors import DeviceError
+from wheelsight.core.runtime import why_missing
 from wheelsight.core.settings import LiveCameraSettings
 from wheelsight.core.trajectory import read_tum
 from wheelsight.io.devices.cameras import ANY, LIVE_CAMERAS, open_robot_camera
 from wheelsight.io.devices.simulated_controller import SimulatedController
 from wheelsight.io.devices.wire_formats import LinkCommand as Commanded
-from wheelsight_export import why_no_rerun
 
 Command = Callable[..., Result]
 Refusal = Callable[..., str]
@@ -262,7 +262,7 @@ def test_a_robot_drives_to_a_place_of_a_flat_that_was_mapped_before(
 ) -> None:
     folder, known, _ = flat
     assert wheelsight("map", "name", folder, "table", "--at", words_of(ahead_of(known))).exit_code == 0
-    shown = () if why_no_rerun() else ("--rerun", tmp_path / "drive.rrd")
+    shown = () if why_missing("rerun") else ("--rerun", tmp_path / "drive.rrd")
     result = wheelsight(*begun(flat), "--to", "table", "--out", tmp_path / "drive", *shown)
     assert result.exit_code == 0, result.output
     assert not shown or (tmp_path / "drive.rrd").stat().st_size > 100_000

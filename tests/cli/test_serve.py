@@ -20,7 +20,7 @@ from sessions.kept_views import write_map
 from wheelsight.app.cli.console import print_warning
 from wheelsight.app.cli.serve import CountedLines, PageOptions, access_of, addresses
 from wheelsight.core.errors import ConfigError
-from wheelsight_export import why_no_rerun
+from wheelsight.core.runtime import why_missing
 
 Refusal = Callable[..., str]
 
@@ -115,7 +115,7 @@ def test_a_terminal_that_takes_nothing_holds_up_no_thread() -> None:
 def test_it_serves_until_it_is_interrupted_and_leaves_a_map(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "wheelsight", "serve", "--sim", "studio", "--size", "160x120", "--port", "0"]
     command += ["--out", str(tmp_path / "maps"), "--host", "0.0.0.0"]
-    shown = [] if why_no_rerun() else ["--rerun", str(tmp_path / "drive.rrd")]
+    shown = [] if why_missing("rerun") else ["--rerun", str(tmp_path / "drive.rrd")]
     command += shown
     running = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"})
     try:

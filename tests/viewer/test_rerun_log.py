@@ -22,10 +22,11 @@ from wheelsight.config import Config, load_config
 from wheelsight.core.errors import ConfigError, OutputError
 from wheelsight.core.geometry import se3
 from wheelsight.core.robots import EventSource
+from wheelsight.core.runtime import why_missing
 from wheelsight.core.settings import ViewerSettings
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.recordings import open_recording
-from wheelsight_export import SPAWN, open_rerun, start_viewer, why_no_rerun
+from wheelsight_export import SPAWN, open_rerun, start_viewer
 
 pytest.importorskip("rerun", reason="rerun-sdk is not installed")
 from rerun.chunk import RrdReader
@@ -160,7 +161,7 @@ def test_a_file_that_cannot_be_written_is_said_before_the_run(truth: Trajectory,
 
 def test_without_rerun_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
-    assert why_no_rerun() is not None
+    assert why_missing("rerun") is not None
     calibration = MemoryRecording([]).calibration
     with pytest.raises(ConfigError, match="pip install rerun-sdk"), open_rerun("a.rrd", calibration, ("features",)):
         pytest.fail("it was opened")
