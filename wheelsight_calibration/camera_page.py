@@ -19,6 +19,7 @@ from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import BoolArray, FloatArray, PinholeCamera, so3
 from wheelsight_calibration.base import QUANTITIES, BaseCalibration
 from wheelsight_calibration.cameras import CameraCalibration, DepthResiduals
+from wheelsight_calibration.residuals import ResidualPanel, residual_panels
 from wheelsight_calibration.wheel_drive import drive_path
 from wheelsight_calibration.wheel_page import HEAD as MOUNT_HEAD
 
@@ -500,8 +501,8 @@ def _residuals(
     stamps_s: FloatArray, panels: Sequence[tuple[str, str, FloatArray]], is_off: BoolArray, kinds: tuple[str, str]
 ) -> go.Figure:
     limits = [1.15 * max(float(np.abs(values[~is_off]).max(initial=0.0)), 1e-3) for _, _, values in panels]
-    drawn = [drawing.ResidualPanel(*panel, limit) for panel, limit in zip(panels, limits, strict=True)]
-    return drawing.residual_figure(stamps_s, drawn, is_off, kinds, "seconds since the first frame")
+    drawn = [ResidualPanel(*panel, limit) for panel, limit in zip(panels, limits, strict=True)]
+    return residual_panels(stamps_s, drawn, is_off, kinds, "seconds since the first frame")
 
 
 def _camera(figure: go.Figure, T_base_camera: FloatArray, name: str, color: str) -> None:

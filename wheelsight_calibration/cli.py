@@ -8,23 +8,10 @@ from typing import Annotated
 import typer
 
 from wheelsight.app.cli.console import CliCommand, Group
-from wheelsight.app.cli.options import (
-    CalibrationFile,
-    Force,
-    Out,
-    RateHz,
-    RecordingPath,
-    Topics,
-    kept_in,
-    open_for,
-    option,
-    page_beside,
-    save_found,
-    settings_from,
-    wheel_fields,
-)
+from wheelsight.app.cli.options import CalibrationFile, RateHz, RecordingPath, Topics, option, settings_from
 from wheelsight.app.cli.run_options import SettingsFile
 from wheelsight_calibration.cli_camera import camera
+from wheelsight_calibration.cli_options import Force, Out, kept_in, open_for, page_beside, save_found, wheel_fields
 
 # wheelsight calibrate base
 

@@ -14,19 +14,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wheelsight.app.cli.console import console, print_note, print_warning
-from wheelsight.app.cli.options import (
-    CalibrationFile,
-    Force,
-    Out,
-    kept_in,
-    option,
-    page_beside,
-    save_found,
-    settings_from,
-)
+from wheelsight.app.cli.options import CalibrationFile, option, settings_from
 from wheelsight.app.cli.run_options import SettingsFile
 from wheelsight.core.errors import CalibrationError, ConfigError
 from wheelsight.core.runtime import exit_code, until_stopped
+from wheelsight_calibration.cli_options import Force, Out, kept_in, page_beside, save_found
 
 if TYPE_CHECKING:
     from wheelsight.core.settings import LiveCameraSettings

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from wheelsight.app.cli.console import console, print_warning, rows_table
-from wheelsight.app.cli.options import open_for
 from wheelsight.core.calibration import NOMINAL, Calibration, Measured, history_of, load_calibration, read_layer
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import CalibrationError, RecordingError
@@ -22,6 +21,7 @@ from wheelsight.core.inputs import is_there
 from wheelsight.io.recordings import Recording
 from wheelsight_calibration.base import BaseCalibration
 from wheelsight_calibration.camera_page import mount_rows
+from wheelsight_calibration.cli_options import open_for
 from wheelsight_calibration.squares import (
     Umbmark,
     errors_on_unused_runs_m,

@@ -13,6 +13,7 @@ from wheelsight.app.run import words
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import FloatArray
+from wheelsight_calibration.residuals import ResidualPanel, residual_panels
 from wheelsight_calibration.squares import Umbmark
 from wheelsight_calibration.wheels import WheelFit, WheelTrial
 
@@ -185,10 +186,10 @@ def residual_figure(trial: WheelTrial) -> go.Figure:
     for (name, unit, factor), residuals, spread in zip(_PANELS, fit.residuals.T, fit.spread, strict=True):
         values = factor * residuals
         largest = float(np.abs(values[~fit.is_slip]).max(initial=0.0))
-        panels.append(drawing.ResidualPanel(name, unit, values, max(1.1 * largest, 5 * factor * spread, 1e-3)))
+        panels.append(ResidualPanel(name, unit, values, max(1.1 * largest, 5 * factor * spread, 1e-3)))
     middle_s = (fit.segments.start_s + fit.segments.end_s) / 2 - trial.reference.stamps_s[0]
     kinds = ("segment", "slip or jump, hardly counted")
-    return drawing.residual_figure(middle_s, panels, fit.is_slip, kinds, "seconds since the reference begins")
+    return residual_panels(middle_s, panels, fit.is_slip, kinds, "seconds since the reference begins")
 
 
 def squares_figure(result: Umbmark, after_m: tuple[FloatArray, FloatArray]) -> go.Figure:

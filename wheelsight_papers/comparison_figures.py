@@ -17,7 +17,7 @@ from wheelsight.app.report.drawing import GREY, INK, VERMILLION, keep_shape, pos
 from wheelsight.app.report.figures import STATUS_COLOURS, add_band, estimated_path_m, status_labels, truth_path_m
 from wheelsight.app.report.plotly import make_subplots
 from wheelsight.app.run.run_record import RectificationRecord, RunRecord
-from wheelsight.app.run.verdict import FLAGS, JOINED, joined_of
+from wheelsight.app.run.verdict import FLAGS, JOINED, joined_of, runs
 from wheelsight.core.errors import EvaluationError
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import FloatArray, se3
@@ -146,9 +146,6 @@ def _mark(figure: go.Figure, point: FloatArray, name: str, symbol: str, colour: 
     )
 
 
-# Paths in one frame
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Overlay:
     """Paths in one frame.
@@ -224,9 +221,6 @@ def _overlay(
     return Overlay(paths_m, truth_m, by, left_out, stated)
 
 
-# Joined sensors
-
-
 _MOST_ELLIPSES = 24
 _CORNERS = 48
 _STATUS, _LANE_PX = "status", 26
@@ -259,7 +253,7 @@ def trust_figure(record: RunRecord, found: Consistency | None) -> go.Figure:
     for axis, name in enumerate(_AXES):
         row, band_m = axis + 1, 3 * sigmas_m[:, axis]
         how = {"name": "±3σ as stated", "legendgroup": "3σ", "showlegend": axis == 0, "fillcolor": _SIGMA_FILL}
-        drawing.add_area(figure, x, -band_m, band_m, hoverinfo="skip", row=row, col=1, **how)
+        _add_area(figure, x, -band_m, band_m, hoverinfo="skip", row=row, col=1, **how)
         named = (("error", {"color": INK, "width": 1.5}), ("beyond 3σ", {"color": VERMILLION, "width": 2.5}))
         for (called, line), errors in zip(named, errors_m[..., axis].T, strict=True):
             if not np.isnan(errors).all():
@@ -316,9 +310,6 @@ def ellipses_m(trajectory: Trajectory) -> FloatArray:
     circle = THREE_SIGMA_RADIUS * np.stack([np.cos(turns), np.sin(turns)])
     outlines = trajectory.positions_m[chosen, None, :2] + (roots @ circle).transpose(0, 2, 1)
     return np.concatenate([outlines, np.full((len(chosen), 1, 2), np.nan)], axis=1).reshape(-1, 2)
-
-
-# Areas
 
 
 _MOST_COLUMNS = 1200
@@ -508,3 +499,17 @@ def _add_rows(
 def _faded(colour: str, opacity: float) -> str:
     red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
     return f"rgba({red},{green},{blue},{opacity})"
+
+
+def _add_area(figure: go.Figure, x: FloatArray, low: FloatArray, high: FloatArray, **how: Any) -> None:
+    """Fill the area between two lines over time (N,); open where either is NaN."""
+    known = ~np.isnan(low + high)
+    kept = np.union1d(drawing.keep_peaks(low), drawing.keep_peaks(high))
+    outline = []
+    for i, j, is_known in runs([str(found) for found in known[kept]]):
+        part = kept[i:j]
+        if is_known == "True":
+            there_and_back = np.concatenate([x[part], x[part][::-1]]), np.concatenate([low[part], high[part][::-1]])
+            outline += [np.stack(there_and_back, axis=-1), np.full((1, 2), np.nan)]
+    closed = np.concatenate(outline) if outline else np.empty((0, 2))
+    figure.add_scatter(x=closed[:, 0], y=closed[:, 1], mode="lines", line={"width": 0}, fill="toself", **how)

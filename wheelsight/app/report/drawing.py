@@ -4,16 +4,13 @@ lines are thinned.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from wheelsight.app.report import plotly as go
-from wheelsight.app.report.plotly import make_subplots
 from wheelsight.app.run.run_record import FrameRecord, RunRecord
-from wheelsight.app.run.verdict import cold_frames, runs
+from wheelsight.app.run.verdict import cold_frames
 from wheelsight.core.geometry import BoolArray, FloatArray, IntArray
 
 # Okabe and Ito's colours; these four also stand out from white and from near black.
@@ -87,20 +84,6 @@ def add_path(
         figure.add_scatter(x=x, y=y, mode="markers", marker=marker, showlegend=False, **text, **where)
 
 
-def add_area(figure: go.Figure, x: FloatArray, low: FloatArray, high: FloatArray, **how: Any) -> None:
-    """Fill the area between two lines over time (N,); open where either is NaN."""
-    known = ~np.isnan(low + high)
-    kept = np.union1d(keep_peaks(low), keep_peaks(high))
-    outline = []
-    for i, j, is_known in runs([str(found) for found in known[kept]]):
-        part = kept[i:j]
-        if is_known == "True":
-            there_and_back = np.concatenate([x[part], x[part][::-1]]), np.concatenate([low[part], high[part][::-1]])
-            outline += [np.stack(there_and_back, axis=-1), np.full((1, 2), np.nan)]
-    closed = np.concatenate(outline) if outline else np.empty((0, 2))
-    figure.add_scatter(x=closed[:, 0], y=closed[:, 1], mode="lines", line={"width": 0}, fill="toself", **how)
-
-
 def room_around(points: FloatArray) -> tuple[list[float] | None, list[float] | None]:
     """Ranges of x and y that hold all points (N, 2) with a margin; None without points."""
     if not len(points):
@@ -123,46 +106,6 @@ def panel_title(figure: go.Figure, text: str, row: int | None = None) -> None:
     y = 1.0 if row is None else figure.layout[f"yaxis{row if row > 1 else ''}"].domain[1]
     place = {"x": 0, "y": y, "xref": "paper", "yref": "paper", "xanchor": "left", "yanchor": "bottom"}
     figure.add_annotation(text=text, showarrow=False, yshift=3, **place)
-
-
-@dataclass(frozen=True, eq=False)
-class ResidualPanel:
-    """Residuals (N,) of one quantity over time, in their unit. Larger ones than the limit lie at the edge."""
-
-    name: str
-    unit: str
-    values: FloatArray
-    limit: float
-
-
-def residual_figure(
-    stamps_s: FloatArray, panels: Sequence[ResidualPanel], is_off: BoolArray, kinds: tuple[str, str], title: str
-) -> go.Figure:
-    """A panel for each quantity; `is_off` (N,) stand out, and `kinds` names the others and them."""
-    figure = make_subplots(rows=len(panels), cols=1, shared_xaxes=True, vertical_spacing=0.1)
-    style(figure, 170 * len(panels), hovermode="closest", margin_l=88)
-    for row, panel in enumerate(panels, start=1):
-        limit = panel.limit
-        looks = zip(kinds, (~is_off, is_off), (BLUE, VERMILLION), ("circle", "x"), strict=True)
-        for kind, which, color, symbol in looks:
-            figure.add_scatter(
-                x=stamps_s[which],
-                y=panel.values[which].clip(-limit, limit),
-                customdata=panel.values[which],
-                mode="markers",
-                marker={"size": 6, "color": color, "symbol": symbol},
-                name=kind,
-                legendgroup=kind,
-                showlegend=row == 1 and bool(which.any()),
-                hovertemplate=f"%{{x:.1f}} s: %{{customdata:.2f}} {panel.unit}<extra>{kind}</extra>",
-                row=row,
-                col=1,
-            )
-        figure.update_yaxes(range=[-1.08 * limit, 1.08 * limit], row=row, col=1)
-        panel_title(figure, f"{panel.name}, {panel.unit}", row)
-        figure.add_hline(y=0, line=DASHED, row=row, col=1)
-    figure.update_xaxes(title_text=title, row=len(panels), col=1)
-    return figure
 
 
 def horizontal(figure: go.Figure, y: float, text: str) -> None:
