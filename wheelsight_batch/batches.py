@@ -83,9 +83,6 @@ def run_batch(
     return rows
 
 
-# Stored outcomes
-
-
 JOBS_FOLDER = "jobs"
 _VERSION = 1
 _FILE = Kind("the outcome of a job", most_mb=64)
@@ -130,9 +127,6 @@ class KeptOutcomes:
 
     def _path(self, job: str) -> Path:
         return self._folder / f"{job}.json"
-
-
-# The work of one process
 
 
 _FORGET_PEAK = "5"  # as Linux's proc(5) has it

@@ -89,9 +89,6 @@ def batch(
         raise typer.Exit(INPUT_IS_WRONG if broken else _WORSE)
 
 
-# Options
-
-
 _RUNS, _BASELINE = "What is run", "Against a baseline"
 
 Recordings = Annotated[

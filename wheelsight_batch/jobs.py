@@ -188,9 +188,6 @@ def main_track(config: Config) -> str:
     return next((track for track in (JOINED, "rectified") if track in tracks), tracks[0])
 
 
-# Recordings and their digests
-
-
 _ROOT = Path(__file__).resolve().parents[1]
 # Files up to this size are read whole to find changes: images and lists are smaller, and a run reads them anyway. Of a
 # larger one, such as a bag, its beginning, middle and end are read.
@@ -257,9 +254,6 @@ def code_digest() -> str:
         whole.update(f"{path.relative_to(_ROOT).as_posix()}\0".encode())
         whole.update(path.read_bytes())
     return whole.hexdigest()
-
-
-# Outcomes
 
 
 @dataclass(frozen=True, slots=True)

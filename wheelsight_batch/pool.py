@@ -182,9 +182,6 @@ def _end(worker: _Worker) -> None:
     worker.process.join(_END_S)
 
 
-# Workers of a Dask scheduler
-
-
 def run_on_fleet(
     jobs: Sequence[Job],
     address: str,

@@ -72,9 +72,6 @@ def _name(job: Job) -> str:
     return f"{Path(job.recording).name}, seed +{job.seed}"
 
 
-# Progress
-
-
 class _TimeLeftByBytes(ProgressColumn):
     """Estimate of the time left by bytes, since recordings differ in length; it counts down between jobs."""
 

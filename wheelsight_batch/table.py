@@ -163,9 +163,6 @@ def read_rows(path: StrPath) -> tuple[BatchRow, ...]:
     return tuple(rows)
 
 
-# Comparison with a baseline
-
-
 # Growth of an error, metres or degrees, that is not worse: two versions of a library differ so. And of the share of
 # frames with a pose: a frame or two of a short recording.
 _LEAST_ERROR, _LEAST_SHARE = 1e-4, 0.005

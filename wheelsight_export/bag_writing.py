@@ -8,13 +8,13 @@ import math
 import os
 import shutil
 import struct
-import tempfile
 import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import cv2
@@ -262,7 +262,8 @@ def new_bag(path: StrPath) -> Iterator[BagFile]:
     path = Path(path)
     check_bag_name(path)
     try:
-        with _temporary(path) as folder:
+        with TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent, ignore_cleanup_errors=True) as temporary:
+            folder = Path(temporary)
             made = folder / f"bag{path.suffix.lower()}"
             with _writer(made, folder) as writer:
                 yield BagFile(writer, Messages(made.suffix == ".bag"))
@@ -283,7 +284,8 @@ def growing_bag(path: StrPath) -> Iterator[BagFile]:
     path = Path(path)
     check_growing_name(path)
     try:
-        with _temporary(path) as folder:
+        with TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent, ignore_cleanup_errors=True) as temporary:
+            folder = Path(temporary)
             writer = _writer(folder / "bag.mcap", folder)
             writer.open()
             written = folder / "bag" / "bag.mcap"
@@ -322,21 +324,6 @@ def check_growing_name(path: Path) -> None:
         raise ConfigError(
             f"{str(path)!r} cannot grow: a ROS 1 bag is not readable without its index", fix="name it .mcap"
         )
-
-
-def check_library() -> None:
-    """Raise ConfigError where rosbags is not installed."""
-    needed("rosbags")
-
-
-@contextmanager
-def _temporary(path: Path) -> Iterator[Path]:
-    """A temporary folder beside a file, on the same disk, for the block."""
-    folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _writer(made: Path, folder: Path) -> Any:

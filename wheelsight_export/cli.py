@@ -109,9 +109,6 @@ def export(
         export_in(asked, form)
 
 
-# The request
-
-
 _BODIES = ("base", "camera")
 # Options that mean something for some ways alone.
 _OF_WAYS = {
@@ -156,23 +153,21 @@ def check_asked(asked: Asked, way: str) -> None:
         raise ConfigError(f"--body is {asked.body!r}", fix=f"one of {', '.join(_BODIES)}")
 
 
-# Bags
-
-
 def export_to_bag(asked: Asked, to: Path) -> None:
     """Write a bag with its layouts, and print its contents. Raises InputError."""
     from wheelsight.app.cli.console import print_warning
     from wheelsight.app.cli.options import check_out
     from wheelsight.app.cli.progress import FrameProgress
     from wheelsight.core.errors import ConfigError, OutputError
+    from wheelsight.core.runtime import needed
     from wheelsight_export import DEFAULT_VOXEL_M, BagParts, export_bag, exported_at
     from wheelsight_export.bag import layout_paths
-    from wheelsight_export.bag_writing import ImageForm, check_bag_name, check_library
+    from wheelsight_export.bag_writing import ImageForm, check_bag_name
 
     if asked.images is not None and asked.images not in get_args(ImageForm):
         raise ConfigError(f"--images is {asked.images!r}", fix=f"one of {', '.join(get_args(ImageForm))}")
     check_bag_name(to)
-    check_library()
+    needed("rosbags")
     source = exported_at(asked.source)
     if to.exists() and asked.source.exists() and to.samefile(asked.source):
         raise OutputError("is what is to be exported", path=to, fix="choose another name")
@@ -190,9 +185,6 @@ def export_to_bag(asked: Asked, to: Path) -> None:
     foxglove, rviz = report.layouts
     typer.echo(f"{foxglove}: its layout for Foxglove (Layouts, Import from file)")
     typer.echo(f"{rviz}: for RViz (-d)")
-
-
-# Formats
 
 
 # Where to, beside what is exported, unless --out says.
@@ -248,9 +240,6 @@ def export_in(asked: Asked, form: str) -> None:
         with FrameProgress("writing", None, unit="keyframes") as progress:
             count = write(source, to, voxel_m, asked.force, progress.reach)
         typer.echo(f"{count:,} images: {to}")
-
-
-# Points and meshes
 
 
 _VOXEL_M = 0.02

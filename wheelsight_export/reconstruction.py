@@ -105,9 +105,6 @@ def write_points(points: ColoredPoints, path: Path) -> None:
         stream.write(table.tobytes())
 
 
-# COLMAP
-
-
 MODEL = "sparse/0"
 # COLMAP's value for an unknown reprojection error.
 _NO_ERROR = -1
@@ -156,9 +153,6 @@ def export_colmap(
             cameras += f"{number} {kind} {camera.width} {camera.height} {values}\n"
         write_text(model / "cameras.txt", cameras)
     return len(views)
-
-
-# Images and poses of keyframes
 
 
 IMAGES, DEPTHS = "images", "depths"
@@ -307,9 +301,6 @@ def export_octomap(
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
     return len(numbers)
-
-
-# Trajectories
 
 
 # As EuRoC's data.csv of state_groundtruth_estimate0 begins, without velocities and biases, which a trajectory lacks.

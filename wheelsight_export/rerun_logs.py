@@ -411,9 +411,6 @@ def _narrowed(image: Any, width: int, how: int) -> Any:
     return cv2.resize(image, (width, max(1, round(image.shape[0] * width / image.shape[1]))), interpolation=how)
 
 
-# Blueprint
-
-
 TIMELINE = "time"
 MAP, ODOM, OTHERS = "map", "map/odom", "map/others"
 ROBOT, TRAIL, KEYFRAMES, LOOPS, SURFELS = f"{ODOM}/robot", f"{ODOM}/trail", "map/keyframes", "map/loops", "map/surfels"
@@ -453,9 +450,6 @@ def _blueprint(trails: Sequence[str], curves: str) -> Any:
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="collapsed"),
     )
-
-
-# Targets: a file, or a viewer
 
 
 SPAWN = "spawn"

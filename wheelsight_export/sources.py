@@ -179,9 +179,6 @@ def exported_at(path: StrPath) -> Exported:
     return Exported(path, found)
 
 
-# Points
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ColoredPoints:
     """Points (N, 3) in the map, metres, and their colours (N, 3), red green blue."""

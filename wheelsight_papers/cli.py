@@ -82,9 +82,6 @@ Every = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
 
-# Commands
-
-
 places_app = typer.Typer(cls=Group, no_args_is_help=True, rich_markup_mode="rich")
 
 
@@ -254,9 +251,6 @@ def predict(model: Model, recording: RecordingPath, out: CsvFile, topic: Topics 
     print_note(f"{len(answers)} frames are in {out}, {named} of them with an area named")
 
 
-# Inputs
-
-
 def open_listed(folder: Path, topics: Sequence[str] | None) -> Recording:
     """A recording, its warnings printed on stderr; `topics` of a bag, as `--topic` says them."""
     from wheelsight.app.cli.console import print_warning
@@ -306,9 +300,6 @@ def open_labelled(
     of_frames = [source.of_frames(stamps_of(r), names) for r, source in zip(recordings, sources, strict=True)]
     check_every_area(of_frames, names, sources[0].path if len(sources) == 1 else sources[0].areas_path)
     return recordings, sources, names
-
-
-# Results
 
 
 def training_tables(model: PlaceModel, drives: Sequence[LabelledDrive]) -> Iterator[Table]:

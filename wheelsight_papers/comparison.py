@@ -251,9 +251,6 @@ def _errors(records: Sequence[RunRecord]) -> str:
     return html.section("errors", title, "", table, plot, *all_errors)
 
 
-# Joined sensors
-
-
 def tiles(record: RunRecord, facts: JoinedFacts, best_alone: BestAlone | None) -> Iterable[tuple[str, str, str]]:
     """Key figures of joined sensors."""
     if record.evaluation is None:
@@ -329,9 +326,6 @@ def joined_section(record: RunRecord, facts: JoinedFacts) -> str:
 
 def _share(share: float) -> str:
     return words.percent(share) if share else "never"
-
-
-# Areas
 
 
 _DOUBT = 0.5

@@ -133,9 +133,6 @@ def _mistakes(trial: PlaceTrial) -> str:
     return html.section("mistakes", "Its surest mistakes", intro, html.group("triple", shown))
 
 
-# Figures
-
-
 _CELL_PX, _LEAST_PX = 52, 320
 # Never so strong that the page's ink, dark or light, could not be read upon it.
 _BLUES = [[0, "rgba(0,114,178,0.04)"], [1, "rgba(0,114,178,0.6)"]]
@@ -241,9 +238,6 @@ def _room_for(names: Sequence[str]) -> int:
     return 62 + 7 * min(max(map(len, names)), 24)
 
 
-# Tables
-
-
 AREA_HEAD = ("area", "frames", "right", "named", "right where named", "precision", "mostly taken for")
 TRAINING_HEAD = ("area", "frames", "held-out accuracy")
 CURVE_HEAD = ("says", "is right", "frames")
@@ -313,9 +307,6 @@ def curve_rows(curve: CalibrationCurve) -> list[tuple[str, ...]]:
     """One row for each bin of confidence that has frames."""
     bins = zip(curve.confidence.tolist(), curve.accuracy.tolist(), curve.count.tolist(), strict=True)
     return [(words.percent(said), words.percent(right), f"{count:,}") for said, right, count in bins]
-
-
-# Contact sheet
 
 
 # Areas are labelled by number and name too; the first eight are neighbours on the colour circle as little as can be.

@@ -13,7 +13,7 @@ from wheelsight.app.cli.console import console, print_note, print_warning, takes
 from wheelsight.app.cli.options import OUTPUT, Topics, option_field
 from wheelsight.app.cli.wheels import Baud, Seconds
 from wheelsight.core.errors import ConfigError, OutputError
-from wheelsight.core.runtime import until_stopped
+from wheelsight.core.runtime import needed, until_stopped
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -183,14 +183,14 @@ class BagPlace:
     def check(self, *, has_infrared: bool, force: bool, resume: bool) -> None:
         """Check a bag before a device is opened. Raises ConfigError, OutputError."""
         from wheelsight.app.cli.options import check_out
-        from wheelsight_export.bag_writing import check_growing_name, check_library
+        from wheelsight_export.bag_writing import check_growing_name
 
         if resume:
             raise ConfigError("a bag cannot be resumed", fix="choose another name: a folder is read as one bag")
         if has_infrared:
             raise ConfigError("--infrared is not kept in bags", fix="record into a folder, --out")
         check_growing_name(self.path)
-        check_library()
+        needed("rosbags")
         check_out(self.path, force)
 
     def settings(self, of_recorder: RecorderSettings) -> RecorderSettings:
