@@ -23,7 +23,6 @@ from wheelsight_sim.light_kernels import (
     Light,
     Panes,
     Shadowing,
-    Views,
     brightest_lamps,
     drop_hidden,
     keep,
@@ -99,10 +98,10 @@ class Painter:
         light = self.lighting
         things = Things(geoms.kind, geoms.size_m, geoms.position_world, geoms.R_world_geom, *self._painted)
         rays = Light(light.tints, light.sun, light.grid, light.flux, light.clearance)
-        arguments = _arrays(view), Scenery(things, rays, light.lattice), out
+        arguments = view, Scenery(things, rays, light.lattice), out
         self._in_parts(paint_rows, len(out), *arguments)
         if outlines is not None:
-            samples = outlines.pixels, _arrays(outlines.samples)
+            samples = outlines.pixels, outlines.samples
             self._in_parts(paint_outlines, len(outlines.pixels), *samples, *arguments)
         return out
 
@@ -115,10 +114,6 @@ class Painter:
         parts = [self._pool.submit(kernel, a, b, *arguments) for a, b in pairwise(edges)]
         for part in parts:
             part.result()
-
-
-def _arrays(view: View) -> Views:
-    return Views(view.depth_m, view.geom, view.normal_world, view.T_world_camera, view.rays)
 
 
 def _surface_of(geom: str, material: str, surfaces: Mapping[str, Surface]) -> Surface:
@@ -402,8 +397,7 @@ class Shadows:
             )
         out = np.empty(view.depth_m.shape, np.float32)
         blockers = Blockers(boxes, self._is_round, self._geom, self._moving, self._starts, self._listed)
-        arrays = Views(view.depth_m, view.geom, view.normal_world, view.T_world_camera, view.rays)
-        keep(arrays, Shadowing(self._lamps, blockers, self._glows, level * self._strength), out)
+        keep(view, Shadowing(self._lamps, blockers, self._glows, level * self._strength), out)
         return out
 
 
@@ -420,12 +414,10 @@ def _blocks(geoms: Geoms, looks: list[Surface]) -> BoolArray:
 def _box_of(geoms: Geoms, g: int) -> FloatArray:
     """(8,) the upright box around a geom, as `Blockers` has it."""
     R, (x, y, z), size = geoms.R_world_geom[g], geoms.position_world[g], geoms.size_m[g]
-    if geoms.kind[g] == _BOX:
+    if geoms.kind[g] in (_BOX, _ELLIPSOID):
         half = size
     elif geoms.kind[g] == _SPHERE:
         half = size[[0, 0, 0]]
-    elif geoms.kind[g] == _ELLIPSOID:
-        half = size
     else:
         half = np.array([size[0], size[0], size[1] + (0.0 if geoms.kind[g] == _CYLINDER else size[0])])
     if R[2, 2] > _UPRIGHT:
@@ -506,8 +498,7 @@ class Sunlight:
     def on(self, view: View) -> Float32Array:
         """(H, W) share of full sunlight on what a view shows: the cosine of incidence in patches, 0 elsewhere."""
         out = np.empty(view.depth_m.shape, np.float32)
-        arrays = Views(view.depth_m, view.geom, view.normal_world, view.T_world_camera, view.rays)
-        shine_in(arrays, self._panes, self.towards, out)
+        shine_in(view, self._panes, self.towards, out)
         return out
 
 

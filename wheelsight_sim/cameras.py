@@ -5,7 +5,8 @@ pose.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,8 +14,9 @@ from numpy.typing import ArrayLike
 from wheelsight.core.calibration_parts import DepthNoise
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera, se3
+from wheelsight.core.inputs import read_yaml
 from wheelsight.core.trajectory import Trajectory
-from wheelsight_sim.body_motion import BodyMotion, mounted
+from wheelsight_sim.body_motion import BodyMotion, LiveBodyMotion, mounted
 from wheelsight_sim.color_sensor import Lens, as_delivered, ideal_lens, lens_of
 from wheelsight_sim.depth_sensor import (
     DepthDistortion,
@@ -84,7 +86,7 @@ class CameraModel:
 
 def camera_names() -> tuple[str, ...]:
     """Of the cameras there are, sorted."""
-    return tuple(sorted(_MODELS))
+    return tuple(sorted(_models()))
 
 
 def camera_model(name: str, size: tuple[int, int] | None = None) -> CameraModel:
@@ -93,52 +95,25 @@ def camera_model(name: str, size: tuple[int, int] | None = None) -> CameraModel:
     Raises:
         ConfigError: a name that is none, listing those there are, or an impossible size.
     """
-    if name not in _MODELS:
+    if name not in _models():
         raise ConfigError(f"camera {name!r} is not known", fix=f"choose from {', '.join(camera_names())}")
-    model = _MODELS[name]
+    model = _models()[name]
     return model if size is None else model.resized(*size)
 
 
-def _centred(width: int, height: int, focal_px: float) -> PinholeCamera:
-    return PinholeCamera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
+_SENSORS = {"ideal": IdealDepth(), "kinect-v1": StructuredLight(), "kinect-v2": TimeOfFlight()}
 
 
-_MODELS = {
-    model.name: model
-    for model in (
-        CameraModel(
-            "ideal",
-            "640×480, no noise, all pixels at once",
-            _centred(640, 480, 586.0),
-            rate_hz=30.0,
-            rolling_shutter_s=0.0,
-            depth=IdealDepth(),
-            depth_noise=DepthNoise(constant_m=0.001, quadratic_per_m=0.0, near_m=0.05, far_m=20.0),
-        ),
-        # Khoshelham & Elberink's focal length: 57.3° × 44.5°. The shutter is the one that feature odometry finds in
-        # recordings of two real cameras.
-        CameraModel(
-            "kinect-v1",
-            "640×480, structured light, 0.8 to 3.5 m, rolling shutter",
-            _centred(640, 480, 586.0),
-            rate_hz=30.0,
-            rolling_shutter_s=0.026,
-            depth=StructuredLight(),
-            depth_noise=DepthNoise(constant_m=0.001, quadratic_per_m=1.425e-3, near_m=0.45, far_m=10.0),
-        ),
-        # 70.0° × 60.2°: focal lengths of depth cameras read out of several units lie around 365.5 px. Depth is timed in
-        # all pixels at once, and a frame has one set of rays, so that colour, registered to it, is of one moment too.
-        CameraModel(
-            "kinect-v2",
-            "512×424, time of flight, 0.5 to 4.5 m, flying pixels at edges",
-            _centred(512, 424, 365.5),
-            rate_hz=30.0,
-            rolling_shutter_s=0.0,
-            depth=TimeOfFlight(),
-            depth_noise=DepthNoise(constant_m=1.5e-3, quadratic_per_m=0.2e-3, near_m=0.5, far_m=8.0),
-        ),
-    )
-}
+@cache
+def _models() -> dict[str, CameraModel]:
+    """The cameras of `cameras.yaml`, whose principal points are the middles of their images."""
+    found = {}
+    for name, of in read_yaml(Path(__file__).with_name("cameras.yaml"), ConfigError).items():
+        (width, height), focal_px = of["size"], of["focal_px"]
+        camera = PinholeCamera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
+        rates, noise = (of["rate_hz"], of["rolling_shutter_s"]), DepthNoise(**of["depth_noise"])
+        found[name] = CameraModel(name, of["description"], camera, *rates, _SENSORS[name], noise)
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,13 +181,6 @@ def unit_of(model: CameraModel, realism: Realism | None, seed: int) -> CameraUni
 _TWIST_S = 0.01
 
 
-class MovingBody(Protocol):
-    """A body that moves against its base."""
-
-    def T_base_body(self, stamps_s: ArrayLike) -> FloatArray:
-        """(N, 4, 4) where it is at times (N,), from where it is on a level floor at rest."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Carriage:
     """A camera on a robot.
@@ -225,7 +193,7 @@ class Carriage:
 
     truth: Trajectory
     T_base_camera: FloatArray
-    body: MovingBody | None = None
+    body: BodyMotion | LiveBodyMotion | None = None
 
     def T_world_base(self, stamp_s: float) -> FloatArray:
         """(4, 4) at a time; before the drive begins and after it ends the robot stands."""

@@ -5,10 +5,10 @@ picture of both from above.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise, product
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -61,27 +61,11 @@ class GeomOutline:
         return self.is_solid and self.top_m > LOWEST_M and self.bottom_m < HIGHEST_M
 
 
-@dataclass(frozen=True, slots=True)
-class Collision:
-    """Where a route runs into something.
+class Collision(NamedTuple):
+    """Where (x, y) a robot on a route first touches something, metres, and which geom; None if it leaves the floor."""
 
-    Attributes:
-        leg: from 1; the way from a waypoint to the next.
-        start, end: of the leg, metres.
-        place: where on the leg the robot first touches, metres.
-        geom: what it touches, or None where it leaves the floor.
-    """
-
-    leg: int
-    start: tuple[float, float]
-    end: tuple[float, float]
     place: tuple[float, float]
     geom: str | None
-
-    def __str__(self) -> str:
-        (ax, ay), (bx, by) = self.start, self.end
-        what = "leaves the floor" if self.geom is None else f"runs into {self.geom}"
-        return f"leg {self.leg}, from ({ax:g}, {ay:g}) to ({bx:g}, {by:g}), {what}"
 
 
 def footprints(world: World) -> tuple[GeomOutline, ...]:
@@ -89,7 +73,29 @@ def footprints(world: World) -> tuple[GeomOutline, ...]:
     model = mujoco.MjModel.from_xml_string(world.mjcf)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    return tuple(_footprints(model, data))
+    found = []
+    for k in range(model.ngeom):
+        if model.geom_type[k] == mujoco.mjtGeom.mjGEOM_PLANE:
+            continue
+        R, middle = data.geom_xmat[k].reshape(3, 3), data.geom_xpos[k]
+        centre, half = model.geom_aabb[k, :3], model.geom_aabb[k, 3:]
+        corners = middle + (centre + half * np.array(list(product((-1, 1), repeat=3)))) @ R.T
+        is_upright_round = int(model.geom_type[k]) in (_SPHERE, _CYLINDER, _ELLIPSOID) and abs(R[2, 2]) > 0.999
+        if is_upright_round:
+            polygon = shapely.Point(middle[:2]).buffer(max(half[:2]), _CIRCLE_SEGMENTS)
+        else:
+            polygon = shapely.MultiPoint(corners[:, :2]).convex_hull
+        found.append(
+            GeomOutline(
+                name=model.geom(k).name,
+                material=model.mat(int(model.geom_matid[k])).name,
+                polygon=polygon,
+                bottom_m=float(corners[:, 2].min()),
+                top_m=float(corners[:, 2].max()),
+                is_solid=bool(model.geom_contype[k] or model.geom_conaffinity[k]),
+            )
+        )
+    return tuple(found)
 
 
 def obstacles(world: World) -> shapely.Geometry:
@@ -120,8 +126,7 @@ def find_collision(
     outside = shapely.box(*shapely.MultiPoint(waypoints).bounds).buffer(1.0) - shapely.box(*world.size_m)
     tree = shapely.STRtree([*swollen, outside])
     names = [*[footprint.name for footprint in solid], None]
-    for number, (start, end) in enumerate(pairwise(waypoints), 1):
-        leg = shapely.LineString([start, end])
+    for leg in map(shapely.LineString, pairwise(waypoints)):
         hits = []
         for k in sorted(tree.query(leg, "intersects")):
             places = shapely.points(shapely.get_coordinates(leg.intersection(tree.geometries[k])))
@@ -129,34 +134,8 @@ def find_collision(
         if hits:
             along, name = min(hits, key=lambda hit: hit[0])
             place = leg.interpolate(along)
-            return Collision(number, _pair(start), _pair(end), (place.x, place.y), name)
+            return Collision((place.x, place.y), name)
     return None
-
-
-def _pair(xy: FloatArray) -> tuple[float, float]:
-    return float(xy[0]), float(xy[1])
-
-
-def _footprints(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[GeomOutline]:
-    for k in range(model.ngeom):
-        if model.geom_type[k] == mujoco.mjtGeom.mjGEOM_PLANE:
-            continue
-        R, middle = data.geom_xmat[k].reshape(3, 3), data.geom_xpos[k]
-        centre, half = model.geom_aabb[k, :3], model.geom_aabb[k, 3:]
-        corners = middle + (centre + half * np.array(list(product((-1, 1), repeat=3)))) @ R.T
-        is_upright_round = int(model.geom_type[k]) in (_SPHERE, _CYLINDER, _ELLIPSOID) and abs(R[2, 2]) > 0.999
-        if is_upright_round:
-            polygon = shapely.Point(middle[:2]).buffer(max(half[:2]), _CIRCLE_SEGMENTS)
-        else:
-            polygon = shapely.MultiPoint(corners[:, :2]).convex_hull
-        yield GeomOutline(
-            name=model.geom(k).name,
-            material=model.mat(int(model.geom_matid[k])).name,
-            polygon=polygon,
-            bottom_m=float(corners[:, 2].min()),
-            top_m=float(corners[:, 2].max()),
-            is_solid=bool(model.geom_contype[k] or model.geom_conaffinity[k]),
-        )
 
 
 _WALL, _SILL, _GLASS, _DOOR, _PAPER = "#3d434d", "#8b929c", "#7fb7d9", "#a8642a", "#d9952b"
@@ -273,8 +252,7 @@ def _ticks(low_m: float, high_m: float) -> FloatArray:
     return np.arange(np.ceil(low_m / step_m) * step_m, high_m, step_m)
 
 
-@dataclass(frozen=True, slots=True)
-class _Pen:
+class _Pen(NamedTuple):
     face: tuple[float, ...]
     edge: tuple[float, ...]
     width: float
@@ -284,12 +262,9 @@ class _Pen:
 def _pen_for(footprint: GeomOutline, surface: Surface) -> _Pen:
     """How to draw a thing: walls, windows and what hangs on walls by what they are, the rest in its own colour."""
     own = np.array(surface.rgb)
-    if footprint.name.startswith("wall_"):
-        return _Pen(to_rgba(_WALL), to_rgba(_WALL), 0.4, 5)
-    if footprint.name.startswith("sill_"):
-        return _Pen(to_rgba(_SILL), to_rgba(_SILL), 0.4, 4)
-    if footprint.name.startswith("pane_"):
-        return _Pen(to_rgba(_GLASS), to_rgba(_GLASS), 1.2, 4)
+    for start, colour, width, layer in (("wall_", _WALL, 0.4, 5), ("sill_", _SILL, 0.4, 4), ("pane_", _GLASS, 1.2, 4)):
+        if footprint.name.startswith(start):
+            return _Pen(to_rgba(colour), to_rgba(colour), width, layer)
     if footprint.is_solid:
         return _Pen(to_rgba(tuple(0.75 * own + 0.25)), to_rgba(tuple(0.45 * own)), 0.6, 3)
     if footprint.top_m < _THIN_M:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -33,24 +32,6 @@ from wheelsight_sim.sensor_kernels import (
 _WHITE_PX = 0.3
 
 
-class DepthSensor(Protocol):
-    """Turns true depth into a measurement."""
-
-    def measure(
-        self, view: View, camera: PinholeCamera, infrared: FloatArray, shine: FloatArray, rng: np.random.Generator
-    ) -> Float32Array:
-        """(H, W) depth in metres along z as the sensor reports it, 0 where it reports none.
-
-        Args:
-            view: what the rays hit.
-            camera: whose pixels they go through.
-            infrared: (G,) reflectance of each geom at the sensor's wavelength, 0 to 1.
-            shine: (G,) share of the light each geom mirrors away, 0 to 1.
-            rng: of this frame; the same state gives the same image.
-        """
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class IdealDepth:
     """Depth without error from `near_m` to `far_m`, so that what remains of an error is not the sensor's."""
@@ -61,7 +42,15 @@ class IdealDepth:
     def measure(
         self, view: View, camera: PinholeCamera, infrared: FloatArray, shine: FloatArray, rng: np.random.Generator
     ) -> Float32Array:
-        """The true depth where it is in range."""
+        """(H, W) depth in metres along z as the sensor reports it, 0 where it reports none: the truth where in range.
+
+        Args:
+            view: what the rays hit.
+            camera: whose pixels they go through.
+            infrared: (G,) reflectance of each geom at the sensor's wavelength, 0 to 1.
+            shine: (G,) share of the light each geom mirrors away, 0 to 1.
+            rng: of this frame; the same state gives the same image.
+        """
         in_range = (view.depth_m >= self.near_m) & (view.depth_m <= self.far_m)
         return np.where(in_range, view.depth_m, np.float32(0))
 
@@ -183,6 +172,9 @@ class TimeOfFlight:
         return np.asarray(time_light(seen, usable, scattered, noise, chance, phase))
 
 
+DepthSensor = IdealDepth | StructuredLight | TimeOfFlight
+
+
 def _light(view: View, scattered: FloatArray) -> Seen:
     R_world_rows = np.ascontiguousarray(view.T_world_camera[:, :3, :3])
     cosine, light = returned_light(view.depth_m, view.geom, view.normal_world, R_world_rows, view.rays, scattered)
@@ -213,14 +205,6 @@ def _correlated(rng: np.random.Generator, shape: tuple[int, ...], sigma_px: floa
 
 
 _GRID = 8, 6  # knots across and down of what is not radial: a scale of 80 px, as the mean residuals have it
-
-
-class DepthDistortion(Protocol):
-    """Turns true depth into the depth that a unit would measure without noise."""
-
-    def distorted(self, view: View) -> Float32Array:
-        """(H, W) depth in metres, 0 where there is none."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,7 +262,7 @@ class DisparityDistortion:
         self.scale = 1 + settings.scale_sigma * float(rng.standard_normal())
 
     def distorted(self, view: View) -> Float32Array:
-        """See `DepthDistortion`."""
+        """(H, W) depth in metres that the unit measures without noise, 0 where there is none."""
         s = self._settings
         z = np.maximum(view.depth_m, np.float32(0.1))
         error_px = self._near_px * np.exp(-(z - s.near_m) / s.fade_m) + self._far_px
@@ -313,11 +297,7 @@ class PhaseDistortion:
     """Of one unit, from its seed."""
 
     def __init__(
-        self,
-        settings: PhaseDistortionSettings,
-        camera: PinholeCamera,
-        scattered: FloatArray,
-        rng: np.random.Generator,
+        self, settings: PhaseDistortionSettings, camera: PinholeCamera, scattered: FloatArray, rng: np.random.Generator
     ) -> None:
         rays = camera.rays()
         self._settings, self._scattered = settings, scattered
@@ -326,12 +306,14 @@ class PhaseDistortion:
         self._radial_m = settings.radial_m * (rays[..., 0] ** 2 + rays[..., 1] ** 2)
 
     def distorted(self, view: View) -> Float32Array:
-        """See `DepthDistortion`."""
+        """(H, W) depth in metres that the unit measures without noise, 0 where there is none."""
         s, z = self._settings, view.depth_m
         swing_m = s.swing_m * np.sin(2 * np.pi * z / s.wave_m + self._phase_rad)
         longer_m = multipath_m(view, self._scattered, s.grid)
         return np.where(z > 0, z + swing_m + self._radial_m + self._offset_m + longer_m, 0).astype(np.float32)
 
+
+DepthDistortion = DisparityDistortion | PhaseDistortion
 
 _NEAREST_M = 0.1
 

@@ -16,7 +16,7 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import FloatArray, se2, se3
 from wheelsight.core.inputs import lines_of
-from wheelsight.io.recordings.tables import Row, read_list, read_table
+from wheelsight.io.recordings.tables import read_list, read_table
 
 # Who drives: along a route with rounded corners, with a stop at each corner, or by speeds from a file.
 #
@@ -113,7 +113,7 @@ class StopAndTurn:
         Raises:
             ConfigError: fewer than two waypoints, two alike in succession, or a speed no wheelchair has.
         """
-        points = laps_of(waypoints, is_loop=False, laps=1, clockwise=None)
+        points = laps_of(waypoints, is_loop=False, laps=1)
         steps = np.diff(points, axis=0)
         yaws_rad = np.arctan2(steps[:, 1], steps[:, 0])
         self._speed_m_s = _checked_speed(speed_m_s)
@@ -176,19 +176,16 @@ class ManualVelocities:
         return self._commands[index] if index >= 0 else Command()
 
 
-def follow_route(
-    route: ArrayLike, *, is_loop: bool, laps: int = 1, speed_m_s: float = 1.0, clockwise: bool | None = None
-) -> RouteFollower:
+def follow_route(route: ArrayLike, *, is_loop: bool, laps: int = 1, speed_m_s: float = 1.0) -> RouteFollower:
     """A driver along waypoints (N, 2) in metres, who stays within about 10 cm of the legs and rounds the corners.
 
-    A loop is driven `laps` times and ends where it began; `clockwise` turns it round where it runs the other way, with
-    the same first waypoint. What is no loop is driven to its end, and back for every second lap.
+    A loop is driven `laps` times and ends where it began. What is no loop is driven to its end, and back for every
+    second lap.
 
     Raises:
-        ConfigError: a speed over 1.2 m/s or not positive, no lap, fewer than two waypoints, two alike in succession, or
-            a direction asked of what is no loop.
+        ConfigError: a speed over 1.2 m/s or not positive, no lap, fewer than two waypoints, or two alike in succession.
     """
-    return RouteFollower(smooth_path(laps_of(route, is_loop, laps, clockwise)), _checked_speed(speed_m_s))
+    return RouteFollower(smooth_path(laps_of(route, is_loop, laps)), _checked_speed(speed_m_s))
 
 
 def read_manual_velocities(path: StrPath) -> ManualVelocities:
@@ -208,11 +205,13 @@ def read_manual_velocities(path: StrPath) -> ManualVelocities:
         if row.stamp_s < 0 or row.stamp_s <= last_s:
             raise ConfigError(f"stamp_s is {row.stamp_s:g}", path=path, line=row.number, fix="stamps grow from 0 on")
         last_s = row.stamp_s
-    v_m_s = [_limited(row, "v_m_s", MAX_SPEED_M_S) for row in rows]
-    yaw_rates = [_limited(row, "yaw_rate_rad_s", MAX_YAW_RATE_RAD_S) for row in rows]
+    for name, limit in (("v_m_s", MAX_SPEED_M_S), ("yaw_rate_rad_s", MAX_YAW_RATE_RAD_S)):
+        for row in rows:
+            _check_limit(name, row[name], limit, row.path, row.number)
     if len(rows) < 2:
         raise ConfigError("has fewer than two rows", path=path, fix="the last row ends the drive")
-    return ManualVelocities([row.stamp_s for row in rows], v_m_s, yaw_rates)
+    columns = ([row[name] for row in rows] for name in ("stamp_s", "v_m_s", "yaw_rate_rad_s"))
+    return ManualVelocities(*columns)
 
 
 class _Ramp:
@@ -257,11 +256,7 @@ def _turning_rate(error_rad: float) -> float:
 
 
 def _plane(T_world_base: FloatArray) -> tuple[float, float, float]:
-    return (
-        float(T_world_base[0, 3]),
-        float(T_world_base[1, 3]),
-        math.atan2(T_world_base[1, 0], T_world_base[0, 0]),
-    )
+    return (float(T_world_base[0, 3]), float(T_world_base[1, 3]), math.atan2(T_world_base[1, 0], T_world_base[0, 0]))
 
 
 def _checked_speed(speed_m_s: float) -> float:
@@ -273,12 +268,6 @@ def _checked_speed(speed_m_s: float) -> float:
 def _check_limit(name: str, value: float, limit: float, path: Path | None = None, line: int | None = None) -> None:
     if not abs(value) <= limit:
         raise ConfigError(f"{name} is {value:g}", path=path, line=line, fix=f"-{limit} to {limit}")
-
-
-def _limited(row: Row, column: str, limit: float) -> float:
-    value = row[column]
-    _check_limit(column, value, limit, row.path, row.number)
-    return value
 
 
 _SPACING_M = 0.02
@@ -334,19 +323,14 @@ class Path2d:
         return max(after_m, float(along_m[best] + share[best] * lengths[best]))
 
 
-def laps_of(route: ArrayLike, is_loop: bool, laps: int, clockwise: bool | None) -> FloatArray:
+def laps_of(route: ArrayLike, is_loop: bool, laps: int) -> FloatArray:
     """The waypoints (M, 2) of all laps, one after the other; see `drivers.follow_route`. Raises ConfigError."""
     points = np.array(route, float)
     if points.ndim != 2 or points.shape[1:] != (2,) or len(points) < 2 + is_loop or not np.isfinite(points).all():
         raise ConfigError(f"a route needs at least {2 + is_loop} waypoints of x and y, not {points.shape}")
     if laps < 1:
         raise ConfigError(f"laps is {laps}", fix="1 or more")
-    if clockwise is not None and not is_loop:
-        raise ConfigError("a route that is no loop runs neither clockwise nor the other way")
     if is_loop:
-        x, y = points.T
-        is_clockwise = bool(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < 0)
-        points = points if clockwise in (None, is_clockwise) else np.roll(points[::-1], 1, axis=0)
         points = np.concatenate([np.tile(points, (laps, 1)), points[:1]])
     else:
         points = np.concatenate([points, *((points[-2::-1], points[1:])[lap % 2] for lap in range(laps - 1))])

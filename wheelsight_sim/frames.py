@@ -20,11 +20,11 @@ from wheelsight.core.messages import RgbdFrame
 from wheelsight_sim.appearance import Lights, Painter, Shadows, Sunlight
 from wheelsight_sim.cameras import CameraModel, CameraUnit, Carriage, carriage_of, unit_of
 from wheelsight_sim.color_sensor import ColorSensor, ExposureSetting, balance_of, exposure_of, response
-from wheelsight_sim.doors import Doors
-from wheelsight_sim.people import Passersby
+from wheelsight_sim.doors import Doors, Leaves
+from wheelsight_sim.people import Cylinders, Passersby
 from wheelsight_sim.readings import FrameTimes, exact_times, frame_times
 from wheelsight_sim.robot import Drive
-from wheelsight_sim.scene import MovingLeaves, People, Scene, View
+from wheelsight_sim.scene import Scene, View
 from wheelsight_sim.settings import Realism, SimulationSettings, realism_of, stream
 from wheelsight_sim.world import World
 
@@ -39,8 +39,8 @@ class Surroundings:
     """What there is to see: a world, who walks in it, and which doors swing."""
 
     world: World
-    people: People | None = None
-    doors: MovingLeaves | None = None
+    people: Cylinders | None = None
+    doors: Leaves | None = None
 
 
 class FrameMaker:

@@ -13,17 +13,22 @@ from wheelsight.core.compiled import kernel
 from wheelsight.core.geometry.arrays import BoolArray, Float32Array, FloatArray, Int32Array
 from wheelsight_sim.texture_kernels import cover, hash_unit, stripes
 
-# Compiled lighting: what lamps, windows and all that is round about send to a point of a surface.
-
-
 _SPILL = 0.25
 _SEAM_M = 0.10
 _CORNER_M = 0.3
 _STRIDE_PX = 4
 
 
-class Views(NamedTuple):
-    """`View`'s arrays."""
+class View(NamedTuple):
+    """What rays from the camera's pixels hit, one through the centre of each, row by row at the time of its reading.
+
+    Attributes:
+        depth_m: (H, W) true depth along the camera's z axis; 0 where nothing was hit.
+        geom: (H, W) index of the MJCF geom that was hit, -1 where none was.
+        normal_world: (H, W, 3) outward unit normals in the world; 0 where nothing was hit.
+        T_world_camera: (H, 4, 4) the camera's pose as each row was read.
+        rays: (H, W, 3) what a depth of 1 m adds to the camera's origin, in the camera frame (z = 1).
+    """
 
     depth_m: Float32Array
     geom: Int32Array
@@ -79,28 +84,30 @@ def turned(R: Any, v: Any) -> Any:
 
 
 @kernel(error_model="numpy")
-def light_row(v: int, view: Views, light: Light, out: Any) -> None:
+def point(v: int, u: int, R: Any, view: View) -> Any:
+    """What a pixel shows in the world, as three numbers; R is its row's orientation as nine."""
+    z, ray = float(view.depth_m[v, u]), turned(R, (view.rays[v, u, 0], view.rays[v, u, 1], view.rays[v, u, 2]))
+    T = view.T_world_camera
+    return T[v, 0, 3] + z * ray[0], T[v, 1, 3] + z * ray[1], T[v, 2, 3] + z * ray[2]
+
+
+@kernel(error_model="numpy")
+def light_row(v: int, view: View, light: Light, out: Any) -> None:
     """Irradiance over π into row v of `out` (H, W, 3); `view` and `light` as for `paint_rows`.
 
     Light changes slowly: along a flat face it is computed for each fourth pixel, and between them interpolated.
     """
-    depth_m, geom, normal_world, T_world_camera, rays = view
+    geom, normal_world = view.geom, view.normal_world
     tints, sun, grid, flux, clearance = light
-    width = depth_m.shape[1]
-    R = nine(T_world_camera[v])
+    width = geom.shape[1]
+    R = nine(view.T_world_camera[v])
     last = -1
     for u in range(width):
         g = geom[v, u]
         if g < 0 or (u % _STRIDE_PX and u != width - 1 and _is_between(v, u, geom, normal_world)):
             continue
-        z, ray = float(depth_m[v, u]), turned(R, (rays[v, u, 0], rays[v, u, 1], rays[v, u, 2]))
         n = (float(normal_world[v, u, 0]), float(normal_world[v, u, 1]), float(normal_world[v, u, 2]))
-        p = (
-            T_world_camera[v, 0, 3] + z * ray[0],
-            T_world_camera[v, 1, 3] + z * ray[1],
-            T_world_camera[v, 2, 3] + z * ray[2],
-        )
-        shade, lamp, window = light_at(p, n, sun, grid, flux, clearance)
+        shade, lamp, window = light_at(point(v, u, R, view), n, sun, grid, flux, clearance)
         for c in range(3):
             out[v, u, c] = tinted(c, shade, lamp, window, tints)
         # What was left out since the last one lies between the two.
@@ -188,7 +195,6 @@ def _shade(p: Any, n: Any, grid: Any, clearance: Any) -> Any:
 # with their penumbra. A round thing is taken for the box around it that faces the lamp.
 
 
-STRIDE_PX = 4
 # Between two pixels whose shares differ by less, those of the pixels between are interpolated.
 _ALIKE = 0.02
 _LEAST_RISE_M = 0.05
@@ -245,7 +251,7 @@ class Shadowing(NamedTuple):
 
 
 @kernel(error_model="numpy")
-def keep(view: Views, shadowing: Shadowing, out: Any) -> None:
+def keep(view: View, shadowing: Shadowing, out: Any) -> None:
     """Put into `out` (H, W) the share of each pixel's light that is left where lamps are hidden from it.
 
     Along a flat face it is found for each fourth pixel, and for those between where two of them differ.
@@ -256,7 +262,7 @@ def keep(view: Views, shadowing: Shadowing, out: Any) -> None:
         R = nine(view.T_world_camera[v])
         last = 0
         for u in range(width):
-            if u % STRIDE_PX and u != width - 1 and _is_inside(v, u, geom, normal_world):
+            if u % _STRIDE_PX and u != width - 1 and _is_between(v, u, geom, normal_world):
                 continue
             out[v, u] = _kept(v, u, R, view, shadowing)
             is_alike = abs(out[v, u] - out[v, last]) < _ALIKE
@@ -270,31 +276,13 @@ def keep(view: Views, shadowing: Shadowing, out: Any) -> None:
 
 
 @kernel(error_model="numpy")
-def _is_inside(v: int, u: int, geom: Any, normal_world: Any) -> Any:
-    """Whether a pixel and the strided ones on both sides of it are all on the same flat face."""
-    a = u - u % STRIDE_PX
-    b = min(a + STRIDE_PX, geom.shape[1] - 1)
-    for other in range(a, b + 1):
-        if geom[v, other] != geom[v, u]:
-            return False
-    bend = abs(normal_world[v, a, 0] - normal_world[v, b, 0]) + abs(normal_world[v, a, 1] - normal_world[v, b, 1])
-    return bend + abs(normal_world[v, a, 2] - normal_world[v, b, 2]) < 1e-3
-
-
-@kernel(error_model="numpy")
-def _kept(v: int, u: int, R: Any, view: Views, shadowing: Shadowing) -> Any:
+def _kept(v: int, u: int, R: Any, view: View, shadowing: Shadowing) -> Any:
     """The share of a pixel's light that is left."""
     g = view.geom[v, u]
     if g < 0 or shadowing.glows[g]:
         return 1.0
     n = (float(view.normal_world[v, u, 0]), float(view.normal_world[v, u, 1]), float(view.normal_world[v, u, 2]))
-    z, ray = float(view.depth_m[v, u]), turned(R, (view.rays[v, u, 0], view.rays[v, u, 1], view.rays[v, u, 2]))
-    p = (
-        view.T_world_camera[v, 0, 3] + z * ray[0],
-        view.T_world_camera[v, 1, 3] + z * ray[1],
-        view.T_world_camera[v, 2, 3] + z * ray[2],
-    )
-    return 1 - shadowing.strength * hidden_at(p, n, g, shadowing.lamps, shadowing.blockers)
+    return 1 - shadowing.strength * hidden_at(point(v, u, R, view), n, g, shadowing.lamps, shadowing.blockers)
 
 
 @kernel(error_model="numpy")
@@ -517,9 +505,6 @@ def _is_near(x: float, y: float, dx: float, dy: float, box: Any, wide: float) ->
     return enters <= leaves
 
 
-# Compiled sunlight: which points of a view the sun reaches through a window.
-
-
 _NEAREST_M = 0.05
 _SHADE_M = 0.1  # behind what stands in the light before it is shaded; a cell of a pane is as wide
 
@@ -541,25 +526,22 @@ class Panes(NamedTuple):
 
 
 @kernel(error_model="numpy")
-def shine_in(view: Views, panes: Panes, towards: FloatArray, out: Any) -> None:
+def shine_in(view: View, panes: Panes, towards: FloatArray, out: Any) -> None:
     """Put the cosine of the sun's incidence into `out` (H, W) where it comes through a pane, else 0.
 
     `towards` (3,) is the unit vector to the sun.
     """
-    depth_m, _, normal_world, T_world_camera, rays = view
+    depth_m, normal_world = view.depth_m, view.normal_world
     height, width = depth_m.shape
     x, y, z = towards
     for v in range(height):
-        R = nine(T_world_camera[v])
+        R = nine(view.T_world_camera[v])
         for u in range(width):
             out[v, u] = 0.0
             facing = normal_world[v, u, 0] * x + normal_world[v, u, 1] * y + normal_world[v, u, 2] * z
             if facing <= 0 or depth_m[v, u] <= 0:
                 continue
-            ray = turned(R, (rays[v, u, 0], rays[v, u, 1], rays[v, u, 2]))
-            p0 = T_world_camera[v, 0, 3] + depth_m[v, u] * ray[0]
-            p1 = T_world_camera[v, 1, 3] + depth_m[v, u] * ray[1]
-            p2 = T_world_camera[v, 2, 3] + depth_m[v, u] * ray[2]
+            p0, p1, p2 = point(v, u, R, view)
             if _is_reached(p0, p1, p2, panes, towards):
                 out[v, u] = facing
 

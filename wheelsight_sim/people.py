@@ -191,6 +191,10 @@ class Cylinders:
         """The material of each."""
         return {f"passerby{i}": _clothes(i) for i in range(self.count)}
 
+    def positions_at(self, stamp_s: float) -> FloatArray:
+        """(N, 2) positions of their axes at a time in seconds, metres."""
+        raise NotImplementedError
+
     def add_to(self, spec: Any) -> None:
         """Add them to a MuJoCo MjSpec as mocap bodies."""
         import mujoco

@@ -192,21 +192,31 @@ def simulate_drive(
     start = driver.T_world_start if driver.T_world_start is not None else start_of(world)
     floor = floor_of(world, realism, seed if floor_seed is None else floor_seed)
     moving = SteppedRobot(world, robot, start, faults=faults, slip=slip, seed=seed, floor=floor)
-    log = _Log(moving, Reckoning(robot.nominal, start))
-    return log.drive(_drive(log, driver, time_limit_s, on_progress))
+    readings: list[Reading] = []
+    reason = _drive(moving, Reckoning(robot.nominal, start), driver, readings, time_limit_s, on_progress)
+    stamps_s = np.array([reading.stamp_s for reading in readings])
+    ticks = tuple(reading.ticks for reading in readings if reading.ticks is not None)
+    yaw_rates = tuple(reading.yaw_rate for reading in readings if reading.yaw_rate is not None)
+    return Drive(Trajectory(stamps_s, poses_of(readings), body="base"), ticks, yaw_rates, not reason, reason)
 
 
-def _drive(log: _Log, driver: Driver, time_limit_s: float, on_progress: Callable[[float], None] | None) -> str:
-    """Steps to the end; why it ended before the driver had arrived, or nothing."""
-    watch, robot = _Watch(), log.robot
-    chair = robot.chair
+def _drive(
+    robot: SteppedRobot,
+    reckoning: Reckoning,
+    driver: Driver,
+    readings: list[Reading],
+    time_limit_s: float,
+    on_progress: Callable[[float], None] | None,
+) -> str:
+    """Steps to the end and keeps the readings; returns why it ended before the driver had arrived, or nothing."""
+    watch, chair = _Watch(), robot.chair
     for tick in range(math.ceil(time_limit_s / TRUTH_PERIOD_S) + 1):
         stamp_s = robot.time_s
         if chair.is_broken:
             return f"the physics became unstable at {stamp_s:.1f} s"
-        log.add(robot.read())
+        readings.append(robot.read())
         if tick % ticks_of(COMMAND_PERIOD_S) == 0:
-            believed = log.T_world_believed()
+            believed = reckoning.update(*robot.counts)
             command = driver.command(stamp_s, believed if driver.is_blind else chair.T_world_base)
             if command is None:
                 return ""
@@ -218,30 +228,6 @@ def _drive(log: _Log, driver: Driver, time_limit_s: float, on_progress: Callable
             on_progress(stamp_s)
         robot.advance()
     return f"the time limit of {time_limit_s:g} s came before the end of the route"
-
-
-class _Log:
-    """What is kept of a drive while it goes on."""
-
-    def __init__(self, robot: SteppedRobot, reckoning: Reckoning) -> None:
-        self.robot, self._reckoning = robot, reckoning
-        self._readings: list[Reading] = []
-
-    def add(self, reading: Reading) -> None:
-        """Keep it."""
-        self._readings.append(reading)
-
-    def T_world_believed(self) -> FloatArray:
-        """(4, 4) by the wheels alone."""
-        return self._reckoning.update(*self.robot.counts)
-
-    def drive(self, reason: str) -> Drive:
-        """The drive so far."""
-        stamps_s = np.array([reading.stamp_s for reading in self._readings])
-        T_world_base = poses_of(self._readings)
-        ticks = tuple(reading.ticks for reading in self._readings if reading.ticks is not None)
-        yaw_rates = tuple(reading.yaw_rate for reading in self._readings if reading.yaw_rate is not None)
-        return Drive(Trajectory(stamps_s, T_world_base, body="base"), ticks, yaw_rates, not reason, reason)
 
 
 @dataclass(slots=True)
@@ -399,7 +385,7 @@ def simulate_holonomic_drive(
     for option, value in has_not.items():
         if value:
             raise ConfigError(f"{option} means nothing with --base {settings.base}", fix="leave one of them out")
-    route = laps_of(route_of(settings, world), world.is_loop, settings.laps, None)
+    route = laps_of(route_of(settings, world), world.is_loop, settings.laps)
     poses, is_complete = _poses(smooth_path(route), settings)
     rng = np.random.default_rng([settings.day_seed, 7])
     stamps_s = TRUTH_PERIOD_S * np.arange(len(poses), dtype=float)

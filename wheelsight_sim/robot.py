@@ -198,34 +198,23 @@ def outline_at(robot: RobotModel, T_world_base: FloatArray) -> shapely.Polygon:
     return shapely.Polygon(corners @ T_world_base[:2, :2].T + T_world_base[:2, 3])
 
 
-@dataclass(frozen=True, slots=True)
-class MotorSettings:
-    """How motors answer.
-
-    Attributes:
-        full_speed_m_s: of a rim at a duty of 1: 157 pulses of 0.33 mm in 20 ms (Trinh et al., II.C).
-        spread: deviation of that from motor to motor, as a share. Chosen.
-        lag_s: time constant. Chosen: the joystick's filter of docs/firmware.md has 0.01 s, the chair's own controller
-            and the motors the rest.
-    """
-
-    full_speed_m_s: float = 2.6
-    spread: float = 0.03
-    lag_s: float = 0.1
+FULL_SPEED_M_S = 2.6  # of a rim at a duty of 1: 157 pulses of 0.33 mm in 20 ms (Trinh et al., II.C)
+# Share by which motors deviate from that, and their time constant. Chosen: the joystick's filter of docs/firmware.md
+# has 0.01 s, the chair's own controller and the motors the rest.
+MOTOR_SPREAD, MOTOR_LAG_S = 0.03, 0.1
 
 
 class Motors:
     """Motors of both driven wheels, with random strengths, or nominal ones if `rng` is None."""
 
-    def __init__(self, settings: MotorSettings | None = None, rng: np.random.Generator | None = None) -> None:
-        self._settings = settings or MotorSettings()
-        shares = np.ones(2) if rng is None else 1 + self._settings.spread * rng.standard_normal(2)
-        self._full_m_s = self._settings.full_speed_m_s * shares
+    def __init__(self, rng: np.random.Generator | None = None) -> None:
+        shares = np.ones(2) if rng is None else 1 + MOTOR_SPREAD * rng.standard_normal(2)
+        self._full_m_s = FULL_SPEED_M_S * shares
         self._rims_m_s: FloatArray = np.zeros(2)
 
     def after(self, duties: Duties, seconds: float) -> tuple[float, float]:
         """Speeds of the left and right rim without load."""
-        share = 1 - math.exp(-seconds / self._settings.lag_s)
+        share = 1 - math.exp(-seconds / MOTOR_LAG_S)
         wanted = self._full_m_s * (duties.left, duties.right)
         self._rims_m_s = self._rims_m_s + share * (wanted - self._rims_m_s)
         return float(self._rims_m_s[0]), float(self._rims_m_s[1])

@@ -8,13 +8,16 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from wheelsight.core.errors import ConfigError
-from wheelsight.core.geometry import Float32Array, FloatArray, Int32Array, IntArray, PinholeCamera
+from wheelsight.core.geometry import FloatArray, Int32Array, IntArray, PinholeCamera
+from wheelsight_sim.doors import Leaves
+from wheelsight_sim.light_kernels import View
+from wheelsight_sim.people import Cylinders
 from wheelsight_sim.view_kernels import Bodies, Boxes, Hits, Image, ModelGeoms, aim, choose, find, gather, put, spread
 from wheelsight_sim.world import Surface, World
 
@@ -28,34 +31,6 @@ _FIRST_GROUP = np.array([1, 0, 0, 0, 0, 0], np.uint8)
 _FEWEST_TARGETS = 8
 # A row's own z axis may be turned from the tile's by as much as a shutter allows.
 _FAR_MARGIN = 1.05
-
-
-class People(Protocol):
-    """Who walks in a world."""
-
-    @property
-    def count(self) -> int:
-        """How many."""
-
-    @property
-    def surfaces(self) -> Mapping[str, Surface]:
-        """What they wear, by their materials' names."""
-
-    def positions_at(self, stamp_s: float) -> FloatArray:
-        """(N, 2) where their axes stand at a time, metres."""
-
-    def add_to(self, spec: Any) -> None:
-        """Put them as mocap bodies into a MuJoCo MjSpec."""
-
-
-class MovingLeaves(Protocol):
-    """Leaves of doors that swing in a world."""
-
-    def poses_at(self, stamp_s: float) -> tuple[FloatArray, FloatArray]:
-        """Middles (N, 3) of the leaves at a time, metres, and their yaws (N,), radians."""
-
-    def add_to(self, spec: Any) -> None:
-        """Put them as mocap bodies into a MuJoCo MjSpec, in place of the geoms of the same names."""
 
 
 class Scene:
@@ -84,11 +59,7 @@ class Scene:
     """
 
     def __init__(
-        self,
-        world: World,
-        passersby: People | None = None,
-        threads: int | None = None,
-        doors: MovingLeaves | None = None,
+        self, world: World, passersby: Cylinders | None = None, threads: int | None = None, doors: Leaves | None = None
     ) -> None:
         import mujoco
 
@@ -275,7 +246,7 @@ def _rays(camera: PinholeCamera) -> FloatArray:
     return rays
 
 
-def _compile(world: World, passersby: People | None, doors: MovingLeaves | None) -> Any:
+def _compile(world: World, passersby: Cylinders | None, doors: Leaves | None) -> Any:
     import mujoco
 
     try:
@@ -307,25 +278,6 @@ def _names(model: Any, surfaces: Mapping[str, Surface], world: str) -> tuple[tup
         names.append(name)
         materials.append(material)
     return tuple(names), tuple(materials)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """One ray a pixel, through the pixel's centre; row by row at the time the shutter reads it.
-
-    Attributes:
-        depth_m: (H, W) true depth along the camera's z axis; 0 where nothing was hit.
-        geom: (H, W) index of the MJCF geom that was hit, -1 where none was.
-        normal_world: (H, W, 3) outward unit normals in the world; 0 where nothing was hit.
-        T_world_camera: (H, 4, 4) the camera's pose as each row was read.
-        rays: (H, W, 3) what a depth of 1 m adds to the camera's origin, in the camera frame (z = 1).
-    """
-
-    depth_m: Float32Array
-    geom: Int32Array
-    normal_world: Float32Array
-    T_world_camera: FloatArray
-    rays: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,9 +13,6 @@ from wheelsight.core.compiled import kernel
 from wheelsight.core.geometry.arrays import ByteArray, Float32Array, FloatArray, Int32Array
 from wheelsight_sim.texture_kernels import hash_unit
 
-# Compiled parts of the depth sensors: light that comes back, the projector's shadow, matching, mixed pixels.
-
-
 _BINS_PER_PX = 2
 _BYTE = 256
 
@@ -272,9 +269,6 @@ def _across_edge(depth_m: Any, row: int, column: int, jump: float) -> tuple[int,
                 continue
         best, found = abs(step), (r, c)
     return found
-
-
-# Compiled per-pixel steps of the colour sensor: image motion, the smear along it, electrons, noise and bytes.
 
 
 _LONGEST_SMEAR_PX = 60.0

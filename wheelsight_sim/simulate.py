@@ -150,38 +150,29 @@ def write_simulation(
     folder = Path(folder)
     with RecordingWriter(folder, recording.calibration, force) as writer:
         _write_surroundings(recording, writer.folder)
-        truth = _TruthInSteps(recording, writer)
-        events = recording.events()
+        camera_truth = recording.camera_truth
+        events, written = recording.events(), 0
+
+        def write_truth_until(stamp_s: float) -> None:
+            """Of base and camera, up to the first pose at or after `stamp_s`."""
+            nonlocal written
+            end = int(np.searchsorted(recording.ground_truth.stamps_s, stamp_s)) + 1
+            for truth in (recording.ground_truth, camera_truth):
+                writer.append_ground_truth(truth.select(slice(written, end)))
+            written = max(written, end)
+
         try:
             for event in events:
                 if isinstance(event, RgbdFrame):
-                    truth.write_until(event.stamp_s)
+                    write_truth_until(event.stamp_s)
                     writer.add_label(event.stamp_s, recording.area_at(event.stamp_s))
                 writer.add(event)
                 if on_frame is not None and isinstance(event, RgbdFrame):
                     on_frame(event)
         finally:
             events.close()
-        truth.write_until(np.inf)
+        write_truth_until(np.inf)
     return writer
-
-
-class _TruthInSteps:
-    """Writes the truth of base and camera as far as events are written."""
-
-    def __init__(self, recording: SimulatedRecording, writer: RecordingWriter) -> None:
-        self._base = recording.ground_truth
-        self._camera = recording.camera_truth
-        self._writer = writer
-        self._written = 0
-
-    def write_until(self, stamp_s: float) -> None:
-        """All poses up to the first one at or after `stamp_s`."""
-        end = int(np.searchsorted(self._base.stamps_s, stamp_s)) + 1
-        part = slice(self._written, end)
-        self._written = max(self._written, end)
-        for truth in (self._base, self._camera):
-            self._writer.append_ground_truth(truth.select(part))
 
 
 def _write_surroundings(recording: SimulatedRecording, folder: Path) -> None:

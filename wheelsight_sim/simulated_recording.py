@@ -116,10 +116,7 @@ class SimulatedRecording:
         is_asked_for = self.settings.duration_s is not None and self.drive.duration_s >= self.settings.duration_s
         if self.drive.is_complete or is_asked_for:
             return self.world.warnings
-        return (
-            *self.world.warnings,
-            f"The drive ended early: {self.drive.reason}.",
-        )
+        return (*self.world.warnings, f"The drive ended early: {self.drive.reason}.")
 
     def events(self, *, images: bool = True) -> Generator[Event]:
         """Readings and frames (unless without `images`) in order of time; frames are rendered a few ahead."""
@@ -185,12 +182,6 @@ class FaultyRecording(SimulatedRecording):
         stamps_s = (self.renderer.stamp_s(index) for index in range(self.renderer.frame_count))
         frames = (RgbdFrame(stamp_s, *blank, index) for index, stamp_s in enumerate(stamps_s))
         return sum(1 for _ in events_with(self.camera_faults, frames))
-
-    @property
-    def association(self) -> AssociationReport:
-        """Each colour image that is left has its depth image, of the same moment."""
-        count = self.frame_count
-        return AssociationReport(count, count, count, 0.0)
 
     def events(self, *, images: bool = True) -> Generator[Event]:
         """Readings and frames (unless without `images`) in order of time, as they come with the faults."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from wheelsight.core.compiled import kernel
 from wheelsight.core.geometry.arrays import Float32Array, FloatArray, Int32Array, IntArray
-from wheelsight_sim.light_kernels import Light, Views, lamp_at, light_at, light_row, nine, tinted, turned
+from wheelsight_sim.light_kernels import Light, View, lamp_at, light_at, light_row, nine, tinted, turned
 from wheelsight_sim.texture_kernels import (
     Look,
     PixelFootprint,
@@ -281,9 +281,6 @@ def gather(
                     normal_world[row, column, k] = n[k]
 
 
-# Compiled search for the outlines in a view, and the further rays through the pixels there.
-
-
 # Faces of a box meet at 90 degrees; a curved face turns by less from a pixel to the next, unless it is tiny.
 _SAME_FACE = 0.9
 # x and y from a pixel's middle, in pixels. With the ray through the middle there is one in each fifth of the width and
@@ -348,9 +345,6 @@ def spread(rays: Any, pixels: Any) -> Any:
                 across, down = rays[v, right, k] - rays[v, left, k], rays[below, u, k] - rays[above, u, k]
                 out[i, s, k] = rays[v, u, k] + x * across + y * down
     return out
-
-
-# Compiled painting of a view: where each pixel lies on its geom, what is printed there, and how it is lit.
 
 
 PLAIN, PLASTER, CARPET, TILES, WOOD, CEILING, DOOR, POSTER, NOTICE_BOARD, FABRIC, BOOKS = range(11)
@@ -470,7 +464,7 @@ def albedo_at(kind: int, at: PixelFootprint, hs: float, ht: float, look: Look) -
 
 
 @kernel(error_model="numpy")
-def paint_rows(first: int, last: int, view: Views, scenery: Scenery, out: Float32Array) -> None:
+def paint_rows(first: int, last: int, view: View, scenery: Scenery, out: Float32Array) -> None:
     """Radiance `out` (H, W, 3) of the rows from first up to last."""
     depth_m, geom, normal_world, T_world_camera, rays = view
     width = depth_m.shape[1]
@@ -499,11 +493,11 @@ def paint_rows(first: int, last: int, view: Views, scenery: Scenery, out: Float3
 
 @kernel(error_model="numpy")
 def paint_outlines(
-    first: int, last: int, pixels: IntArray, samples: Views, view: Views, scenery: Scenery, out: Float32Array
+    first: int, last: int, pixels: IntArray, samples: View, view: View, scenery: Scenery, out: Float32Array
 ) -> None:
     """Put into `out` (H, W, 3) the mean radiance over each of the `pixels` (N, 2), from first up to last.
 
-    `samples` is `Outlines`'s view as arrays; the others are as for `paint_rows`, which has painted `out` by the ray
+    `samples` is the view of `Outlines`; the others are as for `paint_rows`, which has painted `out` by the ray
     through each pixel's middle. Samples on the face which that ray met have its colour: textures are averaged over the
     pixel already.
     """

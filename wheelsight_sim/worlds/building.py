@@ -296,12 +296,7 @@ class Building:
     # takes `Face.spot(at_m)`: its back is at the wall and its front looks out of it.
 
     def table(
-        self,
-        name: str,
-        spot: Spot,
-        size_m: tuple[float, float],
-        height_m: float = 0.74,
-        top: str = "wood_light",
+        self, name: str, spot: Spot, size_m: tuple[float, float], height_m: float = 0.74, top: str = "wood_light"
     ) -> None:
         """A board between two sides, its middle at the spot."""
         length, width = size_m
@@ -326,13 +321,7 @@ class Building:
         self.box(f"{name}_foot", "plastic_black", spot, (0.34, 0.34), 0.0, 0.40)
 
     def shelf(
-        self,
-        name: str,
-        wall: Spot,
-        width_m: float,
-        height_m: float = 1.9,
-        depth_m: float = 0.3,
-        rows: int = 4,
+        self, name: str, wall: Spot, width_m: float, height_m: float = 1.9, depth_m: float = 0.3, rows: int = 4
     ) -> None:
         """Books on boards between two sides, at a wall."""
         middle = wall.offset(0, depth_m / 2)

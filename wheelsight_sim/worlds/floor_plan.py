@@ -17,17 +17,9 @@ from wheelsight.io.ros_map import read_ros_map
 from wheelsight_sim.robot import RobotModel
 from wheelsight_sim.settings import FloorPlan
 from wheelsight_sim.world import World
-from wheelsight_sim.worlds.building import (
-    CEILING_M,
-    LEAF_M,
-    LEAF_TOP_M,
-    POSTERS,
-    Building,
-    Face,
-    Spot,
-)
+from wheelsight_sim.worlds.building import CEILING_M, LEAF_M, LEAF_TOP_M, POSTERS, Building, Face, Spot
 from wheelsight_sim.worlds.floor_plan_rooms import Doorway, FreeSpace, Rooms, find_rooms, free_space_of, read_room_areas
-from wheelsight_sim.worlds.floor_plan_route import SIDE_MARGIN_M, Body, Wishes, plan_route, swept_by
+from wheelsight_sim.worlds.floor_plan_route import SIDE_MARGIN_M, Body, plan_route, swept_by
 
 # Between the robot's way and furniture: it is checked with SIDE_MARGIN_M beside the chair.
 _FURNITURE_MARGIN_M = 0.15
@@ -68,7 +60,7 @@ def build_floor_plan(
     areas = [] if plan.areas is None else read_room_areas(Path(plan.areas), read)
     space = free_space_of(read, robot.width_m + 2 * SIDE_MARGIN_M)
     rooms = find_rooms(space)
-    route = plan_route(space, rooms.doorways, robot, seed, Wishes(plan.way_m, least_m, plan.start))
+    route = plan_route(space, rooms.doorways, robot, seed, plan, least_m)
     building = Building(plan.name, seed, day)
     # Walls, doors and furniture, out of the robot's way.
     body = Body.of(robot)
@@ -337,14 +329,6 @@ def _cupboard(building: Building, name: str, wall: Spot) -> None:
     building.box(name, material, wall.offset(0, 0.23), (1.15, 0.44), 0.0, height_m)
 
 
-def _radiator(building: Building, name: str, wall: Spot) -> None:
-    building.box(name, "radiator", wall.offset(0, 0.07), (1.2, 0.1), 0.15, 0.75)
-
-
-def _bin(building: Building, name: str, wall: Spot) -> None:
-    building.cylinder(name, "plastic_grey", wall.offset(0, 0.2), 0.15, 0.0, 0.55)
-
-
 def _chair(building: Building, name: str, wall: Spot) -> None:
     spot = wall.offset(0, 0.33)
     turn = building.loose(-0.25, 0.25)
@@ -352,33 +336,33 @@ def _chair(building: Building, name: str, wall: Spot) -> None:
     building.chair(name, Spot(spot.x_m, spot.y_m, spot.yaw_rad + turn), fabric)
 
 
-def _plant(building: Building, name: str, wall: Spot) -> None:
-    building.plant(name, wall.offset(0, 0.35), building.rng.uniform(1.0, 1.6))
-
-
 def _copier(building: Building, name: str, wall: Spot) -> None:
     building.box(name, "plastic_grey", wall.offset(0, 0.35), (1.1, 0.65), 0.0, 1.05)
     building.box(f"{name}_top", "plastic_black", wall.offset(0, 0.37), (0.9, 0.6), 1.05, 1.13)
-
-
-def _machine(building: Building, name: str, wall: Spot) -> None:
-    building.box(name, "machine", wall.offset(0, 0.4), (0.95, 0.78), 0.0, 1.85)
 
 
 _KINDS = {
     "shelf": _Furniture(1.4, 0.34, 1.95, (0.14, 0.04), lambda b, n, s: b.shelf(n, s, 1.3, rows=3)),
     "desk": _Furniture(1.6, 1.35, 1.2, (0.18, 0.0), Building.desk),
     "cupboard": _Furniture(1.2, 0.48, 1.95, (0.16, 0.14), _cupboard),
-    "radiator": _Furniture(1.3, 0.14, 0.8, (0.10, 0.18), _radiator),
-    "bin": _Furniture(0.4, 0.4, 0.6, (0.08, 0.14), _bin),
+    "radiator": _Furniture(
+        1.3, 0.14, 0.8, (0.10, 0.18), lambda b, n, s: b.box(n, "radiator", s.offset(0, 0.07), (1.2, 0.1), 0.15, 0.75)
+    ),
+    "bin": _Furniture(
+        0.4, 0.4, 0.6, (0.08, 0.14), lambda b, n, s: b.cylinder(n, "plastic_grey", s.offset(0, 0.2), 0.15, 0.0, 0.55)
+    ),
     "chair": _Furniture(0.6, 0.7, 0.9, (0.10, 0.14), _chair),
-    "plant": _Furniture(0.7, 0.7, 1.6, (0.08, 0.10), _plant),
+    "plant": _Furniture(
+        0.7, 0.7, 1.6, (0.08, 0.10), lambda b, n, s: b.plant(n, s.offset(0, 0.35), b.rng.uniform(1.0, 1.6))
+    ),
     "sofa": _Furniture(2.1, 0.95, 0.9, (0.06, 0.02), Building.sofa),
     "bed": _Furniture(1.7, 2.15, 1.05, (0.02, 0.0), Building.bed),
     "bench": _Furniture(1.6, 0.46, 0.5, (0.02, 0.12), Building.bench),
     "table": _Furniture(1.5, 0.8, 0.8, (0.06, 0.02), lambda b, n, s: b.table(n, s.offset(0, 0.42), (1.4, 0.7))),
     "copier": _Furniture(1.2, 0.75, 1.15, (0.0, 0.06), _copier),
-    "machine": _Furniture(1.05, 0.85, 1.9, (0.0, 0.04), _machine),
+    "machine": _Furniture(
+        1.05, 0.85, 1.9, (0.0, 0.04), lambda b, n, s: b.box(n, "machine", s.offset(0, 0.4), (0.95, 0.78), 0.0, 1.85)
+    ),
 }
 
 

@@ -20,6 +20,7 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, IntArray
 from wheelsight_sim.drivers import Path2d, laps_of, smooth_path
 from wheelsight_sim.robot import RobotModel
+from wheelsight_sim.settings import FloorPlan
 from wheelsight_sim.worlds.floor_plan_rooms import Doorway, FreeSpace, drawn
 
 _ASKED_MARGIN_M = 0.107  # beside the chair: what `refuse_walls` asks for, and what walls may come through each other
@@ -71,21 +72,6 @@ class Route:
 
 
 @dataclass(frozen=True, slots=True)
-class Wishes:
-    """What a user asks of a route.
-
-    Attributes:
-        way_m: how long a tour is about, driven again where rooms do not suffice; None for up to USUAL_WAY_M.
-        least_m: how long all of it is at least.
-        start: x, y in metres and yaw in radians in `map`; None for a roomy place.
-    """
-
-    way_m: float | None = None
-    least_m: float = 0.0
-    start: tuple[float, float, float] | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class Body:
     """A robot from above: how far it reaches from the middle of its axle, metres."""
 
@@ -114,11 +100,7 @@ class Body:
 
 
 def plan_route(
-    space: FreeSpace,
-    doorways: Sequence[Doorway],
-    robot: RobotModel,
-    seed: int,
-    wishes: Wishes,
+    space: FreeSpace, doorways: Sequence[Doorway], robot: RobotModel, seed: int, plan: FloorPlan, least_m: float
 ) -> Route:
     """A closed tour from room to room, or one way where there is no place to turn.
 
@@ -127,15 +109,16 @@ def plan_route(
         doorways: which are passed straight.
         robot: that is to drive it.
         seed: which rooms are visited.
-        wishes: of the user.
+        plan: says where it begins, and how long a lap is about; without a length it is up to USUAL_WAY_M.
+        least_m: how long all of it is at least: a tour is driven again where rooms do not suffice.
 
     Raises:
         ConfigError: a start where the robot does not fit, or nowhere to go.
     """
-    rng, start = np.random.default_rng([seed, _STREAM]), wishes.start
+    rng, start = np.random.default_rng([seed, _STREAM]), plan.start
     body = Body.of(robot)
     ground = DrivableGrid.of(space, body.half_width_m + SIDE_MARGIN_M, None if start is None else start[:2])
-    wanted_m = USUAL_WAY_M if wishes.way_m is None else wishes.way_m
+    wanted_m = USUAL_WAY_M if plan.way_m is None else plan.way_m
     planners = [_Planner(ground, body, tuple(doorways), first, start) for first in _starts(ground, body, rng, start)]
     route: Route | None = None
     for planner in planners:
@@ -149,7 +132,7 @@ def plan_route(
     if not route.is_loop:
         return route
     # A tour of 90 m is near enough to 100; what is much shorter is driven again.
-    laps = max(math.ceil(wishes.least_m / route.length_m), round((wishes.way_m or 0.0) / route.length_m), 1)
+    laps = max(math.ceil(least_m / route.length_m), round((plan.way_m or 0.0) / route.length_m), 1)
     return replace(route, laps=laps)
 
 
@@ -375,7 +358,7 @@ def _touched(space: FreeSpace, body: Body, route: Route) -> FloatArray:
 def _paths(route: Route) -> list[Path2d]:
     """What a driver makes of the waypoints, either way round."""
     both = (route.waypoints, route.waypoints[::-1])
-    return [path for waypoints in both for path in smooth_path(laps_of(waypoints, route.is_loop, 1, None))]
+    return [path for waypoints in both for path in smooth_path(laps_of(waypoints, route.is_loop, 1))]
 
 
 def _poses(path: Path2d) -> tuple[FloatArray, FloatArray, FloatArray]:

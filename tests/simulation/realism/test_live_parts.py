@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from small_rooms import room
@@ -15,7 +13,7 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight_sim import Realism, RobotModel, realism_of, stream
 from wheelsight_sim.body_motion import BodyMotion, BodySettings, LiveBodyMotion
 from wheelsight_sim.readings import Delays, StampSettings, as_stamped
-from wheelsight_sim.robot import Motors, MotorSettings
+from wheelsight_sim.robot import FULL_SPEED_M_S, MOTOR_LAG_S, MOTOR_SPREAD, Motors
 
 PERIOD_S = 0.005
 CALM = BodySettings(roll_rad_s=(0.0,) * 6, pitch_rad_s=(0.0,) * 6, yaw_rad_s=(0.0,) * 6)
@@ -90,15 +88,11 @@ def test_delays_are_those_of_a_whole_drive() -> None:
 
 
 def test_motors_come_near_by_an_exponential() -> None:
-    settings = MotorSettings()
-    motors = Motors(settings)
+    motors = Motors()
     speeds = [motors.after(Duties(0.4, -0.2), 0.02) for _ in range(50)]
-    share = 1 - np.exp(-0.02 * np.arange(1, 51) / settings.lag_s)
-    expected = np.outer(share, settings.full_speed_m_s * np.array([0.4, -0.2]))
+    share = 1 - np.exp(-0.02 * np.arange(1, 51) / MOTOR_LAG_S)
+    expected = np.outer(share, FULL_SPEED_M_S * np.array([0.4, -0.2]))
     np.testing.assert_allclose(speeds, expected, atol=1e-12)
     assert motors.after(Duties(), np.inf) == (0.0, 0.0)
-    strong = [
-        Motors(replace(settings, spread=0.03), stream(seed, "motors")).after(Duties(1, 1), np.inf)
-        for seed in range(300)
-    ]
-    assert np.std(strong) == pytest.approx(0.03 * settings.full_speed_m_s, rel=0.1)
+    strong = [Motors(stream(seed, "motors")).after(Duties(1, 1), np.inf) for seed in range(300)]
+    assert np.std(strong) == pytest.approx(MOTOR_SPREAD * FULL_SPEED_M_S, rel=0.1)
