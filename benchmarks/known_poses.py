@@ -15,8 +15,7 @@ from wheelsight.core.threads import Rows
 from wheelsight.estimation.camera_localizer import Thinning
 from wheelsight.mapping import SurfelMap
 from wheelsight.vision.dense import DenseSettings
-from wheelsight.vision.dense.pyramid import Gridder, ReferenceMaker
-from wheelsight.vision.tracking_state import twist_between
+from wheelsight.vision.dense.alignment import Gridder, ReferenceMaker
 from wheelsight_sim import SimulatedRecording
 
 VOXEL_M = 0.006
@@ -50,7 +49,7 @@ class TruePoses:
 
     def twist(self, stamp_s: float) -> FloatArray:
         """(6,) the camera's velocity (v, ω) in its own frame."""
-        return twist_between(self.at(stamp_s - _TWIST_S / 2), self.at(stamp_s + _TWIST_S / 2), _TWIST_S)
+        return se3.twist_between(self.at(stamp_s - _TWIST_S / 2), self.at(stamp_s + _TWIST_S / 2), _TWIST_S)
 
 
 class KnownSurfels:

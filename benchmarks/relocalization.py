@@ -36,8 +36,7 @@ from wheelsight.io.recordings import open_recording
 from wheelsight.places.recognition import Recognizer, SeenView, ViewMaker
 from wheelsight.places.verification import PlaceVerifier
 from wheelsight.vision.dense import DenseOdometry, DenseSettings, GridFrame
-from wheelsight.vision.dense.alignment import Aligner
-from wheelsight.vision.dense.pyramid import Level, ReferenceMaker
+from wheelsight.vision.dense.alignment import Aligner, Level, ReferenceMaker
 
 NAMES = ("red_kitchen", "rgbd_dataset_freiburg1_desk")
 KEYFRAME_EVERY, QUERY_EVERY, WITHHELD = 8, 4, 90

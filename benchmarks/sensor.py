@@ -34,7 +34,6 @@ from wheelsight.vision.features.tracking import (
     refine_motion,
     straighten,
 )
-from wheelsight.vision.tracking_state import twist_between
 
 SHUTTERS_S = (0.0, 0.005, 0.010, 0.015, 0.018, 0.021, 0.024, 0.027, 0.030, 0.035)
 GAP = 3
@@ -67,7 +66,7 @@ def _walk(recording: Recording) -> tuple[list[Features], list[FloatArray]]:
     inner = range(1, len(poses) - 1)
     # The mean over both neighbours is the velocity at the frame itself, to second order.
     seconds = [features[i + 1].stamp_s - features[i - 1].stamp_s for i in inner]
-    twists = [twist_between(poses[i - 1], poses[i + 1], s) for i, s in zip(inner, seconds, strict=True)]
+    twists = [se3.twist_between(poses[i - 1], poses[i + 1], s) for i, s in zip(inner, seconds, strict=True)]
     return features[1:-1], twists
 
 

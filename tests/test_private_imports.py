@@ -73,7 +73,7 @@ def test_private_things_stay_within_their_package() -> None:
         ("from wheelsight.places.describers import _x", "wheelsight.app.report", "wheelsight.places.describers._x"),
         ("from wheelsight.places.describers import _x", "wheelsight.places", None),
         ("import wheelsight.vision.dense._a.b", "wheelsight.vision", "wheelsight.vision.dense._a"),
-        ("from wheelsight.vision.tracking_state import x", "wheelsight.vision.dense", None),
+        ("from wheelsight.vision.visual_odometry import x", "wheelsight.vision.dense", None),
         ("from wheelsight.places import _layout", "wheelsight.places", None),
         ("from wheelsight import __version__", "wheelsight.app.cli", None),
         ("from numpy._core import x", "wheelsight.app.cli", None),

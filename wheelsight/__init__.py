@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from wheelsight.core.areas import AreaMap, load_areas, save_areas
     from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
     from wheelsight.core.calibration_parts import Gyro, HolonomicWheels, Wheels
-    from wheelsight.core.clocks import ClockSettings, SessionClock
+    from wheelsight.core.checks import ClockSettings, SessionClock
     from wheelsight.core.errors import WheelsightError
     from wheelsight.core.estimates import CameraEstimate, Estimate, MotionEstimate, Reason, Status
     from wheelsight.core.geometry import PinholeCamera
@@ -165,7 +165,7 @@ _NAMES_OF = {
         "load_calibration",
         "save_calibration",
     ),
-    "wheelsight.core.clocks": (
+    "wheelsight.core.checks": (
         "ClockSettings",
         "SessionClock",
     ),

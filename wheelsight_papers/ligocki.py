@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 
 from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.clocks import Untimed
+from wheelsight.core.checks import Untimed
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.estimates import Estimate, Reason, Status
 from wheelsight.core.geometry import FloatArray, se2, se3

@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 from synthetic import CAMERA, wobbling_trajectory
 
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.camera_errors import frame_covariance, with_frame_error
+from wheelsight.core.camera_errors import frame_covariance
 from wheelsight.core.errors import CalibrationError
+from wheelsight.core.estimates import with_frame_error
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.vision.dense import DenseOdometry
 from wheelsight.vision.features import FeatureOdometry

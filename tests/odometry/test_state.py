@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from wheelsight.core.estimates import Status
-from wheelsight.vision.tracking_state import TrackingState
+from wheelsight.core.estimates import Status, TrackingState
 
 NOT_YET, T, F, L = Status.INITIALIZING, Status.TRACKING, Status.FAILING, Status.LOST
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from wheelsight.core.calibration_parts import DepthNoise
 from wheelsight.core.geometry import se3
 from wheelsight.places.verification import intrusion, shown_share
-from wheelsight.vision.dense.pyramid import Level
+from wheelsight.vision.dense.alignment import Level
 
 NOISE = DepthNoise(0.001, 0.001425, 0.3, 10.0)
 SHAPE, INTRINSICS = (60, 80), np.array([65.0, 65.0, 39.5, 29.5])

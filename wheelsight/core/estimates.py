@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from itertools import repeat
@@ -63,6 +63,43 @@ class Status(StrEnum):
     LOST = "lost"
 
 
+@dataclass(frozen=True, slots=True)
+class TrackingState:
+    """The state of tracking: initializing, tracking, failing or lost (Zhang, Fig. 3).
+
+    Attributes:
+        lost_after: number of consecutive failed frames after which the state is lost, until a place is recognised.
+        has_begun: whether any frame was tracked.
+        failures: number of failed frames since the last tracked one.
+    """
+
+    lost_after: int
+    has_begun: bool = False
+    failures: int = 0
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether at least `lost_after` frames in a row failed."""
+        return self.has_begun and self.failures >= self.lost_after
+
+    @property
+    def status(self) -> Status:
+        """The status of the estimate at the last frame."""
+        if not self.has_begun:
+            return Status.INITIALIZING
+        if self.is_lost:
+            return Status.LOST
+        return Status.FAILING if self.failures else Status.TRACKING
+
+    def tracked(self) -> TrackingState:
+        """The state after a tracked frame."""
+        return replace(self, has_begun=True, failures=0)
+
+    def failed(self) -> TrackingState:
+        """The state after a failed frame."""
+        return replace(self, failures=self.failures + 1)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionEstimate:
     """The camera's motion against a reference frame, or the reason of the failure.
@@ -94,6 +131,12 @@ class MotionEstimate:
     def shows_all(self) -> bool:
         """Whether no direction of motion is left to the prior."""
         return self.degenerate is None or not len(self.degenerate)
+
+
+def with_frame_error(covariance: FloatArray, T_reference_frame: FloatArray, of_frame: FloatArray) -> FloatArray:
+    """Covariance (6, 6) of a pose's (4, 4) left perturbation, plus the error `of_frame` (6, 6) in the frame's axes."""
+    Ad = se3.adjoint(T_reference_frame)
+    return np.asarray(covariance + Ad @ of_frame @ Ad.T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,19 +14,18 @@ import numpy as np
 from wheelsight.config import Config, PlaceSettings
 from wheelsight.core.areas import AreaMap, load_areas
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.checks import Repeats
-from wheelsight.core.clocks import Untimed
+from wheelsight.core.checks import Repeats, Untimed
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.estimates import Estimate, FusedEstimate, Reason, Status, WheelEstimate
 from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame
 from wheelsight.core.settings.fusion import AreaRectifierSettings
+from wheelsight.core.threads import Stopwatch
 from wheelsight.estimation.area_rectifier import AreaRectifier, PlaceMeter
 from wheelsight.estimation.filter import ErrorStateFilter
 from wheelsight.estimation.wheel_localizer import ByWheels
 from wheelsight.places import PlaceMatch, PlaceModel, Unknown
-from wheelsight.vision.tracking_state import Stopwatch
 from wheelsight.wheels import AnyWheelOdometry
 
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.checks import Repeats
-from wheelsight.core.clocks import Untimed
+from wheelsight.core.checks import Repeats, Untimed
 from wheelsight.core.errors import CalibrationError
 from wheelsight.core.estimates import CameraEstimate, Estimate, FusedEstimate, Reason, Status
 from wheelsight.core.geometry import FloatArray, se3, so3

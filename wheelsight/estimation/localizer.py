@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.checks import check_event, check_images, need_calibration, need_kind
-from wheelsight.core.clocks import SessionClock, Untimed
+from wheelsight.core.checks import SessionClock, Untimed, check_event, check_images, need_calibration, need_kind
 from wheelsight.core.errors import ConfigError, MapError
 from wheelsight.core.estimates import Estimate, Status, WheelEstimate
 from wheelsight.core.files import StrPath

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.clocks import Untimed
+from wheelsight.core.checks import Untimed
 from wheelsight.core.estimates import Reason, Status, WheelEstimate
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.geometry import motion_kernels as motions

@@ -26,9 +26,9 @@ from wheelsight.core.settings.base import split_removed
 from wheelsight.core.threads import Rows
 from wheelsight.places.recognition_kernels import BLOCK, best, likeness_kernel
 from wheelsight.places.vocabulary import DESCRIPTORS, RULES, Descriptors, Vocabulary, packed, unpacked
-from wheelsight.vision.dense.pyramid import Gridder, GridFrame, Level, coarser
+from wheelsight.vision.dense.alignment import Gridder, GridFrame, Level, coarser
 from wheelsight.vision.dense.settings import DenseSettings
-from wheelsight.vision.dense.views import KeypointTracker
+from wheelsight.vision.dense.tracking import KeypointTracker
 
 FORMAT = "wheelsight-recognition-2"
 # The first format contains all descriptors, and unused blocks.

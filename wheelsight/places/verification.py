@@ -18,8 +18,8 @@ import numpy as np
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import DepthNoise
-from wheelsight.core.camera_errors import frame_covariance, place_errors, with_frame_error
-from wheelsight.core.estimates import Reason
+from wheelsight.core.camera_errors import frame_covariance, place_errors
+from wheelsight.core.estimates import Reason, with_frame_error
 from wheelsight.core.geometry import FloatArray, IntArray, se3, so3
 from wheelsight.core.geometry.motion_kernels import is_definite
 from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId
@@ -27,14 +27,16 @@ from wheelsight.core.settings import RecognitionSettings
 from wheelsight.places.recognition import SeenView, ViewMaker
 from wheelsight.vision.dense.alignment import (
     CORRELATION,
+    LEVELS,
     Aligner,
     Judgement,
     KeypointMotion,
+    Level,
     MotionPrior,
+    ReferenceMaker,
     SurfaceWeight,
     judge,
 )
-from wheelsight.vision.dense.pyramid import LEVELS, Level, ReferenceMaker
 from wheelsight.vision.features.tracking import Alignment, PointPairs, find_motion, match_all, refine_motion
 
 # One in this many common points is used for camera errors, and at least this many are needed.

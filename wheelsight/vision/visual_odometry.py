@@ -1,26 +1,31 @@
-"""`VisualOdometry` is the protocol of a user's visual odometry. `OwnOdometry` tracks a camera with it."""
+"""`CameraOdometry` is the base of all visual odometries.
+
+`VisualOdometry` is the protocol of a user's visual odometry, with which `OwnOdometry` tracks a camera.
+"""
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.checks import answer_of, array_of, check_frame, need_method, need_motion
+from wheelsight.core.checks import answer_of, array_of, check_frame, need_calibration, need_method, need_motion
 from wheelsight.core.errors import ArgumentError, PartError
-from wheelsight.core.estimates import CameraEstimate, MotionEstimate, Reason
+from wheelsight.core.estimates import CameraEstimate, MotionEstimate, Reason, TrackingState
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry.motion_kernels import is_definite
 from wheelsight.core.keyframes import KeyframeId, KeyframeStore
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.core.threads import one_at_a_time
+from wheelsight.core.stamps import StampCheck
+from wheelsight.core.threads import OneCaller, Stopwatch, one_at_a_time
 from wheelsight.vision.features.tracking import FeatureExtractor, FeatureSettings, KeyframeMaker
-from wheelsight.vision.tracking_state import START_VARIANCE, CameraOdometry, twist_between
 
+# Variance of the first pose. It is exact by definition of the map, but no covariance may be singular.
+START_VARIANCE = 1e-12
 # Distance between keyframes; a rotation by a radian counts as 1.5 m. Views of rooms then overlap by more than half.
 _KEYFRAME_WAY_M = 0.4
 # Number of reference frames in memory: the last keyframe, and older ones for relocalization.
@@ -29,6 +34,66 @@ _KEPT = 5
 _LEAST_DEPTH = 0.01
 # Largest asymmetry of a covariance by rounding, as a share of its largest entry.
 _ASYMMETRY = 1e-6
+
+
+Answer = TypeVar("Answer", bound=CameraEstimate)
+
+
+class CameraOdometry(OneCaller, Generic[Answer]):
+    """Base of the visual odometries: first pose, tracking state, failures and times.
+
+    Args:
+        calibration: of the cameras.
+        estimate: the class of the estimates.
+        lost_after: number of consecutive failed frames after which the state is lost.
+        T_map_first: (4, 4) pose of the camera at the first tracked frame; default the map's origin.
+        store: receives keyframes; default a new one.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        estimate: type[Answer],
+        lost_after: int,
+        T_map_first: FloatArray | None,
+        store: KeyframeStore | None,
+    ) -> None:
+        self._calibration, self._estimate = need_calibration(calibration), estimate
+        self.store, self.watch = KeyframeStore() if store is None else store, Stopwatch()
+        self._state, self._stamps = TrackingState(lost_after), StampCheck()
+        self.begin_at(np.eye(4) if T_map_first is None else T_map_first)
+
+    @property
+    def stage_seconds(self) -> dict[str, float]:
+        """Seconds the last frame spent in each stage."""
+        return self.watch.seconds
+
+    @one_at_a_time
+    def begin_at(self, T_map_camera: FloatArray) -> None:
+        """Set the pose (4, 4) of the camera at the first tracked frame. Raises ArgumentError for no rigid motion."""
+        self._T_map_first = need_motion("T_map_first", T_map_camera)
+
+    @one_at_a_time
+    def miss(self, stamp_s: float) -> Answer:
+        """Count a frame that is unusable, and so never reached `process`, as a failed one."""
+        self._start_frame()
+        return self._fail(stamp_s, MotionEstimate.failed(Reason.FRAME_UNUSABLE))
+
+    def _start_frame(self) -> None:
+        self.watch.restart()
+
+    def _fail(self, stamp_s: float, failure: MotionEstimate, **more: Any) -> Answer:
+        """The estimate of a failed frame."""
+        self._state = self._state.failed()
+        return self._estimate(
+            stamp_s,
+            self._state.status,
+            reason=failure.reason,
+            matches=failure.matches,
+            inliers=failure.inliers,
+            motion=failure,
+            **more,
+        )
 
 
 class VisualOdometry(Protocol):
@@ -138,7 +203,7 @@ class OwnOdometry(CameraOdometry[CameraEstimate]):
             if found.reason is None and found.T_reference_current is not None:
                 T_map_camera = reference.T_map_frame(self.store) @ found.T_reference_current
                 seconds = frame.stamp_s - last.frame.stamp_s
-                velocity = twist_between(last.T_map_frame(self.store), T_map_camera, seconds)
+                velocity = se3.twist_between(last.T_map_frame(self.store), T_map_camera, seconds)
                 fast = np.linalg.norm(velocity[:3]) > self._settings.max_speed_m_s
                 if not (fast or np.linalg.norm(velocity[3:]) > self._settings.max_turn_rad_s):
                     return self._succeed(frame, reference, found)

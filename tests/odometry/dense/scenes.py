@@ -13,8 +13,7 @@ from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera, se
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.threads import Rows
 from wheelsight.vision.dense import DenseOdometry, DenseSettings, GridFrame
-from wheelsight.vision.dense.alignment import Aligner, DenseAlignment
-from wheelsight.vision.dense.pyramid import Gridder, Reference, ReferenceMaker
+from wheelsight.vision.dense.alignment import Aligner, DenseAlignment, Gridder, Reference, ReferenceMaker
 
 SMALL = PinholeCamera(320, 240, 262.0, 260.0, 161.3, 118.4)
 

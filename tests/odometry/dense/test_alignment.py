@@ -18,8 +18,7 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.geometry import PinholeCamera, se3, so3
 from wheelsight.core.keyframes import PredictedView
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.vision.dense.alignment import PreviousPose
-from wheelsight.vision.dense.pyramid import Reference
+from wheelsight.vision.dense.alignment import PreviousPose, Reference
 
 TRUTH = wobbling_trajectory(30)
 T_WORLD_FIRST = np.array(TRUTH.T_frame_body[0])

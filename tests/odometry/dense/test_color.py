@@ -19,7 +19,7 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import PinholeCamera, se3
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.vision.dense import pyramid_kernels as _grid_kernels
+from wheelsight.vision import image_kernels as _grid_kernels
 
 WIDE = PinholeCamera(640, 480, 525.0, 524.0, 318.3, 241.6)
 LENS = replace(WIDE, distortion=(0.1, -0.2, 0.002, -0.001, 0.05))

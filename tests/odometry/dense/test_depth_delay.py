@@ -13,8 +13,8 @@ from wheelsight.core.geometry import se3
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.threads import Rows
 from wheelsight.vision.dense import DenseSettings
+from wheelsight.vision.dense.alignment import Gridder
 from wheelsight.vision.dense.odometry import DepthDelay
-from wheelsight.vision.dense.pyramid import Gridder
 
 CORNER = [Plane((0, 0, 1), 2.0), Plane((1, 0, 0), 0.7), Plane((0, 1, 0), 0.6)]
 

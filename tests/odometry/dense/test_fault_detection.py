@@ -14,8 +14,8 @@ from wheelsight.core.estimates import MotionEstimate
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.vision.dense import DenseSettings
-from wheelsight.vision.dense.tracking import FaultDetector
-from wheelsight.vision.dense.views import Prediction, Tracked
+from wheelsight.vision.dense.odometry import FaultDetector
+from wheelsight.vision.dense.tracking import Prediction, Tracked
 
 STEP_S = 1 / 30
 FRAME = bench().grid(frame_of([Plane((0, 0, 1), 2.0)], np.eye(4), 0.0))

@@ -14,7 +14,8 @@ from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.vision.dense.views import EvictedViews, KeypointTracker, KnownView
+from wheelsight.vision.dense.odometry import EvictedViews
+from wheelsight.vision.dense.tracking import KeypointTracker, KnownView
 
 WALL = [Plane((0, 0, 1), 2.0, is_painted=True)]
 BENCH = bench()

@@ -13,12 +13,12 @@ from odometry.dense.scenes import Plane, bench, frame_of
 from odometry.plain_kernels import plain
 
 from wheelsight.core.geometry import PinholeCamera, se3, so3
+from wheelsight.vision import image_kernels as _grid_kernels
+from wheelsight.vision import image_kernels as _reference_kernels
 from wheelsight.vision.dense import alignment_kernels as _shown_kernels
 from wheelsight.vision.dense import alignment_kernels as kernels
 from wheelsight.vision.dense import alignment_kernels as steps
 from wheelsight.vision.dense import alignment_kernels as turns
-from wheelsight.vision.dense import pyramid_kernels as _grid_kernels
-from wheelsight.vision.dense import pyramid_kernels as _reference_kernels
 
 TINY = PinholeCamera(24, 20, 22.0, 21.0, 11.3, 9.8)
 GRID = np.array([TINY.fx, TINY.fy, TINY.cx, TINY.cy], np.float32)

@@ -11,7 +11,7 @@ from odometry.views import room_frame
 from synthetic import wobbling_trajectory
 
 from wheelsight.core.estimates import Status
-from wheelsight.vision.dense.views import KeypointTracker
+from wheelsight.vision.dense.tracking import KeypointTracker
 from wheelsight.vision.features.tracking import Fix, MapTracker, ViewTracker
 
 TRUTH = wobbling_trajectory(6)

@@ -17,8 +17,8 @@ from wheelsight.core.geometry import FloatArray, PinholeCamera, se3
 from wheelsight.core.keyframes import KeyframeStore, PredictedView
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.vision.dense import DenseOdometry, DenseSettings
-from wheelsight.vision.dense.pyramid import Level
-from wheelsight.vision.dense.views import KeypointTracker
+from wheelsight.vision.dense.alignment import Level
+from wheelsight.vision.dense.tracking import KeypointTracker
 
 TRUTH = wobbling_trajectory(24)
 IN_MAP = from_start(np.array(TRUTH.T_frame_body))

@@ -14,8 +14,7 @@ from wheelsight.core.estimates import Reason, Status
 from wheelsight.core.geometry import se3
 from wheelsight.vision.dense import DenseEstimate
 from wheelsight.vision.dense.alignment import DenseAlignment, MotionPrior, judge
-from wheelsight.vision.dense.tracking import PRIOR_SIGMA_M_S
-from wheelsight.vision.dense.views import KeypointTracker
+from wheelsight.vision.dense.tracking import PRIOR_SIGMA_M_S, KeypointTracker
 
 WALL = [Plane((0.0, 0.0, -1.0), -1.6)]
 PAINTED_WALL = [Plane((0.0, 0.0, -1.0), -1.6, is_painted=True)]

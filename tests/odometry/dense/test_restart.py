@@ -14,7 +14,7 @@ from wheelsight.core.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.vision.dense import DenseOdometry, alignment
-from wheelsight.vision.dense.views import KeypointTracker
+from wheelsight.vision.dense.tracking import KeypointTracker
 
 TRUTH = wobbling_trajectory(24)
 IN_WORLD = from_start(np.array(TRUTH.T_frame_body))

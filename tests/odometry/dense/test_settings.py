@@ -82,11 +82,11 @@ def test_the_same_settings_give_the_same_answer() -> None:
     ("name", "value"),
     [
         ("tracking._FINENESS", 1.0),
-        ("pyramid._DEPTH_JUMP_SIGMAS", 0.0),
-        ("pyramid._CREASE_SIGMAS", 0.1),
-        ("pyramid._OCCLUSION_SHARE", 1.0),
-        ("pyramid._OCCLUSION_SIGMAS", 0.0),
-        ("pyramid._DARK_GREY", 255.0),
+        ("alignment._DEPTH_JUMP_SIGMAS", 0.0),
+        ("alignment._CREASE_SIGMAS", 0.1),
+        ("alignment._OCCLUSION_SHARE", 1.0),
+        ("alignment._OCCLUSION_SIGMAS", 0.0),
+        ("alignment._DARK_GREY", 255.0),
     ],
 )
 def test_these_constants_count(monkeypatch: pytest.MonkeyPatch, name: str, value: float) -> None:
@@ -98,5 +98,5 @@ def test_these_constants_count(monkeypatch: pytest.MonkeyPatch, name: str, value
 def test_grey_of_a_dark_image_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
     frame, parts = room_frame(np.array(TRUTH.T_frame_body[0]), 0.0), bench()
     assert (parts.grid(frame).levels[0].grey >= 0).any()
-    monkeypatch.setattr("wheelsight.vision.dense.pyramid._DARK_GREY", 255.0)
+    monkeypatch.setattr("wheelsight.vision.dense.alignment._DARK_GREY", 255.0)
     assert (parts.grid(frame).levels[0].grey == -1).all()

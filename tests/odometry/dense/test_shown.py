@@ -10,7 +10,7 @@ from odometry.dense.scenes import Plane, bench, frame_of
 from wheelsight.core.geometry import se3
 from wheelsight.vision.dense import alignment_kernels as shown
 from wheelsight.vision.dense.alignment import symmetric
-from wheelsight.vision.dense.alignment_kernels import ALONG_U, ALONG_V, DEPTH, GREY, NX, OFFSET
+from wheelsight.vision.image_kernels import ALONG_U, ALONG_V, DEPTH, GREY, NX, OFFSET
 
 NOISE = np.array([1e-3, 2e-3, 0.1, 9.0])
 # Gate, scale of plane residuals, σ of grey, gain, Huber's limit, weight of grey, σ of the colour camera's place.

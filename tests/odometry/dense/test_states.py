@@ -18,8 +18,8 @@ from wheelsight.core.geometry import PinholeCamera, se3, so3
 from wheelsight.core.keyframes import PredictedView
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.vision.dense import DenseOdometry, DenseSettings
-from wheelsight.vision.dense.pyramid import Level
-from wheelsight.vision.dense.views import KeypointTracker
+from wheelsight.vision.dense.alignment import Level
+from wheelsight.vision.dense.tracking import KeypointTracker
 
 TRUTH = wobbling_trajectory(24)
 IN_WORLD = from_start(np.array(TRUTH.T_frame_body))

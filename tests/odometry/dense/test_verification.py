@@ -16,8 +16,8 @@ from wheelsight.core.estimates import Reason, Status
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.vision.dense.tracking import FaultDetector
-from wheelsight.vision.dense.views import KeypointPose, KeypointTracker, KnownView
+from wheelsight.vision.dense.odometry import FaultDetector
+from wheelsight.vision.dense.tracking import KeypointPose, KeypointTracker, KnownView
 from wheelsight_sim import RobotModel
 
 TRUTH = wobbling_trajectory(24)
@@ -196,7 +196,7 @@ def test_a_pose_that_neither_wheels_nor_keypoints_expect_is_not_taken(
     frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Somebody who walks by carries the surfaces along: what keypoints clearly say is the pose."""
-    monkeypatch.setattr("wheelsight.vision.dense.tracking._LEAP", (9.0, 9.0))  # as smooth as any
+    monkeypatch.setattr("wheelsight.vision.dense.odometry._LEAP", (9.0, 9.0))  # as smooth as any
     subject = dense()
     run(subject, frames[:7])
     by_wheels = IN_WORLD[7] @ se3.exp([0.06, 0, 0, 0, 0, 0])

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from odometry.dense.scenes import Plane, bench, frame_of
 
-from wheelsight.core.estimates import MotionEstimate
+from wheelsight.core.estimates import MotionEstimate, TrackingState
 from wheelsight.core.geometry import se3
 from wheelsight.core.keyframes import KeyframeId
+from wheelsight.core.threads import Stopwatch
 from wheelsight.vision.dense import DenseSettings
-from wheelsight.vision.dense.views import KnownView, Tracked, ViewCache
-from wheelsight.vision.tracking_state import Stopwatch, TrackingState
+from wheelsight.vision.dense.tracking import KnownView, Tracked, ViewCache
 
 BENCH = bench()
 GRID = BENCH.grid(frame_of([Plane((0, 0, 1), 2.0)], np.eye(4), 0.0))

@@ -12,7 +12,7 @@ from odometry.views import run
 
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.vision.dense.pyramid import Vignetting
+from wheelsight.vision.dense.odometry import Vignetting
 
 ROOM = [
     Plane((0, 0, 1), 4.0),

@@ -5,7 +5,7 @@ import pytest
 from odometry.plain_kernels import plain
 
 from wheelsight.core.geometry import PinholeCamera, se3
-from wheelsight.vision.features import feature_kernels as compiled
+from wheelsight.vision import image_kernels as compiled
 
 DEPTH = PinholeCamera(160, 120, 140.0, 142.0, 81.3, 58.4)
 COLOR = PinholeCamera(200, 150, 190.0, 188.0, 98.2, 76.1)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from odometry.plain_kernels import plain
 
 from wheelsight.core.geometry.hamming_kernels import hamming
-from wheelsight.vision.features import feature_kernels as compiled
+from wheelsight.vision import image_kernels as compiled
 from wheelsight.vision.features.tracking import match_all, match_near
 
 in_python = plain(compiled)

@@ -5,7 +5,7 @@ import pytest
 from odometry.plain_kernels import plain
 
 from wheelsight.core.geometry import PinholeCamera, align_points, se3, so3
-from wheelsight.vision.features import feature_kernels as compiled
+from wheelsight.vision import image_kernels as compiled
 
 GATE = 16.3
 SIGMA_XY, SIGMA_M = 0.002, 0.01

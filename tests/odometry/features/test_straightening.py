@@ -13,7 +13,6 @@ from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.vision.features import FeatureOdometry, FeatureSettings
 from wheelsight.vision.features.tracking import Features, straighten
-from wheelsight.vision.tracking_state import twist_between
 
 SHUTTER_S = 0.03
 TWIST = np.array([0.4, -0.2, 0.3, 0.5, 1.2, -0.4])
@@ -85,7 +84,7 @@ def test_the_middle_row_is_the_stamp_s():
 def test_twist_between_is_the_velocity_of_a_small_step(rng):
     T = se3.exp(rng.standard_normal(6))
     now = T @ se3.exp(0.001 * TWIST)
-    np.testing.assert_allclose(twist_between(T, now, 0.001), TWIST, rtol=2e-3, atol=1e-3)
+    np.testing.assert_allclose(se3.twist_between(T, now, 0.001), TWIST, rtol=2e-3, atol=1e-3)
 
 
 def test_twist_between_is_exact_where_the_camera_does_not_turn_or_does_not_move(rng):
@@ -93,7 +92,7 @@ def test_twist_between_is_exact_where_the_camera_does_not_turn_or_does_not_move(
     for part in (slice(0, 3), slice(3, 6)):
         twist = np.zeros(6)
         twist[part] = TWIST[part]
-        np.testing.assert_allclose(twist_between(T, T @ se3.exp(0.1 * twist), 0.1), twist, atol=1e-9)
+        np.testing.assert_allclose(se3.twist_between(T, T @ se3.exp(0.1 * twist), 0.1), twist, atol=1e-9)
 
 
 def rolling_frame(truth: Trajectory, stamp_s: float, bands: int = 24) -> RgbdFrame:

@@ -28,7 +28,7 @@ from wheelsight.core.threads import Rows
 from wheelsight.mapping import columns
 from wheelsight.places.recognition import known_grey
 from wheelsight.slam.maps.journal import Record, RecordKind, read_record
-from wheelsight.vision.dense.pyramid import Level, coarser
+from wheelsight.vision.dense.alignment import Level, coarser
 
 _LOST = "use another copy of the map, or go on without this keyframe"
 

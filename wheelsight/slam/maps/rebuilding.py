@@ -37,7 +37,7 @@ from wheelsight.slam.maps.contents import (
 from wheelsight.slam.maps.folder import MapFolder, make_room, map_being_made
 from wheelsight.slam.maps.journal import MERGE, PRUNE, REBUILD
 from wheelsight.slam.place_recognition import PlaceWatcher
-from wheelsight.vision.dense.pyramid import Level, ReferenceMaker
+from wheelsight.vision.dense.alignment import Level, ReferenceMaker
 from wheelsight.vision.dense.settings import DenseSettings
 
 # Pruning removes a keyframe if another one at most this far, metres and radians, shows this share of its surfaces. From

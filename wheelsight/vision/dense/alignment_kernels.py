@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from wheelsight.core.compiled import kernel
+from wheelsight.vision.image_kernels import ALONG_U, ALONG_V, CHANNELS, DEPTH, GREY, NX, NY, NZ, OFFSET
 
 if TYPE_CHECKING:
     from wheelsight.core.geometry.arrays import Float32Array, FloatArray
@@ -27,10 +28,6 @@ PLANE_COUNT, GREY_COUNT, PAIRS = 54, 57, 60
 # Sums for the regression of exposure.
 FIT_N, FIT_X, FIT_Y, FIT_XX, FIT_YY = 61, 62, 63, 64, 65
 SUMS = 66
-
-# Channels of a reference's pixel: the plane n·q = d and its depth, NaN where unknown; grey and its gradient a pixel.
-NX, NY, NZ, OFFSET, DEPTH, GREY, ALONG_U, ALONG_V = range(8)
-CHANNELS = 8
 
 # What `how` holds, (10,) float32: gate in metres a metre of depth, scale of plane residuals, σ of grey, gain, offset,
 # Huber's limit, weight of grey (0: depth alone), σ of the colour camera's place in pixels, the slope of grey a pixel

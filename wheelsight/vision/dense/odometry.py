@@ -1,12 +1,15 @@
-"""`DenseOdometry` estimates the pose of a camera frame by frame from all pixels and reports when tracking is lost.
-`KeyframePolicy` decides which frames become keyframes. `DepthDelay` estimates how much later than colour the camera
-measures depth.
+"""`DenseOdometry` estimates the pose of a camera frame by frame from all pixels, and reports when tracking is lost.
+
+`KeyframePolicy` decides which frames become keyframes. `Verifier` checks a pose by keypoints where the alignment may be
+wrong. `EvictedViews` returns keyframes when the camera comes back, `Vignetting` estimates the vignetting of the lens,
+and `DepthDelay` how much later than colour the camera measures depth.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -14,29 +17,52 @@ import numpy as np
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.checks import check_frame, need_twist
-from wheelsight.core.estimates import MotionEstimate, Reason
-from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.errors import MapError
+from wheelsight.core.estimates import (
+    MotionEstimate,
+    Reason,
+    TrackingState,
+)
+from wheelsight.core.geometry import BoolArray, FloatArray, PinholeCamera, se3, so3
 from wheelsight.core.geometry import motion_kernels as motions
-from wheelsight.core.keyframes import FrameSurface, Keyframe, KeyframeId, KeyframeStore, ReferenceModel
+from wheelsight.core.keyframes import (
+    FrameSurface,
+    Keyframe,
+    KeyframeId,
+    KeyframeStore,
+    ReferenceModel,
+)
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.core.threads import Rows, one_at_a_time
-from wheelsight.vision.dense.alignment import Aligner
-from wheelsight.vision.dense.pyramid import Gridder, GridFrame, ReferenceMaker, Vignetting
+from wheelsight.core.threads import Rows, Stopwatch, one_at_a_time
+from wheelsight.vision.dense.alignment import (
+    SECOND,
+    Aligner,
+    Gridder,
+    GridFrame,
+    Reference,
+    ReferenceMaker,
+    vignetting_of,
+)
 from wheelsight.vision.dense.settings import DenseSettings
-from wheelsight.vision.dense.tracking import Locator, Verifier
-from wheelsight.vision.dense.views import (
+from wheelsight.vision.dense.tracking import (
     DenseEstimate,
-    EvictedViews,
+    KeypointPose,
     KeypointTracker,
     KnownView,
+    Locator,
     Prediction,
     PriorMotion,
     Tracked,
     ViewCache,
+    implausible,
     predict,
 )
-from wheelsight.vision.features.tracking import Features
-from wheelsight.vision.tracking_state import LONGEST_STEP_S, START_VARIANCE, CameraOdometry, twist_between
+from wheelsight.vision.features.tracking import (
+    LONGEST_STEP_S,
+    Features,
+)
+from wheelsight.vision.image_kernels import ALONG_U, ALONG_V, DEPTH, GREY
+from wheelsight.vision.visual_odometry import START_VARIANCE, CameraOdometry
 
 _MIN_DEPTH_SHARE = 0.05  # share of a frame's pixels that must have depth
 
@@ -177,7 +203,7 @@ class DenseOdometry(CameraOdometry[DenseEstimate]):
         ahead = self._verifier.ask(features.result(), twist, ahead, self._state)
         pose, seen_twist = ahead.keypoint_pose, twist
         if pose is not None and pose.is_usable and 0 < ahead.seconds <= LONGEST_STEP_S:
-            seen_twist = twist_between(ahead.last.T_map_camera, pose.T_map_camera, ahead.seconds)
+            seen_twist = se3.twist_between(ahead.last.T_map_camera, pose.T_map_camera, ahead.seconds)
         with self.watch.stage("prepare"):
             grid = self._gridder.on_grid(frame, seen_twist)
         found: Tracked | MotionEstimate = MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH)
@@ -438,6 +464,370 @@ def _right_covariance(motion: MotionEstimate) -> FloatArray:
     assert motion.T_reference_current is not None
     assert motion.covariance is not None
     return np.asarray(motions.carried(motions.inverse(motion.T_reference_current), motion.covariance))
+
+
+# Time in seconds without a pose and prior after which the camera may be anywhere, so that a pose must be likely; after
+# one second less suffices to recognise the right place in a corridor (simulator: docs/decisions/features.md).
+_ANYWHERE_S = 2.0
+
+
+class Verifier:
+    """Estimates the pose of a frame by its keypoints, and decides between that and the pose by surfaces.
+
+    Args:
+        settings: thresholds of fault detection, and of agreement with keypoints.
+        keypoints: estimates the pose of a frame by its keypoints.
+        views: keyframes that the frame may show.
+        by_regions: the pose error by regions: see `Locator.by_regions`.
+        watch: counts the time of "recognise".
+
+    Attributes:
+        faults: decides which poses need verification.
+    """
+
+    def __init__(
+        self,
+        settings: DenseSettings,
+        keypoints: KeypointTracker,
+        views: ViewCache,
+        by_regions: Callable[[GridFrame, Reference, FloatArray], tuple[FloatArray, float | None]],
+        watch: Stopwatch,
+    ) -> None:
+        self._settings, self._watch = settings, watch
+        self._keypoints, self._views, self._by_regions = keypoints, views, by_regions
+        self.faults = FaultDetector(settings.max_unseen_s)
+
+    def ask(self, features: Features, twist: FloatArray, ahead: Prediction, state: TrackingState) -> Prediction:
+        """The prediction with the pose by keypoints, against the previous frame or against known keyframes."""
+        with self._watch.stage("recognise"):
+            pose = self._plausible(self._keypoints.track(features, twist), ahead)
+            if pose is not None and (state.failures == 0 or pose.is_likely):
+                return replace(ahead, keypoint_pose=pose)
+            candidates = self._views.candidates(ahead.T_map_camera[0], state)
+            seen_again = self._keypoints.recognise(features, candidates, twist)
+            seen_again = self._plausible(seen_again, ahead)
+        if seen_again is None:
+            return replace(ahead, keypoint_pose=pose)
+        is_elsewhere = not ahead.is_helped and not seen_again.agrees_with(ahead.T_map_camera[0])
+        return replace(ahead.at(seen_again.T_map_camera) if is_elsewhere else ahead, keypoint_pose=seen_again)
+
+    def _plausible(self, pose: KeypointPose | None, ahead: Prediction) -> KeypointPose | None:
+        """The pose by keypoints; None if it exceeds the limit on turning, however well keypoints agree.
+
+        A repeated texture may look the same upside down. A leap of the position is allowed: it corrects surfaces that
+        slid along a wall before.
+        """
+        if pose is None or ahead.seconds <= 0:
+            return pose
+        R_last_now = ahead.last.T_map_camera[:3, :3].T @ pose.T_map_camera[:3, :3]
+        return pose if so3.angle(R_last_now) <= self._settings.max_turn_rad_s * ahead.seconds else None
+
+    def verify(
+        self, grid: GridFrame, found: Tracked | MotionEstimate, ahead: Prediction, state: TrackingState
+    ) -> Tracked | MotionEstimate:
+        """The verified pose, or the reason why none is accepted.
+
+        It is the pose by surfaces if keypoints agree, and the one by keypoints if these contradict it clearly. Without
+        keypoints the pose by surfaces stands while it fits as usual, constrains all directions and makes no leap. A
+        prior replaces directions that surfaces do not constrain, and keypoints over a short gap.
+        """
+        pose, seconds = ahead.keypoint_pose, ahead.seconds
+        if not isinstance(found, Tracked):
+            return self._fall_back(grid, found, ahead)
+        if not ahead.is_helped and state.failures == 0:
+            self.faults.count(seconds, shows_all=found.motion.shows_all)
+        if pose is not None and pose.agrees_with(found.T_map_camera) and self._is_unambiguous(pose, ahead):
+            self.faults.unseen_s = 0.0  # keypoints show all motion
+            return replace(found, keypoint_pose=pose)
+        if pose is not None and pose.is_clear:
+            return self._by_keypoints(grid, pose)
+        if ahead.is_helped and found.motion.shows_all and self.faults.is_bridged(found, ahead):
+            return found
+        is_steady = ahead.is_helped or bool(ahead.last.twist.any())
+        suspected = self.faults.suspects(found, seconds, is_alone=not ahead.is_helped, is_steady=is_steady)
+        if not suspected and (state.failures == 0 or (ahead.is_helped and not self.faults.is_off_prior(found))):
+            return found  # by surfaces alone, or by surfaces and a prior
+        unseen = self.faults.is_blind and not ahead.is_helped
+        if pose is not None and self._is_unambiguous(pose, ahead):
+            reason = Reason.SURFACES_CONTRADICTED
+        else:
+            reason = Reason.DEGENERATE if unseen else Reason.NOT_RECOGNISED
+        return self._fall_back(grid, MotionEstimate.failed(reason), ahead)
+
+    def _is_unambiguous(self, pose: KeypointPose, ahead: Prediction) -> bool:
+        """Whether keypoints identify the place: after a gap without prior the camera may be at one that looks alike."""
+        return pose.is_likely or ahead.is_helped or ahead.seconds <= _ANYWHERE_S
+
+    def _fall_back(self, grid: GridFrame, failure: MotionEstimate, ahead: Prediction) -> Tracked | MotionEstimate:
+        """The pose by keypoints, or `failure` if that is not accepted either."""
+        pose = ahead.keypoint_pose
+        if pose is None or not self._is_unambiguous(pose, ahead):
+            return failure
+        if not pose.is_clear and implausible(ahead.last, pose.T_map_camera, ahead.seconds, self._settings):
+            return failure
+        if ahead.is_helped and not pose.is_clear and not pose.agrees_with(ahead.T_map_camera[0]):
+            return failure
+        return self._by_keypoints(grid, pose)
+
+    def _by_keypoints(self, grid: GridFrame, pose: KeypointPose) -> Tracked:
+        """The pose by keypoints, relative to the nearest keyframe and with the pose error by regions."""
+        self.faults.unseen_s = 0.0
+        nearest = self._views.nearest(pose.T_map_camera)
+        T_map_camera, T_map_reference = se3.nearest(pose.T_map_camera), nearest.reference.T_map_reference
+        T_reference_camera = se3.invert(T_map_reference) @ T_map_camera
+        frame_error, fitting = self._by_regions(grid, nearest.reference, T_reference_camera)
+        motion = replace(pose.motion_from(T_map_reference), fitting=fitting)
+        known = (grid, T_map_camera, pose.covariance, motion, nearest.keyframe, grid.twist)
+        is_near = nearest.distance_m(pose.T_map_camera) < self._settings.keyframe_way_m
+        return Tracked(*known, overlap=float(is_near), keypoint_pose=pose, frame_error=frame_error)
+
+
+# The mean residual of a perfect fit, in standard deviations of the sensor.
+_PERFECT_FIT = 1.0
+# Change of speed (m/s, rad/s) at once beyond which a pose is a leap, and its growth per second since the last frame;
+# hand-held cameras change less. Chosen.
+_LEAP, _LEAP_PER_S = (0.5, 1.5), (10.0, 30.0)
+# Difference of speed (m/s, rad/s) from a prior by other sensors beyond which one of both is wrong: wheels without slip
+# err by a tenth and a quarter of it (simulator: docs/decisions/features.md).
+_OFF_PRIOR = np.array([0.2, 0.2])
+# Longest gap in seconds that such a prior bridges, and the distance from it, in metres and radians, within which a pose
+# after a gap needs no keypoints (simulator: docs/decisions/features.md).
+_BRIDGED_S, _BRIDGED_OFF_M, _BRIDGED_OFF_RAD = 10.0, 0.05, 0.03
+# Without prior, a residual this many times the usual one needs verification: wrong poses had 4 to 5 times in eight
+# simulated flats. On a real hand-held recording as much is usual, and learned (docs/decisions/features.md).
+_POOR_FIT = 2.0
+# Share of a frame's residual that updates the usual one; chosen.
+_FIT_LEARNED = 0.1
+
+
+class FaultDetector:
+    """Decides which poses by surfaces need verification by keypoints.
+
+    Args:
+        max_unseen_s: how long a direction of motion may stay unconstrained.
+
+    Attributes:
+        unseen_s: how long some direction of motion has been unconstrained.
+    """
+
+    def __init__(self, max_unseen_s: float) -> None:
+        self._max_unseen_s, self._usual, self.unseen_s = max_unseen_s, _PERFECT_FIT, 0.0
+
+    @property
+    def is_blind(self) -> bool:
+        """Whether a direction of motion has been unconstrained for more than `max_unseen_s`."""
+        return self.unseen_s > self._max_unseen_s
+
+    def count(self, seconds: float, *, shows_all: bool) -> None:
+        """Update `unseen_s` by a frame. One that constrains all directions counts half, because noise does so too."""
+        self.unseen_s = max(self.unseen_s - 0.5 * seconds, 0.0) if shows_all else self.unseen_s + seconds
+
+    def learn(self, found: Tracked) -> None:
+        """Update the usual residual by an accepted pose."""
+        better = min(found.residual, _POOR_FIT * self._usual)
+        self._usual = max(self._usual + _FIT_LEARNED * (better - self._usual), _PERFECT_FIT)
+
+    def fits(self, found: Tracked) -> bool:
+        """Whether the residual of surfaces is about as usual."""
+        return found.residual <= _POOR_FIT * self._usual
+
+    def is_bridged(self, found: Tracked, ahead: Prediction) -> bool:
+        """Whether a pose after a gap fits and lies near the prior, within the drift of wheels over the gap.
+
+        Surfaces may fit at a wrong place, but hardly at the predicted one.
+        """
+        T = se3.invert(ahead.T_map_camera[0]) @ found.T_map_camera
+        is_near = float(np.linalg.norm(T[:3, 3])) < _BRIDGED_OFF_M and float(so3.angle(T[:3, :3])) < _BRIDGED_OFF_RAD
+        return LONGEST_STEP_S < ahead.seconds <= _BRIDGED_S and is_near and self.fits(found)
+
+    def suspects(self, found: Tracked, seconds: float, *, is_alone: bool, is_steady: bool) -> bool:
+        """Whether a pose needs verification by keypoints.
+
+        Args:
+            found: the pose.
+            seconds: since the previous one.
+            is_alone: whether there is no prior, which would replace directions that surfaces do not constrain.
+            is_steady: whether the previous speed is known, so that a leap can be detected.
+        """
+        if seconds > LONGEST_STEP_S or (is_alone and (self.is_blind or not self.fits(found))):
+            return True
+        limits = np.array(_LEAP) + np.array(_LEAP_PER_S) * seconds  # beyond, no real camera moves
+        return is_steady and bool((_speed_change(found) > limits).any())
+
+    def is_off_prior(self, found: Tracked) -> bool:
+        """Whether a pose lies so far from the prior that one of both is wrong."""
+        return bool((_speed_change(found) > _OFF_PRIOR).any())
+
+
+def _speed_change(found: Tracked) -> FloatArray:
+    """The change (2,) of speed and angular speed, m/s and rad/s, between prediction and pose."""
+    change = found.twist - found.frame.twist
+    return np.array([np.linalg.norm(change[:3]), np.linalg.norm(change[3:])])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _EvictedView:
+    """The attributes of a view that the store does not hold, about 0.5 kB.
+
+    Attributes:
+        covariance: (6, 6) of the right perturbation of its pose, which is invariant to motions of the map.
+        turning_rad_s, vignetting: see `KnownView` and `Reference`.
+    """
+
+    covariance: FloatArray
+    turning_rad_s: FloatArray
+    vignetting: float
+
+
+class EvictedViews:
+    """Keyframes that left the cache, and return from the store when the camera comes back.
+
+    Only those return that loop closures tie to keyframes of another visit. The poses of the others drift by odometry
+    alone, and loop closures need new keyframes to correct that.
+
+    Args:
+        store: holds the keyframes and their poses.
+        gridder, maker, keypoints: compute views of them.
+        room: size of the cache; keyframes at least this many apart belong to different visits.
+    """
+
+    def __init__(
+        self, store: KeyframeStore, gridder: Gridder, maker: ReferenceMaker, keypoints: KeypointTracker, room: int
+    ) -> None:
+        self._store, self._gridder, self._maker, self._keypoints = store, gridder, maker, keypoints
+        self._room = room
+        self._views: dict[KeyframeId, _EvictedView] = {}
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+    def put(self, view: KnownView) -> None:
+        """Add a view that left the cache; it is a keyframe of the store."""
+        Ad = se3.adjoint(se3.invert(view.reference.T_map_reference))
+        covariance = Ad @ view.covariance @ Ad.T
+        self._views[view.keyframe] = _EvictedView(covariance, view.turning_rad_s, view.reference.vignetting)
+
+    def nearer(self, T_map_camera: FloatArray, limit_m: float) -> KnownView | None:
+        """The nearest tied keyframe within `limit_m` of a pose (4, 4), where a rotation by a radian counts as 1.5 m.
+
+        None if there is none, if the store cannot read it, or if its size differs from that of frames. It stays here
+        until `take`.
+        """
+        numbers = [number for number in self._views if self.is_tied(number)]
+        if not numbers:
+            return None
+        apart_m = se3.view_shift_m(se3.invert(self._store.T_map_keyframe[numbers]) @ T_map_camera)
+        nearest = int(np.argmin(apart_m))
+        if not apart_m[nearest] < limit_m:
+            return None
+        number = numbers[nearest]
+        try:
+            keyframe = self._store.as_of(number, KeyframeId(len(self._store) - 1))
+        except MapError:  # the file is missing or damaged; odometry continues without it
+            return None
+        evicted, T_map_keyframe = self._views[number], self._store.pose(number)
+        depth_m, grey = keyframe.depth_m, keyframe.grey
+        if depth_m.shape != self._gridder.shape:
+            return None
+        grey[grey == 0] = -1  # keyframes store unknown grey as 0
+        levels = self._gridder.pyramid(depth_m, grey)
+        grid = GridFrame(keyframe.stamp_s, levels, np.zeros(6), evicted.vignetting)
+        reference, Ad = self._maker.of_frame(grid, T_map_keyframe), se3.adjoint(T_map_keyframe)
+        features = None if keyframe.features is None else self._keypoints.recalled(keyframe.stamp_s, keyframe.features)
+        return KnownView(number, reference, Ad @ evicted.covariance @ Ad.T, features, evicted.turning_rad_s)
+
+    def is_tied(self, number: KeyframeId) -> bool:
+        """Whether a loop closure ties a keyframe to one of another visit."""
+        return self._store.loop_span(number) >= self._room
+
+    def take(self, view: KnownView) -> None:
+        """Remove a view that is in the cache again."""
+        self._views.pop(view.keyframe, None)
+
+
+# Stride, in pixels, of the points compared for vignetting.
+_STRIDE_PX = 2
+# Iteratively reweighted least squares: Huber's limit in standard deviations, and the number of iterations.
+_HUBER, _ROUNDS = 1.5, 3
+# Least variance of vignetting over the compared points, so that the slope stays finite.
+_FLAT = 1e-9
+# Standard deviation of the exponent before the first pair of views: it is 0.22 for the simulated camera, 0.10 and 0.06
+# for two real ones (docs/decisions/dense-alignment.md). No lens exceeds cos⁴.
+_EXPONENT_SIGMA, _MOST_EXPONENT = 0.3, 1.0
+# Standard deviation of a point's log grey between views, number of neighbouring pixels with the same error, and fewest
+# pixels for an update; chosen.
+_UNEVEN, _ALIKE_PIXELS, _MIN_PIXELS = 0.01, 20.0, 300
+_DARKEST_GREY, _BRIGHTEST_GREY = 20.0, 235.0  # beyond, grey is noise or saturated
+# Points of one surface are nearer than this, in metres and per metre of depth, and plain below this grey gradient;
+# chosen.
+_SAME_SURFACE, _PLAIN_GRADIENT = 0.06, 3.0
+
+
+class Vignetting:
+    """Estimates the vignetting of one camera from plain surfaces at two image positions, and corrects later frames.
+
+    A wall seen ahead, and later at the image border, looks darker there, and the keyframe then seems tilted. Lenses
+    darken about as cos⁴ of the angle to the axis; gamma reduces its exponent in grey values. The estimate is this
+    exponent, updated by pairs of views.
+
+    Args:
+        gridder: makes the frames.
+
+    Attributes:
+        exponent: of cos⁴, in grey values; 0 for an even image.
+    """
+
+    def __init__(self, gridder: Gridder) -> None:
+        self._gridder, self.exponent, self._variance = gridder, 0.0, _EXPONENT_SIGMA**2
+
+    def learn(self, frame: GridFrame, T_map_camera: FloatArray, reference: Reference) -> None:
+        """Update the estimate by plain surfaces that a frame at a pose (4, 4) and an earlier reference both show."""
+        here, there, known = self._pairs(frame, reference, se3.invert(reference.T_map_reference) @ T_map_camera)
+        if np.count_nonzero(known) < _MIN_PIXELS:
+            return
+        (grey, dark), (grey_then, dark_then) = here[:, known], there[:, known]
+        # Undo the correction of each view, which used the estimate at its time.
+        brighter = np.log(grey / grey_then) + frame.vignetting * dark - reference.vignetting * dark_then
+        information, pull = self._slope(dark - dark_then, brighter)
+        total = 1 / self._variance + information
+        self.exponent = float(np.clip((self.exponent / self._variance + pull) / total, 0.0, _MOST_EXPONENT))
+        self._variance = 1 / total
+        self._gridder.even(self.exponent)
+
+    def _pairs(self, frame: GridFrame, reference: Reference, T: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Grey and vignetting (2, N) of points in frame and in reference, and a mask (N,) of plain surfaces."""
+        level, pixels = frame.levels[SECOND], reference.scales.levels[SECOND].pixels
+        (h, w), some = level.depth_m.shape, (slice(None, None, _STRIDE_PX),) * 2
+        camera = PinholeCamera(w, h, *level.intrinsics.tolist())
+        px = np.stack([index[some].ravel() for index in np.mgrid[:h, :w][::-1]], axis=-1)
+        z, grey = level.depth_m[some].ravel(), level.grey[some].ravel()
+        p_then = se3.apply(T, camera.back_project(px, z))
+        px_then, is_inside = camera.project(p_then)
+        column, row = np.where(is_inside[:, None], np.rint(px_then), 0).astype(int).T
+        met = pixels[row, column]
+        is_one = np.abs(met[:, DEPTH] - p_then[:, 2]) < _SAME_SURFACE * (1 + p_then[:, 2])
+        is_plain = met[:, ALONG_U] ** 2 + met[:, ALONG_V] ** 2 < _PLAIN_GRADIENT**2
+        known = (z > 0) & is_inside & is_one & is_plain
+        for seen in (grey, met[:, GREY]):
+            known &= (seen > _DARKEST_GREY) & (seen < _BRIGHTEST_GREY)
+        dark, dark_then = (vignetting_of((camera.normalise(seen) ** 2).sum(axis=-1)) for seen in (px, px_then))
+        return np.stack([grey, dark]), np.stack([met[:, GREY], dark_then]), known
+
+    def _slope(self, x: FloatArray, y: FloatArray) -> tuple[float, float]:
+        """The information on the slope of y (N,) over x (N,) by Huber's weights, and that information times the slope.
+
+        The offset is free. Both are 0 if x is constant.
+        """
+        weight = np.ones(len(x))
+        for _ in range(_ROUNDS):
+            total = weight.sum()
+            dx, dy = x - weight @ x / total, y - weight @ y / total
+            spread, common = weight @ dx**2 / total, weight @ (dx * dy) / total
+            off = np.abs(dy - common / max(spread, _FLAT) * dx)
+            sigma = max(1.4826 * float(np.median(off)), 1e-6)
+            weight = _HUBER / np.maximum(off / sigma, _HUBER)
+        variance = sigma**2 * _ALIKE_PIXELS / len(x) + _UNEVEN**2
+        return float(spread / variance), float(common / variance)
 
 
 # Standard deviations of the delay before the first frame (a Kinect's), of its change per frame, and of the difference

@@ -1,45 +1,577 @@
-"""`Locator` estimates the pose of a frame from known views and excludes moving regions. `Verifier` checks the pose
-by keypoints where the alignment may be wrong.
+"""Poses of frames by known views: `ViewCache` has the views, and `KeypointTracker` tracks keypoints between them.
+
+`Locator` estimates the pose of a frame from known views, and excludes moving regions. `Prediction` and `Tracked` are
+the predicted and the estimated state of a frame.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import DepthNoise
-from wheelsight.core.camera_errors import frame_covariance, with_frame_error
-from wheelsight.core.estimates import DEGENERATE_SCALE, MotionEstimate, Reason
+from wheelsight.core.camera_errors import frame_covariance
+from wheelsight.core.estimates import (
+    DEGENERATE_SCALE,
+    CameraEstimate,
+    MotionEstimate,
+    Reason,
+    TrackingState,
+    with_frame_error,
+)
 from wheelsight.core.geometry import BoolArray, FloatArray, se3, so3
+from wheelsight.core.geometry.motion_kernels import is_definite
+from wheelsight.core.keyframes import KeyframeFeatures, KeyframeId, ReferenceModel
+from wheelsight.core.messages import RgbdFrame
+from wheelsight.core.threads import Stopwatch
 from wheelsight.vision.dense import alignment_kernels as kernels
 from wheelsight.vision.dense.alignment import (
     CORRELATION,
+    LEVELS,
     Aligner,
     DenseAlignment,
+    Gridder,
+    GridFrame,
     Joint,
     KeypointMotion,
     MotionPrior,
     PreviousPose,
+    Reference,
+    ReferenceMaker,
     SurfaceWeight,
     judge,
 )
-from wheelsight.vision.dense.pyramid import LEVELS, GridFrame, Reference
 from wheelsight.vision.dense.settings import DenseSettings
-from wheelsight.vision.dense.views import (
-    KEYPOINT_CORRELATION,
-    KeypointPose,
-    KeypointTracker,
-    KnownView,
-    Prediction,
-    Tracked,
-    ViewCache,
+from wheelsight.vision.features.tracking import (
+    LONGEST_STEP_S,
+    PYRAMID_LEVELS,
+    FeatureExtractor,
+    Features,
+    FeatureSettings,
+    Fix,
+    KeypointView,
+    LandmarkMap,
+    MapTracker,
+    ViewTracker,
+    keypoint_sigma_px,
+    maps_without_lens,
+    straighten,
 )
-from wheelsight.vision.features.tracking import Features
-from wheelsight.vision.tracking_state import LONGEST_STEP_S, Stopwatch, TrackingState
+
+# Number of keyframes, the most recently used, with pyramids in memory. A pyramid is recomputed in 5 ms.
+_IN_MEMORY = 6
+# A map's prediction serves for this number of frames while the camera stays within this distance, metres; a rotation by
+# a radian counts as 1.5 m (docs/decisions/dense-alignment.md).
+_PREDICTED_FRAMES, _PREDICTED_WAY_M = 3, 0.04
+
+
+@dataclass(eq=False)
+class KnownView:
+    """A view with a known pose: a keyframe, an earlier frame, or the prediction of a map.
+
+    Attributes:
+        keyframe: the keyframe of the store that its pose moves with: itself, or the one that located it.
+        reference: the reference that frames are aligned with.
+        covariance: (6, 6) of the left perturbation (v, ω) of its pose.
+        features: keypoints of the colour camera, corrected for rolling shutter; None if it cannot be recognised.
+        turning_rad_s: (3,) angular velocity of the camera there, in its own frame; 0 for a map's prediction.
+    """
+
+    keyframe: KeyframeId
+    reference: Reference
+    covariance: FloatArray
+    features: Features | None = None
+    turning_rad_s: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+    def with_motion(self, covariance: FloatArray) -> FloatArray:
+        """The covariance (6, 6) of a pose that follows from this one by a motion with a covariance (6, 6)."""
+        Ad = se3.adjoint(self.reference.T_map_reference)
+        return np.asarray(self.covariance + Ad @ covariance @ Ad.T)
+
+    def distance_m(self, T_map_camera: FloatArray) -> float:
+        """The distance of a pose (4, 4) from this view in metres; a rotation by a radian counts as 1.5 m."""
+        return float(se3.view_shift_m(se3.invert(self.reference.T_map_reference) @ T_map_camera))
+
+    def move(self, T_new_old: FloatArray) -> None:
+        """Move it with its keyframe, which moved in the map by (4, 4) from the left."""
+        reference = self.reference
+        reference.T_map_reference, self.covariance = moved(T_new_old, reference.T_map_reference, self.covariance)
+
+
+class ViewCache:
+    """The known views that frames can be aligned with: a cache of keyframes, and the prediction of a map.
+
+    Args:
+        settings: the size of the cache, and when a frame becomes a keyframe.
+        gridder, maker: give the ideal grid, and references on it.
+        watch: counts the time of "predict".
+        model: predicts views; default none.
+
+    Attributes:
+        keyframes: the least recently used first.
+        has_model: whether a map predicts views.
+    """
+
+    def __init__(
+        self,
+        settings: DenseSettings,
+        gridder: Gridder,
+        maker: ReferenceMaker,
+        watch: Stopwatch,
+        model: ReferenceModel | None = None,
+    ) -> None:
+        self._settings, self._gridder, self._maker, self._watch = settings, gridder, maker, watch
+        self._model, self.has_model = model, model is not None
+        self._prediction: tuple[KnownView | None, int] = None, 0
+        self.keyframes: list[KnownView] = []
+
+    def refer_to(self, model: ReferenceModel | None) -> None:
+        """Replace the model that predicts views; None for none."""
+        if model is not self._model:
+            self._model, self.has_model, self._prediction = model, model is not None, (None, 0)
+
+    def move(self, T_new_old: FloatArray) -> None:
+        """Move keyframes by (N, 4, 4), indexed by number, and drop the prediction of the map, which moved too."""
+        for view in self.keyframes:
+            view.move(T_new_old[view.keyframe])
+        self.drop_prediction()
+
+    def drop_prediction(self) -> None:
+        """Drop the prediction, so that the next frame gets a new one."""
+        self._prediction = None, 0
+
+    def keep(self, keyframe: KnownView) -> list[KnownView]:
+        """Add a keyframe, or mark it as the most recently used; returns the keyframes that the cache evicts."""
+        if keyframe in self.keyframes:
+            self.keyframes.remove(keyframe)
+        self.keyframes.append(keyframe)
+        going = self.keyframes[: -self._settings.kept_keyframes]
+        del self.keyframes[: len(going)]
+        return going
+
+    def of_frame(self, tracked: Tracked) -> KnownView:
+        """A tracked frame as a view."""
+        reference = self._maker.of_frame(tracked.frame, tracked.T_map_camera)
+        return KnownView(tracked.keyframe, reference, tracked.covariance, turning_rad_s=tracked.twist[3:])
+
+    def nearest(self, T_map_camera: FloatArray) -> KnownView:
+        """The keyframe nearest to a pose (4, 4); see `KnownView.distance_m`."""
+        T_map_keyframe = np.array([keyframe.reference.T_map_reference for keyframe in self.keyframes])
+        return self.keyframes[int(np.argmin(se3.view_shift_m(se3.invert(T_map_keyframe) @ T_map_camera)))]
+
+    def lack(self, found: Tracked, *, is_helped: bool) -> bool:
+        """Whether a frame becomes a keyframe: by its overlap with the last one, or, beside a map, by its distance."""
+        if not self.has_model:
+            # Without prior, a frame located by the previous one alone is no keyframe: people may move with the camera.
+            is_settled = found.is_by_keyframe or not is_helped
+            return found.overlap < self._settings.keyframe_overlap or not is_settled
+        nearest = self.nearest(found.T_map_camera)
+        return nearest.distance_m(found.T_map_camera) > self._settings.keyframe_way_m
+
+    def around(self, T_map_camera: FloatArray, last: Tracked, state: TrackingState) -> Iterator[KnownView]:
+        """The model's prediction near a pose (4, 4), the last keyframe, and the last tracked frame.
+
+        After failures the nearest keyframe replaces the last frame; once lost, older keyframes follow in turn.
+        """
+        for keyframe in self.keyframes[:-_IN_MEMORY]:
+            keyframe.reference.known_scales = None
+        if self._model is not None:
+            known, served = self._prediction
+            is_near = known is not None and known.distance_m(T_map_camera) < _PREDICTED_WAY_M
+            if known is None or state.failures > 0 or not is_near or served >= _PREDICTED_FRAMES:
+                with self._watch.stage("predict"):
+                    view = self._model.predict(T_map_camera, self._gridder.intrinsics, self._gridder.shape)
+                    reference = self._maker.of_view(view, T_map_camera, self._gridder.intrinsics)
+                nearest = self.nearest(T_map_camera)
+                known, served = KnownView(nearest.keyframe, reference, nearest.covariance), 0
+            self._prediction = known, served + 1
+            yield known
+        yield self.keyframes[-1]
+        if not state.failures:
+            yield self.of_frame(last)
+            return
+        yield self.nearest(T_map_camera)
+        yield from self._older(state)
+
+    def candidates(self, T_map_camera: FloatArray, state: TrackingState) -> list[KnownView]:
+        """Keyframes that a frame may show: the nearest, the last, and, once lost, older ones in turn."""
+        keyframes = [self.nearest(T_map_camera), self.keyframes[-1], *self._older(state)]
+        return list(dict.fromkeys(keyframes))
+
+    def _older(self, state: TrackingState) -> Iterator[KnownView]:
+        if state.is_lost:
+            yield self.keyframes[-1 - state.failures % len(self.keyframes)]
+
+
+# A variance below this share of the trace is a rounding error.
+_LEAST_SHARE, _ALL = 1e-12, np.eye(6)
+# Number of neighbouring keypoints with the same error, which gives surfaces their weight (two real recordings:
+# docs/decisions/features.md).
+KEYPOINT_CORRELATION = 20.0
+# Poses by keypoints and by surfaces agree within these distances, because keypoints err by 1 to 2 cm, or within their
+# covariance: χ² of 6, 99 %.
+_AGREE_M, _AGREE_RAD, _AGREE_CHI2 = 0.04, 0.035, 16.8
+# Number of agreeing keypoints, and share of the matched ones, that count against surfaces: crowds and repeated textures
+# have less. Chosen.
+_CLEAR_INLIERS, _CLEAR_SHARE = 60, 0.6
+# Share of matched keypoints that agree at a known place: 63 to 96 % at the right one, 19 to 26 % in another stretch of
+# the corridor (simulator: docs/decisions/features.md).
+_LIKELY_SHARE = 0.5
+
+
+class KeypointTracker:
+    """Locates frames by ORB keypoints: against the previous frame, then against landmarks of near keyframes (Zhang, 3).
+
+    Keypoints follow quick turns and see distant structure, where surfaces alone fail. Surfaces that are invariant to a
+    motion, such as walls, floors and backs of people, also fit at wrong poses. Keypoints of a wrong place hardly ever
+    agree on one motion.
+
+    Args:
+        calibration: of the cameras.
+        has_landmarks: whether landmarks are used; else only the previous frame.
+        threads: with more than one, keypoints are extracted in the background.
+        fastest: limits on speed and angular speed, m/s and rad/s.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        *,
+        has_landmarks: bool = True,
+        threads: int = 1,
+        fastest: tuple[float, float] = (np.inf, np.inf),
+    ) -> None:
+        # 500 keypoints save 3 ms a frame, but lose rotations of 18 degrees between frames (docs/decisions/features.md).
+        features = FeatureSettings()
+        depth, self._straight = calibration.cameras[1], None
+        if not calibration.is_registered and depth.has_distortion:  # images of a separate depth camera are undistorted
+            self._straight = maps_without_lens(depth)
+            calibration = replace(calibration, depth=replace(depth, distortion=(0.0,) * 5))
+        self._T_color_camera = calibration.T_color_camera
+        self._shutter_s, self._color_height = calibration.rolling_shutter_s, calibration.cameras[0].height
+        self._noise, self._color_sigma_px = calibration.depth_noise, calibration.color_sigma_px
+        self._has_landmarks, self._fastest = has_landmarks, fastest
+        self._extractor = FeatureExtractor(calibration, features)
+        self._by_view = ViewTracker(calibration, Stopwatch(), features.seed)
+        self._by_landmarks = MapTracker(calibration, features.local_keyframes)
+        self._features = features
+        self._landmarks = LandmarkMap(features.kept_keyframes)
+        self._last: KeypointView | None = None
+        self._trials = 0
+        self._pool = ThreadPoolExecutor(1, "wheelsight-keypoints") if threads > 1 else None
+
+    def start(self, frame: RgbdFrame) -> Future[Features]:
+        """Start the extraction of a frame's keypoints, and return their future."""
+        if self._pool is not None:
+            return self._pool.submit(self._extract, frame)
+        found: Future[Features] = Future()
+        found.set_result(self._extract(frame))
+        return found
+
+    def _extract(self, frame: RgbdFrame) -> Features:
+        if self._straight is not None:
+            map_u, map_v = self._straight
+            depth_m = cv2.remap(frame.depth_m, map_u, map_v, cv2.INTER_NEAREST)
+            frame = replace(frame, depth_m=np.asarray(depth_m, np.float32))
+        return self._extractor.extract(frame)
+
+    def straightened(self, features: Features, twist: FloatArray) -> Features:
+        """Features corrected for rolling shutter by the velocity (6,) of the camera in its own frame."""
+        twist_color = se3.adjoint(self._T_color_camera) @ twist
+        return straighten(features, np.asarray(twist_color), self._shutter_s, self._color_height)
+
+    def kept(self, features: Features) -> KeyframeFeatures:
+        """Features, corrected for rolling shutter, in the form of a keyframe: with points in the camera's frame."""
+        points = se3.apply(se3.invert(self._T_color_camera), features.points)
+        points[~features.has_depth] = 0.0
+        return KeyframeFeatures(features.px, points, features.descriptors)
+
+    def recalled(self, stamp_s: float, kept: KeyframeFeatures) -> Features:
+        """The inverse of `kept` for features with depth; their pyramid level is unknown, so it is the middle one."""
+        has_depth = kept.points[:, 2] > 0
+        points = se3.apply(self._T_color_camera, kept.points[has_depth])
+        z_m = points[:, 2].copy()
+        level = np.full(len(z_m), PYRAMID_LEVELS // 2)
+        sigmas = np.hypot(keypoint_sigma_px(level), self._color_sigma_px), self._noise.sigma_m(z_m)
+        pixels = kept.px[has_depth], level, kept.descriptors[has_depth]
+        return Features(stamp_s, *pixels, points[:, :2] / z_m[:, None], z_m, *sigmas)
+
+    def track(self, features: Features, twist: FloatArray) -> KeypointPose | None:
+        """The pose of a frame by the previous one and by landmarks nearby; None if too few keypoints agree.
+
+        Args:
+            features: of the frame, not corrected for rolling shutter.
+            twist: (6,) the camera's predicted velocity in its own frame.
+        """
+        if self._last is None:
+            return None
+        self._trials += 1
+        found = self._by_view.track(features, self._last, self._in_color(twist), None, self._trials)
+        if not isinstance(found, Fix):
+            return None
+        # A repeated texture also agrees one period farther.
+        T, seconds = (
+            se3.invert(self._last.T_map_color) @ found.view.T_map_color,
+            features.stamp_s - self._last.features.stamp_s,
+        )
+        way_m, turn_rad = float(np.linalg.norm(T[:3, 3])), float(so3.angle(T[:3, :3]))
+        if seconds > 0 and (way_m > self._fastest[0] * seconds or turn_rad > self._fastest[1] * seconds):
+            return None
+        if self._has_landmarks:
+            refined = self._by_landmarks.track(features, found, self._last, self._landmarks)
+            found = refined if isinstance(refined, Fix) else found
+        return self._pose(found)
+
+    def recognise(self, features: Features, keyframes: Iterable[KnownView], twist: FloatArray) -> KeypointPose | None:
+        """The pose of a frame by the first of some keyframes that it shows; None if it shows none."""
+        self._trials += 1
+        for keyframe in keyframes:
+            known = keyframe.features
+            if known is None:
+                continue
+            T_map_color = keyframe.reference.T_map_reference @ se3.invert(self._T_color_camera)
+            unknown = np.full(len(known), -1)
+            view = KeypointView(known, T_map_color, keyframe.covariance, unknown, keyframe.keyframe)
+            found = self._by_view.track(features, view, self._in_color(twist), None, self._trials)
+            pose = self._pose(found) if isinstance(found, Fix) else None
+            if pose is not None:
+                return pose
+        return None
+
+    def remember(self, tracked: Tracked, features: Features) -> None:
+        """Make a located frame the previous one, and update the landmarks that it shows.
+
+        If it shows few landmarks of the last keyframe, its other keypoints become landmarks.
+        """
+        pose = tracked.keypoint_pose
+        T_map_color = tracked.T_map_camera @ se3.invert(self._T_color_camera)
+        if pose is not None and pose.view is not None:
+            view = replace(pose.view, T_map_color=T_map_color, covariance=tracked.covariance, keyframe=tracked.keyframe)
+        else:
+            straight, unknown = self.straightened(features, tracked.twist), np.full(len(features), -1)
+            view = KeypointView(straight, T_map_color, tracked.covariance, unknown, tracked.keyframe)
+        if self._has_landmarks:
+            seen = np.flatnonzero(view.landmark >= 0)
+            self._landmarks.see_again(view.landmark[seen], view.features, seen, T_map_color)
+            known = self._landmarks.keyframes[-1].landmark if self._landmarks.keyframes else np.zeros(1, int)
+            if len(seen) < self._features.keyframe_share * np.count_nonzero(known >= 0):
+                view = self._landmarks.add_keyframe(view, tracked.keyframe)
+                self._landmarks.forget_keypoints()
+        self._last = view
+
+    def forget(self) -> None:
+        """Drop all landmarks and the previous frame."""
+        self._landmarks, self._last = LandmarkMap(self._features.kept_keyframes), None
+
+    def move(self, T_new_old: FloatArray) -> None:
+        """Move landmarks and the previous frame with their keyframes, which moved in the map by (K, 4, 4)."""
+        self._landmarks.move(T_new_old)
+        self._last = None if self._last is None else self._last.moved(T_new_old)
+
+    def _in_color(self, twist: FloatArray) -> FloatArray:
+        return np.asarray(se3.adjoint(self._T_color_camera) @ twist)
+
+    def _pose(self, found: Fix) -> KeypointPose | None:
+        """The pose of a fix in the map; None if its covariance is singular up to rounding."""
+        motion, view = found.motion, found.view
+        assert motion.T_reference_current is not None
+        assert motion.covariance is not None
+        Ad = se3.adjoint(view.T_map_color @ se3.invert(motion.T_reference_current))
+        T_map_camera = np.asarray(view.T_map_color @ self._T_color_camera)
+        counts = (motion.matches, motion.inliers)
+        own = np.asarray(Ad @ motion.covariance @ Ad.T)
+        covariance = view.covariance + (KEYPOINT_CORRELATION - 1) * own
+        covariance = (covariance + covariance.T) / 2
+        if not (np.isfinite(covariance).all() and is_definite(covariance - _LEAST_SHARE * np.trace(covariance) * _ALL)):
+            return None
+        return KeypointPose(T_map_camera, covariance, *counts, KEYPOINT_CORRELATION * own, view)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeypointPose:
+    """The pose of a frame by its keypoints.
+
+    Attributes:
+        T_map_camera: (4, 4).
+        covariance: (6, 6) of its left perturbation (v, ω), including that of the keyframe.
+        matches: number of matched keypoints.
+        inliers: number of matched keypoints that agree on the pose.
+        motion_covariance: (6, 6) of the same perturbation, without that of the keyframe.
+        view: the frame's keypoints, corrected for rolling shutter, and the landmarks that they show.
+    """
+
+    T_map_camera: FloatArray
+    covariance: FloatArray
+    matches: int
+    inliers: int
+    motion_covariance: FloatArray | None = None
+    view: KeypointView | None = None
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether enough matches agree for a known place, rather than one that looks alike in parts."""
+        return self.inliers >= _LIKELY_SHARE * self.matches
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether the pose is estimated jointly with surfaces: most matches agree, or too many for chance."""
+        return self.inliers >= min(_CLEAR_INLIERS, _LIKELY_SHARE * self.matches)
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether keypoints count even if surfaces contradict them."""
+        return self.inliers >= max(_CLEAR_INLIERS, _CLEAR_SHARE * self.matches)
+
+    def agrees_with(self, T_map_camera: FloatArray) -> bool:
+        """Whether a pose (4, 4) agrees, within fixed limits or within the covariance."""
+        T = se3.invert(self.T_map_camera) @ T_map_camera
+        off_m, off_rad = float(np.linalg.norm(T[:3, 3])), float(so3.angle(T[:3, :3]))
+        off = se3.log(self.T_map_camera @ se3.invert(T_map_camera))
+        is_within = off @ np.linalg.solve(self.covariance, off) < _AGREE_CHI2
+        return bool(max(off_m / _AGREE_M, off_rad / _AGREE_RAD) < 1 or is_within)
+
+    def motion_from(self, T_map_reference: FloatArray) -> MotionEstimate:
+        """The motion against a reference at (4, 4)."""
+        T_reference_map = se3.invert(T_map_reference)
+        Ad = se3.adjoint(T_reference_map)
+        counts = (None, self.matches, self.inliers)
+        return MotionEstimate(T_reference_map @ self.T_map_camera, Ad @ self.covariance @ Ad.T, *counts)
+
+    def information_from(self, T_map_reference: FloatArray) -> FloatArray:
+        """Information (6, 6) of the left perturbation of the motion against a reference at (4, 4)."""
+        Ad = se3.adjoint(se3.invert(T_map_reference))
+        covariance = self.covariance if self.motion_covariance is None else self.motion_covariance
+        return np.asarray(np.linalg.inv(Ad @ covariance @ Ad.T), float)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracked:
+    """A frame with its estimated pose.
+
+    Attributes:
+        frame: on the ideal grid.
+        T_map_camera: (4, 4).
+        covariance: (6, 6) of the left perturbation (v, ω) of T_map_camera.
+        motion: against the reference that located the frame.
+        keyframe: the keyframe that the pose moves with.
+        twist: (6,) velocity (v, ω) in the camera's own frame.
+        overlap: the share of the frame that its reference shows at sufficient resolution.
+        is_by_keyframe: whether that reference is a keyframe.
+        residual: mean distance from planes in standard deviations, 1 for a perfect fit.
+        keypoint_pose: the pose by keypoints, if they contribute.
+        joint: the combination of surfaces and keypoints, if both contribute.
+        turning_rad_s: (3,) angular velocity minus that at the reference, in the reference's frame.
+        frame_error: (6, 6) covariance of the pose error by regions, in the frame's own axes: see `Locator.by_regions`.
+            The combination of two references leaves it out.
+    """
+
+    frame: GridFrame
+    T_map_camera: FloatArray
+    covariance: FloatArray
+    motion: MotionEstimate
+    keyframe: KeyframeId
+    twist: FloatArray = field(default_factory=lambda: np.zeros(6))
+    overlap: float = 1.0
+    is_by_keyframe: bool = True
+    residual: float = 1.0
+    keypoint_pose: KeypointPose | None = None
+    joint: Joint | None = None
+    turning_rad_s: FloatArray = field(default_factory=lambda: np.zeros(3))
+    frame_error: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+
+    def with_pose_error(self) -> Tracked:
+        """The same with `frame_error` added to its covariances."""
+        T, motion = self.motion.T_reference_current, self.motion
+        if not self.frame_error.any() or T is None or motion.covariance is None:
+            return self
+        covariance = with_frame_error(self.covariance, self.T_map_camera, self.frame_error)
+        motion = replace(motion, covariance=with_frame_error(motion.covariance, T, self.frame_error))
+        return replace(self, covariance=covariance, motion=motion, frame_error=np.zeros((6, 6)))
+
+    def moved(self, T_new_old: FloatArray) -> Tracked:
+        """The same after its keyframe moved in the map by (4, 4) from the left."""
+        T, covariance = moved(T_new_old, self.T_map_camera, self.covariance)
+        return replace(self, T_map_camera=T, covariance=covariance)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DenseEstimate(CameraEstimate):
+    """The estimate of dense odometry at a frame.
+
+    Attributes:
+        frame: on the ideal grid, corrected for rolling shutter; None without pose. See `DenseOdometry.surface`. It
+            takes a megabyte, so drop it from estimates that are kept.
+    """
+
+    frame: GridFrame | None = field(default=None, kw_only=True)
+
+
+def moved(T_new_old: FloatArray, T_map: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A pose (4, 4) and the covariance (6, 6) of its left perturbation after the map moved by (4, 4) there."""
+    Ad = se3.adjoint(T_new_old)
+    return np.asarray(se3.nearest(T_new_old @ T_map)), np.asarray(Ad @ covariance @ Ad.T)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PriorMotion:
+    """The prior of a frame's motion from other sensors; each attribute is None if unknown.
+
+    Attributes:
+        T_last_frame: (4, 4) the motion since the last tracked frame.
+        T_last_other: (4, 4) an alternative.
+        twist: (6,) the camera's velocity (v, ω) in its own frame.
+    """
+
+    T_last_frame: FloatArray | None = None
+    T_last_other: FloatArray | None = None
+    twist: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """The predicted pose of a frame.
+
+    Attributes:
+        last: the last tracked frame.
+        seconds: time from that frame to the predicted one.
+        T_map_camera: predicted poses, each (4, 4); the first counts unless another fits clearly better.
+        T_map_other: (4, 4) an alternative, which counts if grey values fit clearly better; or None.
+        is_helped: whether the first one comes from another sensor rather than from constant velocity.
+        keypoint_pose: the pose by keypoints, or None.
+    """
+
+    last: Tracked
+    seconds: float
+    T_map_camera: tuple[FloatArray, ...]
+    T_map_other: FloatArray | None = None
+    is_helped: bool = False
+    keypoint_pose: KeypointPose | None = None
+
+    def at(self, T_map_camera: FloatArray) -> Prediction:
+        """The same with a better pose (4, 4)."""
+        return replace(self, T_map_camera=(T_map_camera,))
+
+
+def predict(last: Tracked, stamp_s: float, prior: PriorMotion) -> tuple[Prediction, FloatArray]:
+    """The predicted pose of a frame after the last one, and the camera's velocity (6,) in the frame's own axes."""
+    seconds, T_prior = stamp_s - last.frame.stamp_s, prior.T_last_frame
+    is_near = 0 < seconds <= LONGEST_STEP_S
+    speed = last.twist if is_near else np.zeros(6)  # after a gap the camera is expected at the same pose
+    T_last_frame = se3.from_parts(so3.exp(speed[3:] * seconds), speed[:3] * seconds)
+    poses = [last.T_map_camera @ T_last_frame] if T_prior is None or last.twist.any() else []
+    if T_prior is not None:
+        poses, T_last_frame = [last.T_map_camera @ T_prior, *poses], T_prior
+    T_map_other = None if prior.T_last_other is None else last.T_map_camera @ prior.T_last_other
+    ahead = Prediction(last, seconds, tuple(poses), T_map_other, is_helped=T_prior is not None)
+    if is_near:
+        return ahead, se3.twist_between(np.eye(4), T_last_frame, seconds)
+    return ahead, np.zeros(6) if prior.twist is None else prior.twist
+
 
 # Uncertainty of the predicted speed, m/s, which unseen directions get; its share for a base on wheels to move sideways,
 # rise or tilt (simulator: docs/decisions/dense-alignment.md).
@@ -302,202 +834,3 @@ def misfits(frame: GridFrame, reference: Reference, T_reference_frame: FloatArra
     mean_sigmas = np.bincount(region, off[is_known], minlength=size) / np.maximum(count, 1)
     mean_m = np.bincount(region, (off * sigmas)[is_known], minlength=size) / np.maximum(count, 1)
     return Misfits(mean_sigmas.reshape(shape), mean_m.reshape(shape), count.reshape(shape) >= _MIN_POINTS)
-
-
-# Time in seconds without a pose and prior after which the camera may be anywhere, so that a pose must be likely; after
-# one second less suffices to recognise the right place in a corridor (simulator: docs/decisions/features.md).
-_ANYWHERE_S = 2.0
-
-
-class Verifier:
-    """Estimates the pose of a frame by its keypoints, and decides between that and the pose by surfaces.
-
-    Args:
-        settings: thresholds of fault detection, and of agreement with keypoints.
-        keypoints: estimates the pose of a frame by its keypoints.
-        views: keyframes that the frame may show.
-        by_regions: the pose error by regions: see `Locator.by_regions`.
-        watch: counts the time of "recognise".
-
-    Attributes:
-        faults: decides which poses need verification.
-    """
-
-    def __init__(
-        self,
-        settings: DenseSettings,
-        keypoints: KeypointTracker,
-        views: ViewCache,
-        by_regions: Callable[[GridFrame, Reference, FloatArray], tuple[FloatArray, float | None]],
-        watch: Stopwatch,
-    ) -> None:
-        self._settings, self._watch = settings, watch
-        self._keypoints, self._views, self._by_regions = keypoints, views, by_regions
-        self.faults = FaultDetector(settings.max_unseen_s)
-
-    def ask(self, features: Features, twist: FloatArray, ahead: Prediction, state: TrackingState) -> Prediction:
-        """The prediction with the pose by keypoints, against the previous frame or against known keyframes."""
-        with self._watch.stage("recognise"):
-            pose = self._plausible(self._keypoints.track(features, twist), ahead)
-            if pose is not None and (state.failures == 0 or pose.is_likely):
-                return replace(ahead, keypoint_pose=pose)
-            candidates = self._views.candidates(ahead.T_map_camera[0], state)
-            seen_again = self._keypoints.recognise(features, candidates, twist)
-            seen_again = self._plausible(seen_again, ahead)
-        if seen_again is None:
-            return replace(ahead, keypoint_pose=pose)
-        is_elsewhere = not ahead.is_helped and not seen_again.agrees_with(ahead.T_map_camera[0])
-        return replace(ahead.at(seen_again.T_map_camera) if is_elsewhere else ahead, keypoint_pose=seen_again)
-
-    def _plausible(self, pose: KeypointPose | None, ahead: Prediction) -> KeypointPose | None:
-        """The pose by keypoints; None if it exceeds the limit on turning, however well keypoints agree.
-
-        A repeated texture may look the same upside down. A leap of the position is allowed: it corrects surfaces that
-        slid along a wall before.
-        """
-        if pose is None or ahead.seconds <= 0:
-            return pose
-        R_last_now = ahead.last.T_map_camera[:3, :3].T @ pose.T_map_camera[:3, :3]
-        return pose if so3.angle(R_last_now) <= self._settings.max_turn_rad_s * ahead.seconds else None
-
-    def verify(
-        self, grid: GridFrame, found: Tracked | MotionEstimate, ahead: Prediction, state: TrackingState
-    ) -> Tracked | MotionEstimate:
-        """The verified pose, or the reason why none is accepted.
-
-        It is the pose by surfaces if keypoints agree, and the one by keypoints if these contradict it clearly. Without
-        keypoints the pose by surfaces stands while it fits as usual, constrains all directions and makes no leap. A
-        prior replaces directions that surfaces do not constrain, and keypoints over a short gap.
-        """
-        pose, seconds = ahead.keypoint_pose, ahead.seconds
-        if not isinstance(found, Tracked):
-            return self._fall_back(grid, found, ahead)
-        if not ahead.is_helped and state.failures == 0:
-            self.faults.count(seconds, shows_all=found.motion.shows_all)
-        if pose is not None and pose.agrees_with(found.T_map_camera) and self._is_unambiguous(pose, ahead):
-            self.faults.unseen_s = 0.0  # keypoints show all motion
-            return replace(found, keypoint_pose=pose)
-        if pose is not None and pose.is_clear:
-            return self._by_keypoints(grid, pose)
-        if ahead.is_helped and found.motion.shows_all and self.faults.is_bridged(found, ahead):
-            return found
-        is_steady = ahead.is_helped or bool(ahead.last.twist.any())
-        suspected = self.faults.suspects(found, seconds, is_alone=not ahead.is_helped, is_steady=is_steady)
-        if not suspected and (state.failures == 0 or (ahead.is_helped and not self.faults.is_off_prior(found))):
-            return found  # by surfaces alone, or by surfaces and a prior
-        unseen = self.faults.is_blind and not ahead.is_helped
-        if pose is not None and self._is_unambiguous(pose, ahead):
-            reason = Reason.SURFACES_CONTRADICTED
-        else:
-            reason = Reason.DEGENERATE if unseen else Reason.NOT_RECOGNISED
-        return self._fall_back(grid, MotionEstimate.failed(reason), ahead)
-
-    def _is_unambiguous(self, pose: KeypointPose, ahead: Prediction) -> bool:
-        """Whether keypoints identify the place: after a gap without prior the camera may be at one that looks alike."""
-        return pose.is_likely or ahead.is_helped or ahead.seconds <= _ANYWHERE_S
-
-    def _fall_back(self, grid: GridFrame, failure: MotionEstimate, ahead: Prediction) -> Tracked | MotionEstimate:
-        """The pose by keypoints, or `failure` if that is not accepted either."""
-        pose = ahead.keypoint_pose
-        if pose is None or not self._is_unambiguous(pose, ahead):
-            return failure
-        if not pose.is_clear and implausible(ahead.last, pose.T_map_camera, ahead.seconds, self._settings):
-            return failure
-        if ahead.is_helped and not pose.is_clear and not pose.agrees_with(ahead.T_map_camera[0]):
-            return failure
-        return self._by_keypoints(grid, pose)
-
-    def _by_keypoints(self, grid: GridFrame, pose: KeypointPose) -> Tracked:
-        """The pose by keypoints, relative to the nearest keyframe and with the pose error by regions."""
-        self.faults.unseen_s = 0.0
-        nearest = self._views.nearest(pose.T_map_camera)
-        T_map_camera, T_map_reference = se3.nearest(pose.T_map_camera), nearest.reference.T_map_reference
-        T_reference_camera = se3.invert(T_map_reference) @ T_map_camera
-        frame_error, fitting = self._by_regions(grid, nearest.reference, T_reference_camera)
-        motion = replace(pose.motion_from(T_map_reference), fitting=fitting)
-        known = (grid, T_map_camera, pose.covariance, motion, nearest.keyframe, grid.twist)
-        is_near = nearest.distance_m(pose.T_map_camera) < self._settings.keyframe_way_m
-        return Tracked(*known, overlap=float(is_near), keypoint_pose=pose, frame_error=frame_error)
-
-
-# The mean residual of a perfect fit, in standard deviations of the sensor.
-_PERFECT_FIT = 1.0
-# Change of speed (m/s, rad/s) at once beyond which a pose is a leap, and its growth per second since the last frame;
-# hand-held cameras change less. Chosen.
-_LEAP, _LEAP_PER_S = (0.5, 1.5), (10.0, 30.0)
-# Difference of speed (m/s, rad/s) from a prior by other sensors beyond which one of both is wrong: wheels without slip
-# err by a tenth and a quarter of it (simulator: docs/decisions/features.md).
-_OFF_PRIOR = np.array([0.2, 0.2])
-# Longest gap in seconds that such a prior bridges, and the distance from it, in metres and radians, within which a pose
-# after a gap needs no keypoints (simulator: docs/decisions/features.md).
-_BRIDGED_S, _BRIDGED_OFF_M, _BRIDGED_OFF_RAD = 10.0, 0.05, 0.03
-# Without prior, a residual this many times the usual one needs verification: wrong poses had 4 to 5 times in eight
-# simulated flats. On a real hand-held recording as much is usual, and learned (docs/decisions/features.md).
-_POOR_FIT = 2.0
-# Share of a frame's residual that updates the usual one; chosen.
-_FIT_LEARNED = 0.1
-
-
-class FaultDetector:
-    """Decides which poses by surfaces need verification by keypoints.
-
-    Args:
-        max_unseen_s: how long a direction of motion may stay unconstrained.
-
-    Attributes:
-        unseen_s: how long some direction of motion has been unconstrained.
-    """
-
-    def __init__(self, max_unseen_s: float) -> None:
-        self._max_unseen_s, self._usual, self.unseen_s = max_unseen_s, _PERFECT_FIT, 0.0
-
-    @property
-    def is_blind(self) -> bool:
-        """Whether a direction of motion has been unconstrained for more than `max_unseen_s`."""
-        return self.unseen_s > self._max_unseen_s
-
-    def count(self, seconds: float, *, shows_all: bool) -> None:
-        """Update `unseen_s` by a frame. One that constrains all directions counts half, because noise does so too."""
-        self.unseen_s = max(self.unseen_s - 0.5 * seconds, 0.0) if shows_all else self.unseen_s + seconds
-
-    def learn(self, found: Tracked) -> None:
-        """Update the usual residual by an accepted pose."""
-        better = min(found.residual, _POOR_FIT * self._usual)
-        self._usual = max(self._usual + _FIT_LEARNED * (better - self._usual), _PERFECT_FIT)
-
-    def fits(self, found: Tracked) -> bool:
-        """Whether the residual of surfaces is about as usual."""
-        return found.residual <= _POOR_FIT * self._usual
-
-    def is_bridged(self, found: Tracked, ahead: Prediction) -> bool:
-        """Whether a pose after a gap fits and lies near the prior, within the drift of wheels over the gap.
-
-        Surfaces may fit at a wrong place, but hardly at the predicted one.
-        """
-        T = se3.invert(ahead.T_map_camera[0]) @ found.T_map_camera
-        is_near = float(np.linalg.norm(T[:3, 3])) < _BRIDGED_OFF_M and float(so3.angle(T[:3, :3])) < _BRIDGED_OFF_RAD
-        return LONGEST_STEP_S < ahead.seconds <= _BRIDGED_S and is_near and self.fits(found)
-
-    def suspects(self, found: Tracked, seconds: float, *, is_alone: bool, is_steady: bool) -> bool:
-        """Whether a pose needs verification by keypoints.
-
-        Args:
-            found: the pose.
-            seconds: since the previous one.
-            is_alone: whether there is no prior, which would replace directions that surfaces do not constrain.
-            is_steady: whether the previous speed is known, so that a leap can be detected.
-        """
-        if seconds > LONGEST_STEP_S or (is_alone and (self.is_blind or not self.fits(found))):
-            return True
-        limits = np.array(_LEAP) + np.array(_LEAP_PER_S) * seconds  # beyond, no real camera moves
-        return is_steady and bool((_speed_change(found) > limits).any())
-
-    def is_off_prior(self, found: Tracked) -> bool:
-        """Whether a pose lies so far from the prior that one of both is wrong."""
-        return bool((_speed_change(found) > _OFF_PRIOR).any())
-
-
-def _speed_change(found: Tracked) -> FloatArray:
-    """The change (2,) of speed and angular speed, m/s and rad/s, between prediction and pose."""
-    change = found.twist - found.frame.twist
-    return np.array([np.linalg.norm(change[:3]), np.linalg.norm(change[3:])])

@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.camera_errors import frame_covariance, with_frame_error
+from wheelsight.core.camera_errors import frame_covariance
 from wheelsight.core.checks import check_frame, need_twist
-from wheelsight.core.estimates import MotionEstimate, Reason
+from wheelsight.core.estimates import MotionEstimate, Reason, with_frame_error
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeId, KeyframeStore
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.threads import one_at_a_time
 from wheelsight.vision.features.tracking import (
+    LONGEST_STEP_S,
     MIN_INLIERS,
     FeatureEstimate,
     FeatureExtractor,
@@ -32,7 +33,7 @@ from wheelsight.vision.features.tracking import (
     straighten,
     velocity_of,
 )
-from wheelsight.vision.tracking_state import LONGEST_STEP_S, START_VARIANCE, CameraOdometry, twist_between
+from wheelsight.vision.visual_odometry import START_VARIANCE, CameraOdometry
 
 
 class FeatureOdometry(CameraOdometry[FeatureEstimate]):
@@ -208,7 +209,7 @@ class FeatureOdometry(CameraOdometry[FeatureEstimate]):
             # A quick turn may leave the map within one frame. The view alone then suffices, and becomes a keyframe.
             found = refined if isinstance(refined, Fix) else found
         seconds = found.view.features.stamp_s - last.features.stamp_s
-        twist = twist_between(last.T_map_color, found.view.T_map_color, seconds)
+        twist = se3.twist_between(last.T_map_color, found.view.T_map_color, seconds)
         fast = np.linalg.norm(twist[:3]) > self._settings.max_speed_m_s
         if fast or np.linalg.norm(twist[3:]) > self._settings.max_turn_rad_s:
             return MotionEstimate.failed(Reason.IMPLAUSIBLE_MOTION, found.motion.matches, found.motion.inliers)

@@ -20,7 +20,8 @@ from wheelsight.core.geometry.arrays import UInt64Array
 from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.settings import CHOSEN, Settings, setting
-from wheelsight.vision.features.feature_kernels import (
+from wheelsight.core.threads import Stopwatch
+from wheelsight.vision.image_kernels import (
     Cells,
     DepthImage,
     Pairs,
@@ -32,7 +33,6 @@ from wheelsight.vision.features.feature_kernels import (
     ransac,
     refine,
 )
-from wheelsight.vision.tracking_state import LONGEST_STEP_S, Stopwatch, twist_between
 
 
 class FeatureSettings(Settings):
@@ -62,6 +62,8 @@ class FeatureSettings(Settings):
     )
 
 
+# Over a longer gap in seconds the mean velocity says little about the velocity at the frame.
+LONGEST_STEP_S = 0.35
 # ORB: least grey difference of a corner's ring, and the same for an image with too few clear corners (Rublee et
 # al. 2011; docs/decisions/features.md), and levels and scale factor of the image pyramid, as in OpenCV.
 _FAST_THRESHOLD, _FAINT_THRESHOLD, PYRAMID_LEVELS, PYRAMID_SCALE = 20, 7, 8, 1.2
@@ -447,7 +449,7 @@ def velocity_of(before: KeypointView, now: KeypointView) -> FloatArray:
     seconds = now.features.stamp_s - before.features.stamp_s
     if not 0 < seconds <= LONGEST_STEP_S:
         return np.zeros(6)
-    return twist_between(before.T_map_color, now.T_map_color, seconds)
+    return se3.twist_between(before.T_map_color, now.T_map_color, seconds)
 
 
 # Number of point pairs that must agree on a motion, and its largest standard deviations; chosen.
