@@ -101,7 +101,7 @@ def camera_model(name: str, size: tuple[int, int] | None = None) -> CameraModel:
     return model if size is None else model.resized(*size)
 
 
-_SENSORS = {"ideal": IdealDepth(), "kinect-v1": StructuredLight(), "kinect-v2": TimeOfFlight()}
+_SENSORS: dict[str, DepthSensor] = {"ideal": IdealDepth(), "kinect-v1": StructuredLight(), "kinect-v2": TimeOfFlight()}
 
 
 @cache

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import FloatArray, Int32Array, IntArray, PinholeCamera
 from wheelsight_sim.doors import Leaves
-from wheelsight_sim.light_kernels import View
+from wheelsight_sim.light_kernels import View as View
 from wheelsight_sim.people import Cylinders
 from wheelsight_sim.view_kernels import Bodies, Boxes, Hits, Image, ModelGeoms, aim, choose, find, gather, put, spread
 from wheelsight_sim.world import Surface, World

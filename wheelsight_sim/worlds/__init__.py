@@ -59,9 +59,9 @@ def build_world(name: str, seed: int = 0, day: int = 0, *, has_leaves: bool = Fa
             more = values.pop() if isinstance(values[-1], dict) else {}
             getattr(building, verb)(*values, **more)
     for leaf in document.get("leaves", ()) if has_leaves else ():
-        hinge, width_m, turn_rad = tuple(leaf["hinge"]), leaf["width"], math.radians(leaf["opened_deg"])
-        middle = Spot(*hinge, math.radians(leaf["shut_deg"]) + turn_rad).offset(width_m / 2, 0.0)
-        building.leaf("leaf", "door_white", middle, width_m, hinge, -turn_rad)
+        (x_m, y_m), width_m, turn_rad = leaf["hinge"], leaf["width"], math.radians(leaf["opened_deg"])
+        middle = Spot(x_m, y_m, math.radians(leaf["shut_deg"]) + turn_rad).offset(width_m / 2, 0.0)
+        building.leaf("leaf", "door_white", middle, width_m, (x_m, y_m), -turn_rad)
     areas = []
     for area in document["areas"]:
         (x_min, x_max), (y_min, y_max) = area["x"], area["y"]
