@@ -11,6 +11,7 @@ from typing import Annotated, get_args
 import typer
 
 from wheelsight.app.cli.options import option
+from wheelsight.core.errors import ConfigError, MapError, OutputError
 
 Out = Annotated[
     Path | None,
@@ -90,8 +91,6 @@ def export(
 
     wheelsight export results --format nerfstudio --out kitchen
     """
-    from wheelsight.core.errors import ConfigError
-
     asked = Asked(source, out, everything, voxel, images, body, force)
     ways = {"--ply": ply, "--mesh": mesh, "--bag": bag is not None, "--format": form is not None}
     given = [name for name, is_given in ways.items() if is_given]
@@ -136,8 +135,6 @@ class Asked:
 
 def check_asked(asked: Asked, way: str) -> None:
     """Check the options. Raises ConfigError for options of another format."""
-    from wheelsight.core.errors import ConfigError
-
     given = {
         "--all": asked.everything,
         "--voxel": asked.voxel_m is not None,
@@ -158,7 +155,6 @@ def export_to_bag(asked: Asked, to: Path) -> None:
     from wheelsight.app.cli.console import print_warning
     from wheelsight.app.cli.options import check_out
     from wheelsight.app.cli.progress import FrameProgress
-    from wheelsight.core.errors import ConfigError, OutputError
     from wheelsight.core.runtime import needed
     from wheelsight_export import DEFAULT_VOXEL_M, BagParts, export_bag, exported_at
     from wheelsight_export.bag import layout_paths
@@ -202,7 +198,6 @@ def export_in(asked: Asked, form: str) -> None:
     """Write a trajectory, images with poses, or a tree. Raises InputError."""
     from wheelsight.app.cli.options import check_out
     from wheelsight.app.cli.progress import FrameProgress
-    from wheelsight.core.errors import ConfigError
     from wheelsight_export import (
         DEFAULT_VOXEL_M,
         TRAJECTORY_FORMATS,
@@ -252,7 +247,6 @@ def export_surface(asked: Asked, is_mesh: bool) -> None:
     from wheelsight.app.cli.progress import FrameProgress
     from wheelsight.app.run import MAP_FILE
     from wheelsight.app.run.kernels import usable_parts
-    from wheelsight.core.errors import ConfigError, MapError
     from wheelsight.core.inputs import is_there
     from wheelsight.mapping import load_map
     from wheelsight.slam.maps import MAP_FOLDER, MapFolder, is_map

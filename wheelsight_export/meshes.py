@@ -27,7 +27,7 @@ _REACH_VOXELS = 3
 CHUNK_VOXELS = 128
 _PLY_TYPES = {"<f4": "float", "u1": "uchar", "<i4": "int"}
 _POINT = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("nx", "<f4"), ("ny", "<f4"), ("nz", "<f4")]
-_COLOR = [("red", "u1"), ("green", "u1"), ("blue", "u1")]
+COLOR = [("red", "u1"), ("green", "u1"), ("blue", "u1")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,11 +57,11 @@ def write_ply(surfel_map: SurfelMap, path: StrPath, stable_only: bool = True) ->
     path = Path(path)
     surfels = surfel_map.surfels("stable" if stable_only else "all")
     _refuse_empty(surfels, stable_only)
-    table = np.empty(len(surfels.grey), [*_POINT, *_COLOR, ("confidence", "<f4"), ("radius", "<f4")])
+    table = np.empty(len(surfels.grey), [*_POINT, *COLOR, ("confidence", "<f4"), ("radius", "<f4")])
     _fill(table, surfels.position, surfels.normal, colors_of(surfels))
     table["confidence"], table["radius"] = surfels.confidence, surfels.radius_m
     with atomic_write(path, "wb") as stream:
-        stream.write(_ply_header(table) + b"end_header\n")
+        stream.write(ply_header(table) + b"end_header\n")
         stream.write(table.tobytes())
     return len(table)
 
@@ -69,13 +69,13 @@ def write_ply(surfel_map: SurfelMap, path: StrPath, stable_only: bool = True) ->
 def write_mesh_ply(mesh: Mesh, path: StrPath) -> None:
     """Write a triangle mesh with normals and colours, atomically. Raises OutputError."""
     path = Path(path)
-    table = np.empty(len(mesh.vertices), [*_POINT, *_COLOR])
+    table = np.empty(len(mesh.vertices), [*_POINT, *COLOR])
     _fill(table, mesh.vertices, mesh.normals, mesh.colors)
     faces = np.empty(len(mesh.triangles), [("count", "u1"), ("vertices", "<i4", 3)])
     faces["count"], faces["vertices"] = 3, mesh.triangles
     more = f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     with atomic_write(path, "wb") as stream:
-        stream.write(_ply_header(table) + more.encode())
+        stream.write(ply_header(table) + more.encode())
         stream.write(table.tobytes())
         stream.write(faces.tobytes())
 
@@ -176,12 +176,12 @@ def _refuse_empty(surfels: Surfels, stable_only: bool) -> None:
 def _fill(table: np.ndarray, position: np.ndarray, normal: np.ndarray, colors: np.ndarray) -> None:
     for k in range(3):
         table["xyz"[k]], table[f"n{'xyz'[k]}"] = position[:, k], normal[:, k]
-        table[_COLOR[k][0]] = colors[:, k]
+        table[COLOR[k][0]] = colors[:, k]
 
 
-def _ply_header(table: np.ndarray) -> bytes:
-    """Return the header without its last line."""
-    lines = ["ply", "format binary_little_endian 1.0", f"comment wheelsight: frame {FRAME}, metres"]
+def ply_header(table: np.ndarray, comment: str = f"wheelsight: frame {FRAME}, metres") -> bytes:
+    """Return the header of a table of vertices, without its last line."""
+    lines = ["ply", "format binary_little_endian 1.0", *([f"comment {comment}"] if comment else [])]
     lines.append(f"element vertex {len(table)}")
     for name in table.dtype.names or ():
         kind = table.dtype[name].str.replace("|", "")

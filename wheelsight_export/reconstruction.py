@@ -36,6 +36,7 @@ from wheelsight.core.trajectory import Trajectory, write_kitti, write_tum
 from wheelsight.io.recordings import Recording, express_for
 from wheelsight.slam.maps import MapFolder, in_largest_piece
 from wheelsight_export.bag_writing import T_LINK_OPTICAL, nanoseconds
+from wheelsight_export.meshes import COLOR, ply_header
 from wheelsight_export.sources import ColoredPoints, Exported, points_of, thinned, upright_points
 
 # nerfstudio
@@ -91,18 +92,12 @@ def export_nerfstudio(
 
 def write_points(points: ColoredPoints, path: Path) -> None:
     """Points and colours as PLY. Raises OutputError."""
-    table = np.zeros(
-        len(points.p_map), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
-    )
+    table = np.zeros(len(points.p_map), [(axis, "<f4") for axis in "xyz"] + COLOR)
     for axis in range(3):
         table["xyz"[axis]] = points.p_map[:, axis]
-        table[("red", "green", "blue")[axis]] = points.colors[:, axis]
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}"]
-    lines += [f"property float {axis}" for axis in "xyz"]
-    lines += [f"property uchar {color}" for color in ("red", "green", "blue")]
+        table[COLOR[axis][0]] = points.colors[:, axis]
     with atomic_write(path, "wb") as stream:
-        stream.write(("\n".join([*lines, "end_header"]) + "\n").encode())
-        stream.write(table.tobytes())
+        stream.write(ply_header(table, comment="") + b"end_header\n" + table.tobytes())
 
 
 MODEL = "sparse/0"

@@ -90,7 +90,7 @@ class RerunLog:
                         self._scene.show_robot(T_odom_body, estimate.T_map_odom)
                     else:
                         place = f"{OTHERS}/{name}"
-                        self._log(f"{place}/body", self._scene.transform(T_odom_body))
+                        self._scene.log(f"{place}/body", self._scene.transform(T_odom_body))
                         self._scene.show_way(f"{place}/trail", self._positions.get(name), T_odom_body[:3, 3], _GREY)
                         self._positions[name] = T_odom_body[:3, 3]
                 # Status and reason, if they change
@@ -99,11 +99,11 @@ class RerunLog:
                     self._scene.show_state(name, estimate.status)
                 said = "; ".join(filter(None, [str(answer.reason or ""), answer.note, *answer.flags]))
                 if said != words and said:
-                    self._log(f"{WORDS}/{name}", self._rr.TextLog(said, level="WARN"))
+                    self._scene.log(f"{WORDS}/{name}", self._rr.TextLog(said, level="WARN"))
                 self._last[name] = (str(estimate.status), said)
                 if UNITS[name] == "frame" and not answer.is_skipped and answer.matches:
-                    self._log(f"{CURVES}/{name}/inliers", self._rr.Scalars(answer.inliers))
-                    self._log(f"{CURVES}/{name}/ms", self._rr.Scalars(_MS * answer.seconds))
+                    self._scene.log(f"{CURVES}/{name}/inliers", self._rr.Scalars(answer.inliers))
+                    self._scene.log(f"{CURVES}/{name}/ms", self._rr.Scalars(_MS * answer.seconds))
                 if name == self.chief:
                     self._show_keyframes(track, until=-1)  # the last one may still be in the making
         if isinstance(event, RgbdFrame):
@@ -123,7 +123,7 @@ class RerunLog:
                 )
                 if cloud is not None:
                     radius_m = max(cloud.edge_m, 0.005) / 2
-                    self._log(SURFELS, self._rr.Points3D(cloud.position, colors=cloud.color, radii=radius_m))
+                    self._scene.log(SURFELS, self._rr.Points3D(cloud.position, colors=cloud.color, radii=radius_m))
 
     def _show_keyframes(self, track: RunTrack, until: int | None) -> None:
         """Show new keyframes with their points, and all poses after a loop has moved some."""
@@ -133,7 +133,7 @@ class RerunLog:
         numbers = range(len(store))[:until]
         is_moved = store.revision != self._revision
         for number in numbers if is_moved else numbers[self._shown :]:
-            self._log(f"{KEYFRAMES}/{number}", self._scene.transform(store.pose(KeyframeId(number))))
+            self._scene.log(f"{KEYFRAMES}/{number}", self._scene.transform(store.pose(KeyframeId(number))))
         for number in numbers[self._shown :]:
             self._show_points(store, KeyframeId(number))
         self._shown, self._revision = max(self._shown, len(numbers)), store.revision
@@ -141,7 +141,7 @@ class RerunLog:
         if loops is not None and len(loops) and (is_moved or len(loops) != len(self._loops)):
             self._loops = loops
             ends = store.T_map_keyframe[loops][:, :, :3, 3]
-            self._log(LOOPS, self._rr.LineStrips3D(ends, colors=_GREEN, radii=self._scene.px(LINE_PX)))
+            self._scene.log(LOOPS, self._rr.LineStrips3D(ends, colors=_GREEN, radii=self._scene.px(LINE_PX)))
 
     def _show_points(self, store: KeyframeStore, number: KeyframeId) -> None:
         if not self._settings.keyframe_points:
@@ -156,10 +156,9 @@ class RerunLog:
         fx, fy, cx, cy = keyframe.intrinsics
         points = np.stack([(u - cx) / fx * z, (v - cy) / fy * z, z], axis=-1)
         colours = np.repeat(grey[v, u].astype(np.uint8)[:, None], 3, axis=1)
-        self._log(f"{KEYFRAMES}/{number}/points", self._rr.Points3D(points, colors=colours, radii=self._scene.px(1.5)))
-
-    def _log(self, place: str, *what: Any) -> None:
-        self._scene.log(place, *what)
+        self._scene.log(
+            f"{KEYFRAMES}/{number}/points", self._rr.Points3D(points, colors=colours, radii=self._scene.px(1.5))
+        )
 
 
 # As in all plans (Okabe & Ito 2008).
@@ -420,18 +419,8 @@ FLOOR, COSTMAP, PLAN, GOAL, PREDICTED = "map/floor", "map/costmap", "map/plan", 
 STATUS, CURVES, WORDS = "status", "curves", "words"
 
 
-def blueprint_of(tracks: Sequence[str]) -> Any:
-    """The blueprint of a run with `tracks`."""
-    return _blueprint([TRAIL, *(f"{OTHERS}/{name}/trail" for name in tracks)], "Inliers and milliseconds")
-
-
-def drive_blueprint() -> Any:
-    """The blueprint of a drive to goals."""
-    return _blueprint([TRAIL], "Speeds and way to go")
-
-
 def _blueprint(trails: Sequence[str], curves: str) -> Any:
-    """Trails end at the shown moment."""
+    """The blueprint of a log with these trails, which end at the shown moment."""
     rrb = needed("rerun.blueprint")
     until_now = rrb.VisibleTimeRange(
         TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
@@ -488,7 +477,8 @@ def open_rerun(
         ConfigError: Rerun is not installed, or its viewer does not start.
         OutputError: the file cannot be written.
     """
-    with _opened(target, lambda: blueprint_of(tracks), viewer) as stream:
+    trails = [TRAIL, *(f"{OTHERS}/{name}/trail" for name in tracks)]
+    with _opened(target, partial(_blueprint, trails, "Inliers and milliseconds"), viewer) as stream:
         yield RerunLog(stream, calibration, tracks, settings or ViewerSettings())
 
 
@@ -497,7 +487,7 @@ def open_drive_log(
     target: str, calibration: Calibration, settings: ViewerSettings | None = None, viewer: Sequence[str] = VIEWER
 ) -> Iterator[DriveLog]:
     """A log of a drive to goals; arguments and errors as of `open_rerun`."""
-    with _opened(target, drive_blueprint, viewer) as stream:
+    with _opened(target, partial(_blueprint, [TRAIL], "Speeds and way to go"), viewer) as stream:
         yield DriveLog(stream, calibration, settings or ViewerSettings())
 
 

@@ -12,6 +12,7 @@ import typer
 from wheelsight.app.cli.compiling import compile_missing
 from wheelsight.app.cli.console import CliCommand, Group
 from wheelsight.app.cli.options import RecordingPath, Topics, check_out, option
+from wheelsight.core.errors import AreaError, ConfigError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -266,7 +267,6 @@ def source_of(
     recording: Recording, labels: Path | None, areas: Path | None, trajectory: Path | None, needed: bool = False
 ) -> LabelSource:
     """The source of a recording's area labels. Raises AreaError if it is needed and there is none."""
-    from wheelsight.core.errors import AreaError
     from wheelsight.core.trajectory import read_tum
     from wheelsight.io.recordings import express_for
     from wheelsight_papers.dataset import label_source, read_labels
@@ -287,7 +287,6 @@ def open_labelled(
     folders: Sequence[Path], labels: Sequence[Path], areas: Path | None, topics: Sequence[str] | None
 ) -> tuple[list[Recording], list[LabelSource], tuple[str, ...]]:
     """Recordings, the sources of their labels, and the names of all areas that some frame shows."""
-    from wheelsight.core.errors import ConfigError
     from wheelsight_papers.dataset import check_every_area, names_of_all, stamps_of
 
     if labels and len(labels) != len(folders):
