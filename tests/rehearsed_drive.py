@@ -8,7 +8,7 @@ import numpy as np
 
 from wheelsight.app.run.drive_record import DriveRecord, DriveRecorder
 from wheelsight.app.run.drives import GoalDrive, OnEvents
-from wheelsight.app.run.kernel_process import DrawnRobot, ToldPlace, drawn_room
+from wheelsight.app.run.kernel_process import DrawnRobot, TrueLocalization, drawn_room
 from wheelsight.config import Config, load_config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import Wheels
@@ -32,7 +32,7 @@ def rehearsed_drive(
     watched, recorder = WatchedRobot(robot), DriveRecorder(config.navigation.footprint.outline)
     watched.listeners += [recorder.add, on_events]
     floor = KnownFloor(drawn_room())
-    told = ToldPlace(robot)
+    told = TrueLocalization(robot)
     navigator = Navigator(watched, told, floor, config.navigation, trusts_floor=True, on_transition=on_transition)
     return GoalDrive(watched, recorder, navigator, drawn_room, "a room"), robot, config
 

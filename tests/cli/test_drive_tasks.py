@@ -15,7 +15,7 @@ from sessions.kept_views import write_map
 from typer.testing import Result
 
 from wheelsight.app.run.drives import GoalDrive
-from wheelsight.app.run.kernel_process import DrawnRobot, ToldPlace
+from wheelsight.app.run.kernel_process import DrawnRobot, TrueLocalization
 from wheelsight.core.calibration import save_calibration
 from wheelsight.core.geometry import se3
 from wheelsight.core.geometry.se2 import wrap_angle
@@ -127,10 +127,10 @@ def test_back_returns_to_where_the_drive_began(
 def test_back_is_left_out_aloud_where_a_goal_was_not_reached(
     wheelsight: Command, drawn: tuple[GoalDrive, DrawnRobot], words: tuple[Any, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    answers = ToldPlace.process
+    answers = TrueLocalization.process
     # The localization falls silent on the way.
     monkeypatch.setattr(
-        ToldPlace, "process", lambda self, events: answers(self, events) if self._robot.now_s < 1.0 else []
+        TrueLocalization, "process", lambda self, events: answers(self, events) if self._robot.now_s < 1.0 else []
     )
     result = wheelsight(*words, "--to", NEAR, "--back")
     assert result.exit_code == 1, result.output
@@ -140,7 +140,7 @@ def test_back_is_left_out_aloud_where_a_goal_was_not_reached(
 def test_back_is_left_out_aloud_where_the_start_is_not_known(
     wheelsight: Command, drawn: tuple[GoalDrive, DrawnRobot], words: tuple[Any, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ToldPlace, "process", lambda self, events: [(event, None) for event in events])
+    monkeypatch.setattr(TrueLocalization, "process", lambda self, events: [(event, None) for event in events])
     result = wheelsight(*words, "--to", NEAR, "--back")
     assert drawn[0].start is None
     assert result.exit_code == 1, result.output

@@ -9,7 +9,7 @@ import pytest
 from narrowing import not_none
 from rehearsed_drive import QUICK, T_BASE_CAMERA
 
-from wheelsight.app.run.kernel_process import DrawnRobot, ToldPlace, drawn_room
+from wheelsight.app.run.kernel_process import DrawnRobot, TrueLocalization, drawn_room
 from wheelsight.app.run.kernels import WHEELS
 from wheelsight.config import load_config
 from wheelsight.core.calibration import Calibration
@@ -58,7 +58,7 @@ class Robot(DrawnRobot):
         return ticks
 
 
-class Place(ToldPlace):
+class Place(TrueLocalization):
     """Says where the robot is until it falls silent; late by so many periods."""
 
     is_silent, late, fails = False, 0, False

@@ -9,7 +9,7 @@ import pytest
 from run_example import example_picture
 
 from wheelsight.app.report import draw_matches
-from wheelsight.app.report.pictures import INLIER_RGB, OUTLIER_RGB, data_uri
+from wheelsight.app.report.pictures import INLIER_RGB, OUTLIER_RGB, webp_uri
 
 BLACK = np.zeros((240, 320, 3), np.uint8)
 
@@ -60,7 +60,7 @@ def test_no_matches_and_matches_that_are_not_finite() -> None:
 
 def test_the_page_gets_a_jpeg() -> None:
     picture = example_picture()
-    kind, data = data_uri(picture).split(",")
+    kind, data = webp_uri(draw_matches(picture)).split(",")
     assert kind == "data:image/webp;base64"
     image = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)
     assert image is not None

@@ -17,8 +17,6 @@ from wheelsight.app.cli.options import option
 from wheelsight.core.runtime import until_stopped
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from wheelsight.core.calibration_parts import Wheels
     from wheelsight.io.devices import LinkReport, LinkStatus
 
@@ -75,7 +73,7 @@ def monitor(
         with Live(console=stdout, auto_refresh=False) as live:
             while not is_over():
                 time.sleep(1 / _TABLES_PER_S)
-                live.update(live_table(port, meter.look(link.report())), refresh=True)
+                live.update(facts_table(port, _facts(meter.look(link.report()))), refresh=True)
 
 
 @wheels_app.command(cls=CliCommand)
@@ -236,11 +234,6 @@ class Meter:
             left_ticks, right_ticks = report.last.left - then.last.left, report.last.right - then.last.right
             left, right = left_ticks * self._scales[0] / passed_s, right_ticks * self._scales[1] / passed_s
         return LinkLook(report, frames_per_s, left, right, self._unit)
-
-
-def live_table(port: str, look: LinkLook) -> Table:
-    """All facts of the link as a table."""
-    return facts_table(port, _facts(look))
 
 
 def live_line(look: LinkLook) -> str:

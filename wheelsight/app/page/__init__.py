@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from wheelsight.app.page.access import Access, is_loopback
     from wheelsight.app.page.maps import NEW, DriveMaps
     from wheelsight.app.page.session import Session
-    from wheelsight.app.page.snapshot import Driven, Maps, NamedPlaces, Snapshot, Watch
+    from wheelsight.app.page.snapshot import Driven, Watch
     from wheelsight.app.page.stop_switch import StopSwitch
 
 __all__ = [
@@ -20,10 +20,7 @@ __all__ = [
     "Access",
     "DriveMaps",
     "Driven",
-    "Maps",
-    "NamedPlaces",
     "Session",
-    "Snapshot",
     "StopSwitch",
     "Watch",
     "is_loopback",
@@ -33,7 +30,7 @@ _MODULE_OF = {
     **dict.fromkeys(("Access", "is_loopback"), "access"),
     **dict.fromkeys(("DriveMaps", "NEW"), "maps"),
     "Session": "session",
-    **dict.fromkeys(("Driven", "Maps", "NamedPlaces", "Snapshot", "Watch"), "snapshot"),
+    **dict.fromkeys(("Driven", "Watch"), "snapshot"),
     "StopSwitch": "stop_switch",
 }
 

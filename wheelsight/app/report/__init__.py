@@ -14,10 +14,9 @@ from wheelsight.app.report.figures import (
 from wheelsight.app.report.page import why_no_page, write_page, write_report
 from wheelsight.app.report.pictures import draw_matches
 from wheelsight.app.report.sections import plan_figure
-from wheelsight.app.run.verdict import Summary, summarise
+from wheelsight.app.run.verdict import summarise
 
 __all__ = [
-    "Summary",
     "certainty_figure",
     "draw_matches",
     "error_figure",

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 import math
 
-import cv2
 import numpy as np
 
 from wheelsight._version import __version__
 from wheelsight.app.report import drawing, html
 from wheelsight.app.report import plotly as go
 from wheelsight.app.report.drawing import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, keep_shape
-from wheelsight.app.report.pictures import jpeg_uri
+from wheelsight.app.report.pictures import jpeg_uri, png_uri
 from wheelsight.app.report.plotly import make_subplots
 from wheelsight.app.run import words
 from wheelsight.app.run.drive_record import DriveRecord
@@ -171,11 +169,9 @@ def plan_figure(record: DriveRecord) -> go.Figure:
     figure = drawing.style(go.Figure(), _PLAN_PX, hovermode="closest", showlegend=True)
     # Add the map as an image below all lines, and limit the axes to its known part
     colours = np.array([COLOURS[kind] for kind in CellKind], np.uint8)
-    _, png = cv2.imencode(".png", np.ascontiguousarray(colours[record.grid.kind[::-1]][..., ::-1]))
-    uri = "data:image/png;base64," + base64.b64encode(png.tobytes()).decode("ascii")
     (height, width), (left, bottom) = np.array(record.grid.kind.shape) * record.grid.resolution_m, record.grid.origin
     place = {"x": left, "y": bottom + height, "sizex": width, "sizey": height, "xref": "x", "yref": "y"}
-    figure.add_layout_image(source=uri, layer="below", sizing="stretch", **place)
+    figure.add_layout_image(source=png_uri(colours[record.grid.kind[::-1]]), layer="below", sizing="stretch", **place)
     cells = np.argwhere(record.grid.kind != CellKind.UNKNOWN)
     known_xy = (
         record.grid.middle_of(cells) if len(cells) else np.array([[left, bottom], [left + width, bottom + height]])

@@ -21,7 +21,6 @@ _HALO_RGB = (255, 255, 255)
 _PANEL_WIDTH_PX = 640
 _GUTTER_PX = 6
 _DRAWN_LINES = 100
-_QUALITY = 85
 _SUBPIXEL_BITS = 4
 
 
@@ -61,15 +60,24 @@ def draw_matches(picture: MatchPicture) -> ByteArray:
     return canvas
 
 
-def data_uri(picture: MatchPicture) -> str:
-    """`draw_matches` in a data URI."""
-    return webp_uri(draw_matches(picture))
-
-
 def webp_uri(image: ByteArray) -> str:
     """An image (H, W, 3) uint8, red green blue, as WebP in a data URI."""
-    _, webp = cv2.imencode(".webp", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])
-    return "data:image/webp;base64," + base64.b64encode(webp.tobytes()).decode("ascii")
+    return _uri(image, "webp", cv2.IMWRITE_WEBP_QUALITY, 85)
+
+
+def jpeg_uri(image: ByteArray) -> str:
+    """As `webp_uri`, as a JPEG."""
+    return _uri(image, "jpeg", cv2.IMWRITE_JPEG_QUALITY, 80)
+
+
+def png_uri(image: ByteArray) -> str:
+    """As `webp_uri`, as a PNG, which loses nothing."""
+    return _uri(image, "png")
+
+
+def _uri(image: ByteArray, kind: str, *how: int) -> str:
+    _, code = cv2.imencode(f".{kind}", np.ascontiguousarray(image[..., ::-1]), how)
+    return f"data:image/{kind};base64," + base64.b64encode(code.tobytes()).decode("ascii")
 
 
 def _panel(color: ByteArray) -> tuple[ByteArray, float]:
@@ -209,12 +217,3 @@ def _lean(value: Any) -> Any:
             return value
         return {**value, "dtype": "f4", "bdata": base64.b64encode(narrow.tobytes()).decode("ascii")}
     return {name: _lean(part) for name, part in value.items()}
-
-
-_JPEG_QUALITY = 80
-
-
-def jpeg_uri(color: ByteArray) -> str:
-    """An image (H, W, 3) uint8, red green blue, as a JPEG in a data URI."""
-    _, jpeg = cv2.imencode(".jpg", color[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    return "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode("ascii")

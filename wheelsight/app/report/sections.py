@@ -27,7 +27,7 @@ from wheelsight.app.report.drawing import (
     with_gaps,
 )
 from wheelsight.app.report.figures import truth_path_m
-from wheelsight.app.report.pictures import OrbitView, data_uri, draw_cloud, packed, webp_uri
+from wheelsight.app.report.pictures import OrbitView, draw_cloud, draw_matches, packed, webp_uri
 from wheelsight.app.run import words
 from wheelsight.app.run.run_record import MapPicture, MapRecord, RunRecord
 from wheelsight.app.run.verdict import Summary, cold_frames
@@ -244,7 +244,7 @@ def pictures(record: RunRecord, of: str = "") -> str:
         )
         caption += f" ({words.percent(inliers / matches)})" if matches else ""
         alt = f"Two frames side by side with their matches: {caption}."
-        shown.append(html.picture(data_uri(picture), caption + ".", alt))
+        shown.append(html.picture(webp_uri(draw_matches(picture)), caption + ".", alt))
     return html.section(_key("pictures", of), _title("What it saw", of), intro, html.group("pictures", shown))
 
 
@@ -368,7 +368,7 @@ def map_section(record: RunRecord, of: str = "") -> str:
     """
     if record.map is None:
         return ""
-    key, title = (f"{of}-map", f"{of.capitalize()}: the map") if of else ("map", "The map")
+    key, title = _key("map", of), _title("The map", of)
     if record.map.plan is None:
         return html.section(key, title, "", html.paragraph("It is empty: no frame had a pose.", "missing"))
     start_s = record.frames[0].stamp_s if record.frames else 0.0
@@ -376,7 +376,9 @@ def map_section(record: RunRecord, of: str = "") -> str:
     for picture in record.map.pictures:
         when = f"{picture.stamp_s - start_s:.2f} s after the start"
         caption = f"{when}: left the frame, right the finished map from there"
-        pictures.append(html.picture(view_uri(picture), caption + ".", f"Frame and map side by side: {caption}."))
+        pictures.append(
+            html.picture(webp_uri(draw_view(picture)), caption + ".", f"Frame and map side by side: {caption}.")
+        )
     shown = html.group("pictures", pictures)
     sentence = (
         "Stable surfels seen from straight above, what faces down left out, and what stands upright drawn darker; the "
@@ -461,11 +463,6 @@ def draw_view(picture: MapPicture) -> ByteArray:
     for panel, left in zip(panels, (0, _PANEL_WIDTH_PX + _GUTTER_PX), strict=True):
         canvas[: len(panel), left : left + _PANEL_WIDTH_PX] = panel
     return canvas
-
-
-def view_uri(picture: MapPicture) -> str:
-    """`draw_view` in a data URI."""
-    return webp_uri(draw_view(picture))
 
 
 def _panel(image: ByteArray) -> ByteArray:

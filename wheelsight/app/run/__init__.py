@@ -1,7 +1,7 @@
 """Runs and drives, from events to a folder of results, and their records."""
 
 from wheelsight.app.run.kernels import InRealTime
-from wheelsight.app.run.loops import CORRECTED_FILE, CorrectionRecord
+from wheelsight.app.run.loops import CORRECTED_FILE
 from wheelsight.app.run.maps import MAP_FILE
 from wheelsight.app.run.realtime import RealTimeRecording, in_real_time
 from wheelsight.app.run.run_record import (
@@ -17,19 +17,15 @@ from wheelsight.app.run.run_record import (
     RunRecord,
 )
 from wheelsight.app.run.run_source import LiveSensors, LiveSource, default_odometry, resolved
-from wheelsight.app.run.runs import PAGE_FILE, run_each
+from wheelsight.app.run.runs import run_each
 from wheelsight.app.run.verdict import (
-    FLAGS,
-    BestAlone,
     Evidence,
     Finding,
-    JoinedFacts,
     RunVerdict,
     Tone,
     best_alone_of,
     evidence_of,
     facts_of,
-    joined_of,
     judge,
     verdict_of,
     verdict_of_run,
@@ -38,19 +34,14 @@ from wheelsight.estimation.odometry_choice import Choice
 
 __all__ = [
     "CORRECTED_FILE",
-    "FLAGS",
     "MAP_FILE",
-    "PAGE_FILE",
     "AreaObservation",
-    "BestAlone",
     "Choice",
-    "CorrectionRecord",
     "Evidence",
     "Finding",
     "FrameDrops",
     "FrameRecord",
     "InRealTime",
-    "JoinedFacts",
     "LiveSensors",
     "LiveSource",
     "MapErrors",
@@ -68,7 +59,6 @@ __all__ = [
     "evidence_of",
     "facts_of",
     "in_real_time",
-    "joined_of",
     "judge",
     "resolved",
     "run_each",

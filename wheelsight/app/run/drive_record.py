@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -232,16 +232,6 @@ _SAME_STOP_S = 1.0
 _OUTLINE_STEP_M = 0.04
 
 
-@dataclass
-class _Rows:
-    """The growing lists of `PeriodRows`."""
-
-    stamps_s: list[float] = field(default_factory=list)
-    poses: list[FloatArray] = field(default_factory=list)
-    speeds: list[tuple[float, float]] = field(default_factory=list)
-    words: list[tuple[str, str, str, str]] = field(default_factory=list)
-
-
 class DriveRecorder:
     """Collects each period and each event of a drive.
 
@@ -252,7 +242,9 @@ class DriveRecorder:
     """
 
     def __init__(self, footprint: Footprint) -> None:
-        self._rows = _Rows()
+        # Stamp, pose and speeds of each period, and its words.
+        self._rows: list[FloatArray] = []
+        self._words: list[tuple[str, str, str, str]] = []
         self._footprint = footprint
         self._people: list[tuple[float, float, float, float]] = []
         self._way: list[tuple[float, FloatArray]] = []
@@ -272,13 +264,11 @@ class DriveRecorder:
     def step(self, feedback: Feedback, senses: Senses) -> None:
         """Add a control period."""
         pose = np.full(3, np.nan) if feedback.pose is None else feedback.pose
-        rows, monitor = self._rows, feedback.monitor
+        monitor = feedback.monitor
         state = MonitorState.FREE if monitor is None else monitor.state
         reason = "" if monitor is None or monitor.reason is None else str(monitor.reason)
-        rows.stamps_s.append(feedback.stamp_s)
-        rows.poses.append(pose)
-        rows.speeds.append((feedback.forward_m_s, feedback.turn_rad_s))
-        rows.words.append((str(feedback.state), str(feedback.status), str(state), reason))
+        self._rows.append(np.array([feedback.stamp_s, *pose, feedback.forward_m_s, feedback.turn_rad_s], float))
+        self._words.append((str(feedback.state), str(feedback.status), str(state), reason))
         if state is MonitorState.STOPPED:
             self._stopped(feedback, reason)
         if feedback.robot_stop:
@@ -310,16 +300,9 @@ class DriveRecorder:
     @property
     def rows(self) -> PeriodRows:
         """All rows so far."""
-        rows = self._rows
-        words = tuple(zip(*rows.words, strict=True)) or ((), (), (), ())
-        speeds = np.array(rows.speeds, float).reshape(-1, 2)
-        return PeriodRows(
-            np.array(rows.stamps_s, float),
-            np.array(rows.poses, float).reshape(-1, 3),
-            speeds[:, 0],
-            speeds[:, 1],
-            *words,
-        )
+        rows = np.array(self._rows, float).reshape(-1, 6)
+        words = tuple(zip(*self._words, strict=True)) or ((), (), (), ())
+        return PeriodRows(rows[:, 0], rows[:, 1:4], rows[:, 4], rows[:, 5], *words)
 
     @property
     def way(self) -> Trajectory:
@@ -458,11 +441,7 @@ def drive_dict(record: DriveRecord) -> dict[str, Any]:
         "planned_m": round(record.planned_m, 3),
         "clearance_m": _number(record.clearance_m),
         "people": people,
-        "periods": {
-            "count": record.periods.count,
-            "late": record.periods.late,
-            "longest_s": round(record.periods.longest_s, 3),
-        },
+        "periods": {**asdict(record.periods), "longest_s": round(record.periods.longest_s, 3)},
         "stops": stops,
         "transitions": transitions,
         "plans": plans,

@@ -112,12 +112,12 @@ def rehearse_navigation(calibration: Calibration) -> None:
     for controller, steps in _STEPS.items():
         robot = DrawnRobot(calibration)
         settings = NavigationSettings().model_copy(update={"controller": controller})
-        navigator = Navigator(robot, ToldPlace(robot), KnownFloor(drawn_room()), settings, trusts_floor=True)
+        navigator = Navigator(robot, TrueLocalization(robot), KnownFloor(drawn_room()), settings, trusts_floor=True)
         navigator.go_to_pose(_GOAL)
         for _ in range(steps):
             navigator.step()
     footprint = Footprint.rectangle(0.8, 0.3, 0.6)
-    place = ToldPlace(DrawnRobot(calibration))
+    place = TrueLocalization(DrawnRobot(calibration))
     GrowingFloor(place, calibration, footprint, trusted_m=1.0).update(np.array(_START), 0.0)
     # A corridor 1 m wide that leads from a dead end to a room
     kind = np.full((60, 120), CellKind.OBSTACLE, np.uint8)
@@ -150,7 +150,13 @@ class DrawnRobot:
         events: list[Event] = []
         for _ in range(_READINGS_A_STEP):
             self.now_s += _READING_S
-            events.append(self._rolled(command))
+            across_m_s = command.turn_rad_s * WHEELS.track_width_m / 2
+            self._rolled_m += (np.array([-across_m_s, across_m_s]) + command.forward_m_s) * _READING_S
+            x, y, yaw = self.pose
+            way_m, turn = command.forward_m_s * _READING_S, command.turn_rad_s * _READING_S
+            self.pose = np.array([x + way_m * np.cos(yaw), y + way_m * np.sin(yaw), yaw + turn])
+            ticks = np.rint(self._rolled_m / (WHEELS.left_m_per_tick, WHEELS.right_m_per_tick)).astype(int).tolist()
+            events.append(WheelTicks(self.now_s, *ticks))
         self._steps += 1
         if self._steps % _STEPS_A_FRAME == 0:
             color, depth_m = seen_from(self.T_map_base, self.calibration.depth)
@@ -161,15 +167,6 @@ class DrawnRobot:
     def T_map_base(self) -> FloatArray:
         """(4, 4) where it truly is."""
         return se3.from_plane(*self.pose)
-
-    def _rolled(self, command: VelocityCommand) -> WheelTicks:
-        across_m_s = command.turn_rad_s * WHEELS.track_width_m / 2
-        self._rolled_m += (np.array([-across_m_s, across_m_s]) + command.forward_m_s) * _READING_S
-        x, y, yaw = self.pose
-        way_m = command.forward_m_s * _READING_S
-        self.pose = np.array([x + way_m * np.cos(yaw), y + way_m * np.sin(yaw), yaw + command.turn_rad_s * _READING_S])
-        left, right = np.rint(self._rolled_m / (WHEELS.left_m_per_tick, WHEELS.right_m_per_tick)).astype(int).tolist()
-        return WheelTicks(self.now_s, left, right)
 
     def stop(self) -> None:
         """As `Robot` has it."""
@@ -187,7 +184,7 @@ class DrawnRobot:
         self.close()
 
 
-class ToldPlace:
+class TrueLocalization:
     """A `Localization` that takes its pose from the simulator."""
 
     keyframes: KeyframeStore | None = None

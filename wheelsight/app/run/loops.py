@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from wheelsight.app.run import words
 from wheelsight.config import Config
 from wheelsight.core.errors import ArgumentError, ConfigError
 from wheelsight.core.messages import Match, SpeedVariances
@@ -154,15 +151,11 @@ def correction_of(
 
 def judged_csv(record: CorrectionRecord) -> str:
     """One row for each match; a keyframe of a known map has a number and no stamp."""
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["stamp_a_s", "stamp_b_s", "kept", "chi2", "limit", "cluster", "keyframe_a", "keyframe_b"])
+    head = ["stamp_a_s", "stamp_b_s", "kept", "chi2", "limit", "cluster", "keyframe_a", "keyframe_b"]
+    rows: list[list[object]] = []
     first_new = len(record.found.T_map_keyframe) - len(record.stamps_s)
     for one in record.found.loops.decisions:
         ends = (one.loop.first, one.loop.second)
-        stamps = (
-            np.format_float_positional(record.stamps_s[number - first_new], min_digits=6) if number >= first_new else ""
-            for number in ends
-        )
-        rows.writerow([*stamps, int(one.is_kept), f"{one.chi2:.3f}", f"{one.limit:.3f}", one.cluster, *ends])
-    return text.getvalue()
+        stamps = (words.stamp(record.stamps_s[at - first_new]) if at >= first_new else "" for at in ends)
+        rows.append([*stamps, int(one.is_kept), f"{one.chi2:.3f}", f"{one.limit:.3f}", one.cluster, *ends])
+    return words.csv_text(head, rows)

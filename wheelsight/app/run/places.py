@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from wheelsight.app.run import words
 from wheelsight.app.run.run_record import AreaObservation, MapErrors, RectificationRecord
 from wheelsight.app.run.run_source import frame_count_of, path_of, where
 from wheelsight.config import Config
@@ -134,16 +133,15 @@ def looks_csv(record: RectificationRecord) -> str:
     `wheelsight.places.read_labels` reads its first two columns.
     """
     names = record.areas.names
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["stamp_s", "area", *(f"p({n})" for n in names), *(f"belief({n})" for n in names), "trust", "note"])
+    head = ["stamp_s", "area", *(f"p({n})" for n in names), *(f"belief({n})" for n in names), "trust", "note"]
+    rows = []
     empty = ("",) * len(names)
     for look in record.looks:
         cells = [empty if p is None else [f"{x:.4f}" for x in p] for p in (look.probabilities, look.belief)]
         trust = f"{look.trust:.4f}" if np.isfinite(look.trust) else ""
-        stamp = np.format_float_positional(look.stamp_s, min_digits=6)
-        rows.writerow([stamp, names[look.named] if look.named >= 0 else "", *cells[0], *cells[1], trust, look.note])
-    return text.getvalue()
+        named = names[look.named] if look.named >= 0 else ""
+        rows.append([words.stamp(look.stamp_s), named, *cells[0], *cells[1], trust, look.note])
+    return words.csv_text(head, rows)
 
 
 def _check_size(model: PlaceModel, source: EventSource) -> None:

@@ -4,8 +4,6 @@ and covariances among them.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import logging
 import platform
@@ -18,6 +16,7 @@ from typing import Any, get_args
 import numpy as np
 
 from wheelsight._version import __version__
+from wheelsight.app.run import words
 from wheelsight.app.run.loops import CORRECTED_FILE, JUDGED_FILE, MatchesOfRun, judged_csv, matches_of_run
 from wheelsight.app.run.maps import MAP_FILE, open_known
 from wheelsight.app.run.places import PlacesOfRun, looks_csv, places_of
@@ -330,7 +329,7 @@ def write_covariances(trajectory: Trajectory, path: StrPath) -> None:
     Raises OutputError.
     """
     assert trajectory.covariances is not None
-    stamps = (np.format_float_positional(stamp_s, min_digits=6) for stamp_s in trajectory.stamps_s)
+    stamps = (words.stamp(stamp_s) for stamp_s in trajectory.stamps_s)
     rows = (",".join(f"{value:.6g}" for value in C[_UPPER]) for C in trajectory.covariances)
     lines = (f"{stamp},{row}\n" for stamp, row in zip(stamps, rows, strict=True))
     write_lines(path, chain([f"{_HEADER}\n"], lines))
@@ -412,19 +411,33 @@ def write_results(
 def _write_one(
     record: RunRecord, passage: Passage, source: EventSource, folder: Path, records: Sequence[RunRecord] = ()
 ) -> None:
-    _forget(folder / COVARIANCES_FILE)  # first: no table is left of another run's poses
+    # First: none is left of another run.
+    for name in _OF_ONE:
+        _forget(folder / name)
     write_tum(record.estimate, folder / TRAJECTORY_FILE)
-    if record.odom is None:
-        _forget(folder / ODOM_FILE)
-    else:
+    if record.odom is not None:
         write_tum(record.odom, folder / ODOM_FILE)
     if record.estimate.covariances is not None:
         write_covariances(record.estimate, folder / COVARIANCES_FILE)
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(
-        ["stamp_s", "status", "reason", "matches", "inliers", "time_ms", "flags", "note", "dropped", "left_out"]
-    )
+    write_text(folder / STATUS_FILE, status_csv(record))
+    if record.rectification is not None:
+        write_text(folder / "areas.csv", looks_csv(record.rectification))
+    if record.correction is not None:
+        write_tum(record.correction.found.corrected, folder / CORRECTED_FILE)
+        write_text(folder / JUDGED_FILE, judged_csv(record.correction))
+    (track,) = (track for track in passage.tracks if track.odometry == record.odometry)
+    if record.kept_map is None:
+        discard_map(folder / MAP_FOLDER)
+    # Unless the map folder holds it.
+    if record.map is not None and track.localizer.map is not None and kept_surfels(track) is None:
+        save_map(track.localizer.map, folder / MAP_FILE)
+    _write_json(metrics_of(record, passage, source, records), folder / METRICS_FILE)
+
+
+def status_csv(record: RunRecord) -> str:
+    """One row for each frame or reading."""
+    head = ["stamp_s", "status", "reason", "matches", "inliers", "time_ms", "flags", "note", "dropped", "left_out"]
+    rows: list[list[object]] = []
     dropped = [frame.overtaken + frame.is_unread for frame in record.frames]
     if dropped and record.drops is not None:
         dropped[-1] += record.drops.total - sum(dropped)  # those after it, and those that never became a frame
@@ -433,29 +446,9 @@ def _write_one(
         left_out[-1] = "; ".join(f"{count} of {of}: {why}" for why, (count, of) in record.left_out.items())
     for frame, lost, gone in zip(record.frames, dropped, left_out, strict=True):
         counts = (frame.matches, frame.inliers, f"{1e3 * frame.seconds:.3f}")
-        # as in trajectory.txt, so that rows can be joined
-        stamp = np.format_float_positional(frame.stamp_s, min_digits=6)
-        rows.writerow([stamp, frame.status, frame.reason or "", *counts, ";".join(frame.flags), frame.note, lost, gone])
-    write_text(folder / STATUS_FILE, text.getvalue())
-    if record.rectification is not None:
-        write_text(folder / "areas.csv", looks_csv(record.rectification))
-    # Write the corrected path and the verdict on each match, or remove those of an earlier run.
-    if record.correction is None:
-        _forget(folder / CORRECTED_FILE)
-        _forget(folder / JUDGED_FILE)
-    else:
-        write_tum(record.correction.found.corrected, folder / CORRECTED_FILE)
-        write_text(folder / JUDGED_FILE, judged_csv(record.correction))
-    # Write the map, unless the map folder holds it, or remove that of an earlier run.
-    path = folder / MAP_FILE
-    (track,) = (track for track in passage.tracks if track.odometry == record.odometry)
-    if record.kept_map is None:
-        discard_map(path.with_name(MAP_FOLDER))
-    if record.map is not None and track.localizer.map is not None and kept_surfels(track) is None:
-        save_map(track.localizer.map, path)
-    else:
-        _forget(path)
-    _write_json(metrics_of(record, passage, source, records), folder / METRICS_FILE)
+        answer = words.stamp(frame.stamp_s), frame.status, frame.reason or ""
+        rows.append([*answer, *counts, ";".join(frame.flags), frame.note, lost, gone])
+    return words.csv_text(head, rows)
 
 
 def _forget(path: Path) -> None:

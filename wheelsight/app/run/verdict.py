@@ -169,8 +169,7 @@ class Evidence:
         coasting: share of the time on wheels alone; `coasting_s` has the length of each stretch.
         refused: share of rejected wheel readings; `refused_why` is the chief reason.
         beyond_3_sigma: share of the time with the true position beyond the stated 3σ; None without a truth.
-        off_m, worst_m, way_m: RMSE and maximum of the position error, and length of the true path; None without a
-            truth.
+        off_m, way_m: RMSE of the position error, and length of the true path; None without a truth.
         alone: (name, RMSE in metres) of the better sensor alone, or None.
         areas_left: error of the rectified wheels over that of the wheels; None without areas.
         loops: (kept, refused, whether all pieces are joined) if loops were requested, else None.
@@ -198,7 +197,6 @@ class Evidence:
     refused_why: Reason | None = None
     beyond_3_sigma: float | None = None
     off_m: float | None = None
-    worst_m: float = 0.0
     way_m: float = 0.0
     alone: tuple[str, float] | None = None
     areas_left: float | None = None
@@ -228,8 +226,7 @@ def evidence_of(record: RunRecord, records: Sequence[RunRecord] = ()) -> Evidenc
         "length_m": record.estimate.length_m,
     }
     if found is not None:
-        evidence |= {"off_m": found.ate.translation.rmse, "worst_m": found.ate.translation.max}
-        evidence["way_m"] = true_way_m(record)
+        evidence |= {"off_m": found.ate.translation.rmse, "way_m": true_way_m(record)}
     if record.rectification is not None and record.rectification.errors is not None:
         evidence["areas_left"] = float(record.rectification.errors.left)
     if record.correction is not None:

@@ -1,9 +1,13 @@
-"""Formats numbers for people: three digits and a fitting unit, or a word for an unknown value."""
+"""Formats numbers for people, three digits and a fitting unit, or a word for an unknown value; and tables of files."""
 
 from __future__ import annotations
 
+import csv
+import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+
+import numpy as np
 
 UNKNOWN = "unknown"
 _MOST_PLACES = 4
@@ -103,3 +107,17 @@ def count(n: int, singular: str, plural: str | None = None) -> str:
 def times(n: int) -> str:
     """How often: "once", "3 times"."""
     return "once" if n == 1 else f"{n} times"
+
+
+def stamp(stamp_s: float) -> str:
+    """A stamp as in trajectory.txt, so that rows of several files can be joined."""
+    return np.format_float_positional(stamp_s, min_digits=6)
+
+
+def csv_text(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """The text of a CSV file."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows(rows)
+    return text.getvalue()
