@@ -78,7 +78,11 @@ class FrameMaker:
         self._duration_s, self._has_robot = duration_s, has_robot
         self._rate_hz = settings.rate_hz or unit.model.rate_hz
         self._meter = unit.model.resized(*_METER_SIZE).camera
-        self._sensor = _sensor(settings, unit)
+        self._sensor = ColorSensor(motion_blur=settings.has_motion_blur)
+        if unit.realism is not None:
+            control = unit.realism.control
+            level = float(stream(unit.seed, "exposure").uniform(*control.level))
+            self._sensor = ColorSensor(motion_blur=True, longest_s=control.longest_s, target=level)
         self._metered: dict[int, tuple[float, FloatArray]] = {}
         self._idle_eyes: deque[_Eye] = deque()
 
@@ -209,14 +213,6 @@ class _Eye:
         sun = self._sun.on(view)
         radiance *= (kept + np.float32(self._sun.brightness) * sun)[..., None]
         return radiance, sun
-
-
-def _sensor(settings: SimulationSettings, unit: CameraUnit) -> ColorSensor:
-    if unit.realism is None:
-        return ColorSensor(motion_blur=settings.has_motion_blur)
-    control = unit.realism.control
-    level = float(stream(unit.seed, "exposure").uniform(*control.level))
-    return ColorSensor(motion_blur=True, longest_s=control.longest_s, target=level)
 
 
 Result = TypeVar("Result")

@@ -64,7 +64,15 @@ class Scene:
         import mujoco
 
         self.world = world
-        self.model = _compile(world, passersby, doors)
+        try:
+            spec = mujoco.MjSpec.from_string(world.mjcf)
+            if passersby is not None:
+                passersby.add_to(spec)
+            if doors is not None:
+                doors.add_to(spec)
+            self.model: Any = spec.compile()
+        except ValueError as error:
+            raise ConfigError(f"world {world.name}: MuJoCo does not take its MJCF: {error}") from error
         self.data = mujoco.MjData(self.model)
         self.surfaces: Mapping[str, Surface] = {**world.surfaces, **(passersby.surfaces if passersby else {})}
         self._passersby, self._doors = passersby, doors
@@ -244,20 +252,6 @@ def _rays(camera: PinholeCamera) -> FloatArray:
     rays = np.ascontiguousarray(camera.rays())
     rays.setflags(write=False)
     return rays
-
-
-def _compile(world: World, passersby: Cylinders | None, doors: Leaves | None) -> Any:
-    import mujoco
-
-    try:
-        spec = mujoco.MjSpec.from_string(world.mjcf)
-        if passersby is not None:
-            passersby.add_to(spec)
-        if doors is not None:
-            doors.add_to(spec)
-        return spec.compile()
-    except ValueError as error:
-        raise ConfigError(f"world {world.name}: MuJoCo does not take its MJCF: {error}") from error
 
 
 def _names(model: Any, surfaces: Mapping[str, Surface], world: str) -> tuple[tuple[str, ...], tuple[str, ...]]:

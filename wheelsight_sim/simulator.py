@@ -9,7 +9,6 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import count
-from types import TracebackType
 
 import numpy as np
 import shapely
@@ -20,7 +19,7 @@ from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand
 from wheelsight.core.robots import STOPPED, Duties, RobotLimits, VelocityControl, WheelControlSettings
 from wheelsight.core.runtime import needed
-from wheelsight.core.threads import OneCaller, one_at_a_time
+from wheelsight.core.threads import Closing, OneCaller, one_at_a_time
 from wheelsight.core.trajectory import Trajectory
 from wheelsight_sim.body_motion import LiveBodyMotion, mounted
 from wheelsight_sim.cameras import Carriage, camera_model, unit_of
@@ -45,7 +44,7 @@ LONGEST_S = 4 * 3600.0
 _FALLEN = 0.7  # cosine of the tilt beyond which a chair falls over
 
 
-class Simulator(OneCaller):
+class Simulator(Closing, OneCaller):
     """A simulated `Robot`: each step executes a command for one control period, and returns the events of that period.
 
     Time stands still between steps. The control loop of a real robot holds the wheel speeds, with encoders as it reads
@@ -215,14 +214,6 @@ class Simulator(OneCaller):
         self.stop()
         self._is_closed = True
 
-    def __enter__(self) -> Simulator:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def _put(self, event: Event) -> None:
         heapq.heappush(self._waiting, (event.stamp_s, next(self._order), event))
 
@@ -313,7 +304,10 @@ class LiveWorld:
         people: LivePeopleSettings | None = None,
     ) -> None:
         self.world = world or world_of(settings, start)
-        self.T_world_start = _start(self.world, start)
+        x_min, y_min, x_max, y_max = self.world.size_m
+        if start and not (np.isfinite(start[2]) and x_min <= start[0] <= x_max and y_min <= start[1] <= y_max):
+            raise ConfigError(f"the robot cannot begin at {start}: there is no floor", fix="begin on free floor")
+        self.T_world_start = start_of(self.world) if start is None else se3.from_plane(*start)
         seed, robot = settings.day_seed, settings.robot
         outline = outline_at(robot, self.T_world_start)
         self.doors = LiveDoors(self.world, outline, settings.doors, seed) if settings.doors else None
@@ -407,15 +401,6 @@ class LiveWorld:
             if contact.time_s - self._touched_s.get(contact.name, -np.inf) > _SEPARATE_S:
                 self.contacts.append(contact)
             self._touched_s[contact.name] = contact.time_s
-
-
-def _start(world: World, start: tuple[float, float, float] | None) -> FloatArray:
-    if start is None:
-        return start_of(world)
-    x_min, y_min, x_max, y_max = world.size_m
-    if not (np.isfinite(start[2]) and x_min <= start[0] <= x_max and y_min <= start[1] <= y_max):
-        raise ConfigError(f"the robot cannot begin at {start}: there is no floor", fix="begin on free floor")
-    return se3.from_plane(*start)
 
 
 _KEPT_S = 0.25
