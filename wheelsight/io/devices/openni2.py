@@ -104,14 +104,6 @@ class OniFrame(ctypes.Structure):
     )
 
 
-@dataclass(frozen=True, slots=True)
-class ListedDevice:
-    """A connected device."""
-
-    uri: str
-    name: str
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class StreamFrame:
     """A frame of one stream, copied out of the library's memory."""
@@ -151,14 +143,14 @@ def _last_error(of: Any) -> str:
     return next((line.strip() for line in reversed(lines) if line.strip()), "it does not say why")
 
 
-def listed_devices() -> list[ListedDevice]:
-    """Connected devices that have a driver, without files. Raises DeviceError."""
+def listed_devices() -> list[str]:
+    """URIs of connected devices that have a driver, without files. Raises DeviceError."""
     found, count = ctypes.POINTER(_DeviceInfo)(), ctypes.c_int()
     lib = library()
     if lib.oniGetDeviceList(ctypes.byref(found), ctypes.byref(count)) != 0:
         raise DeviceError(f"OpenNI2 lists no devices: {_last_error(lib)}")
     try:
-        return [ListedDevice(found[i].uri.decode(), found[i].name.decode()) for i in range(count.value)]
+        return [found[i].uri.decode() for i in range(count.value)]
     finally:
         lib.oniReleaseDeviceList(found)
 
@@ -357,7 +349,7 @@ class OpenNI2Driver:
         if self._source.is_file:
             if self._is_over or time.monotonic() - self._received_s > _LONGEST_PAUSE_S:
                 raise PlaybackEndedError("the file is over", path=self._source.uri)
-        elif self._source.is_listed and self._source.uri not in {device.uri for device in listed_devices()}:
+        elif self._source.is_listed and self._source.uri not in listed_devices():
             raise DeviceError("the camera was unplugged", fix="plug it in again")
         return None
 
@@ -377,13 +369,13 @@ class OpenNI2Driver:
         if asked is None:
             if not devices:
                 raise DeviceError("OpenNI2 sees no camera", fix="plug it in, and see: wheelsight devices")
-            return _Source(devices[0].uri, is_file=False, is_listed=True)
-        for device in devices:
-            if device.uri == asked:
+            return _Source(devices[0], is_file=False, is_listed=True)
+        for uri in devices:
+            if uri == asked:
                 return _Source(asked, is_file=False, is_listed=True)
-            with closing(OniDevice(device.uri)) as opened:
+            with closing(OniDevice(uri)) as opened:
                 if opened.serial == asked:
-                    return _Source(device.uri, is_file=False, is_listed=True)
+                    return _Source(uri, is_file=False, is_listed=True)
         return _Source(asked, is_file=False, is_listed=False)
 
     def _start(self, device: OniDevice, source: _Source) -> OpenedDevice:

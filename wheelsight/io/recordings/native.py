@@ -97,8 +97,18 @@ class NativeReader:
 
         calibration = choose_calibration(folder, options, no_calibration)
         wheels, warnings = _read_readings(folder / "wheels.csv", calibration)
-        yaw_rates, more = _read_yaw_rates(folder, calibration)
-        warnings += more
+        yaw_rates: list[YawRate] = []
+        if is_there(folder / "gyro.csv"):
+            yaw_rates, more = read_items(folder / "gyro.csv", YawRate, ("yaw_rate_rad_s",))
+            warnings += more
+        if not yaw_rates and is_there(folder / IMU_FILE):
+            turns, more = read_angular_velocities(folder / IMU_FILE)
+            warnings += more
+            mount = calibration.T_base_camera
+            yaw_rates = [] if mount is None else [turn.yaw_rate(mount) for turn in turns]
+            if mount is None and turns:
+                unused = f"{len(turns)} readings in {IMU_FILE} are not used"
+                warnings.append(f"{unused}: T_base_camera, the camera's mount, is unknown.")
         truth = None
         if not has_images or calibration.T_base_camera is not None:
             truth = read_truth(folder / "groundtruth_base.txt", warnings, body="base")
@@ -152,23 +162,6 @@ def _has_columns(path: Path, names: Sequence[str]) -> bool:
 def read_wheels(path: Path) -> tuple[list[WheelTicks], list[str]]:
     """The counts of two wheels in wheels.csv in order of time, and warnings. Raises RecordingError."""
     return read_items(path, WheelTicks, counts=("left", "right"))
-
-
-def _read_yaw_rates(folder: Path, calibration: Calibration) -> tuple[list[YawRate], list[str]]:
-    """Yaw rates of gyro.csv in order of time, else those of the camera's gyroscope in imu.csv; and warnings."""
-    rates: list[YawRate] = []
-    warnings: list[str] = []
-    path = folder / "gyro.csv"
-    if is_there(path):
-        rates, warnings = read_items(path, YawRate, ("yaw_rate_rad_s",))
-    if rates or not is_there(folder / IMU_FILE):
-        return rates, warnings
-    turns, more = read_angular_velocities(folder / IMU_FILE)
-    mount = calibration.T_base_camera
-    if mount is None:
-        unused = f"{len(turns)} readings in {IMU_FILE} are not used: T_base_camera, the camera's mount, is unknown."
-        return [], [*warnings, *more, *([unused] if turns else [])]
-    return [turn.yaw_rate(mount) for turn in turns], [*warnings, *more]
 
 
 def read_angular_velocities(path: Path) -> tuple[list[AngularVelocity], list[str]]:

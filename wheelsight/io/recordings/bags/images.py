@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,15 +23,6 @@ from wheelsight.io.recordings.images import DepthEncoding, check_scale, decoded_
 _Pixels = NDArray[Any]
 _MILLIMETRES = 1000.0
 _DEPTH: dict[str, type[np.generic]] = {"16uc1": np.uint16, "mono16": np.uint16, "z16": np.uint16, "32fc1": np.float32}
-
-
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    """The pixel type and channels of an encoding, and its conversion to RGB."""
-
-    dtype: type[np.generic]
-    channels: int
-    to_rgb: Callable[[_Pixels], _Pixels]
 
 
 def _by(code: int) -> Callable[[_Pixels], _Pixels]:
@@ -51,18 +42,19 @@ _COLOR: dict[str, tuple[int, Callable[[_Pixels], _Pixels]]] = {
     "bayer_gbrg": (1, _by(cv2.COLOR_BayerGR2RGB)),
     "bayer_grbg": (1, _by(cv2.COLOR_BayerGB2RGB)),
 }
-_LAYOUTS = {
-    f"{name}{bits}": _Layout(dtype, channels, to_rgb)
+# The pixel type and channels of an encoding, and its conversion to RGB.
+_LAYOUTS: dict[str, tuple[type[np.generic], int, Callable[[_Pixels], _Pixels]]] = {
+    f"{name}{bits}": (dtype, channels, to_rgb)
     for name, (channels, to_rgb) in _COLOR.items()
     for bits, dtype in ((8, np.uint8), (16, np.uint16))
 } | {
-    "8uc1": _Layout(np.uint8, 1, _GREY),
-    "8uc3": _Layout(np.uint8, 3, _BGR),
-    "8uc4": _Layout(np.uint8, 4, _by(cv2.COLOR_BGRA2RGB)),
-    "16uc1": _Layout(np.uint16, 1, _GREY),
-    "16uc3": _Layout(np.uint16, 3, _BGR),
-    **dict.fromkeys(("yuv422", "uyvy"), _Layout(np.uint8, 2, _by(cv2.COLOR_YUV2RGB_UYVY))),
-    **dict.fromkeys(("yuv422_yuy2", "yuyv"), _Layout(np.uint8, 2, _by(cv2.COLOR_YUV2RGB_YUY2))),
+    "8uc1": (np.uint8, 1, _GREY),
+    "8uc3": (np.uint8, 3, _BGR),
+    "8uc4": (np.uint8, 4, _by(cv2.COLOR_BGRA2RGB)),
+    "16uc1": (np.uint16, 1, _GREY),
+    "16uc3": (np.uint16, 3, _BGR),
+    **dict.fromkeys(("yuv422", "uyvy"), (np.uint8, 2, _by(cv2.COLOR_YUV2RGB_UYVY))),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), (np.uint8, 2, _by(cv2.COLOR_YUV2RGB_YUY2))),
 }
 
 
@@ -74,8 +66,8 @@ def color_of(message: Any, path: Path) -> ByteArray:
     if layout is None:
         problem = f"colour images are encoded as {message.encoding!r}"
         raise RecordingError(problem, path=path, fix=f"known: {', '.join(sorted(_LAYOUTS))}")
-    pixels = _pixels(message, layout.dtype, layout.channels, path)
-    rgb = layout.to_rgb(pixels)
+    dtype, channels, to_rgb = layout
+    rgb = to_rgb(_pixels(message, dtype, channels, path))
     return np.asarray(rgb if rgb.dtype == np.uint8 else rgb >> 8, np.uint8)
 
 

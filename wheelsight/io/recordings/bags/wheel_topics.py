@@ -491,19 +491,13 @@ def _steps(bag: OpenBag, source: WheelTopic) -> np.ndarray:
         for message in islice(bag.messages([name], start_ns, stop_ns), most):
             with suppress(RecordingError):
                 received.append((message.receipt_s, bag.decode(message)))
-        steps += _between(source, received)
+        if source.kind == "twist":
+            for (a_s, message), (b_s, _) in pairwise(received):
+                speeds = twist_of(message)
+                if speeds is not None and 0 < b_s - a_s < 1:
+                    steps.append((speeds[0] * (b_s - a_s), speeds[1] * (b_s - a_s), speeds[2] * (b_s - a_s)))
+            continue
+        of = planar_of if source.kind == "odometry" else source.planar_of_tf
+        poses = filter(None, (of(message) for _, message in received))
+        steps += [increment(before, now) for before, now in pairwise(poses)]
     return np.array(steps).reshape(-1, 3)
-
-
-def _between(source: WheelTopic, received: Sequence[tuple[float, Any]]) -> list[tuple[float, float, float]]:
-    """Motion ahead, to the left and turning between consecutive messages, given with their receipt."""
-    if source.kind == "twist":
-        speeds = [(at_s, twist_of(message)) for at_s, message in received]
-        return [
-            (speed[0] * (b - a), speed[1] * (b - a), speed[2] * (b - a))
-            for (a, speed), (b, _) in pairwise(speeds)
-            if speed is not None and 0 < b - a < 1
-        ]
-    of = planar_of if source.kind == "odometry" else source.planar_of_tf
-    poses = [found for found in (of(message) for _, message in received) if found is not None]
-    return [increment(before, now) for before, now in pairwise(poses)]
