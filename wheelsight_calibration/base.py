@@ -24,7 +24,6 @@ from wheelsight.io.recordings.clock_checks import apart, refuse_if_apart
 from wheelsight.vision.dense import DenseOdometry
 from wheelsight_calibration.motion_errors import motion_errors
 from wheelsight_calibration.mount import (
-    LARGEST_DELAY_S,
     FloorDepths,
     FloorFit,
     MountFit,
@@ -37,6 +36,7 @@ from wheelsight_calibration.mount import (
     levelled,
     tilt_of,
 )
+from wheelsight_calibration.parameters import LARGEST_DELAY_S
 from wheelsight_calibration.wheel_drive import WheelDrive, drive_of, drive_path
 
 WHAT_TO_DRIVE = "drive a minute or two as usual, straight and with turns both ways, some of them on the spot"
@@ -294,9 +294,7 @@ class BaseCalibration:
 
 
 def calibrate_base(
-    recording: Recording,
-    on_frame: Callable[[str], None] = lambda _: None,
-    settings: ExtrinsicsSettings | None = None,
+    recording: Recording, on_frame: Callable[[str], None] = lambda _: None, settings: ExtrinsicsSettings | None = None
 ) -> BaseCalibration:
     """Estimate T_base_camera and the wheels' delay from a drive with wheels and camera.
 
@@ -359,9 +357,25 @@ def base_from(
     refuse_if_unobservable(by_drive, fit, settings.drive)
     by_camera = _sigmas(fit.by_camera, floor.by_camera(moved_in_camera_m(nominal, floor.points_m)))
     sigmas = {name: float(np.hypot(by_drive[name], by_camera[name])) for name in QUANTITIES}
+    warnings = []
+    if nominal.T_base_camera is not None:
+        cosine = (np.trace(nominal.T_base_camera[:3, :3].T @ T_base_camera[:3, :3]) - 1) / 2
+        off_rad = float(np.arccos(np.clip(cosine, -1, 1)))
+        if off_rad >= np.radians(_FAR_OFF_DEG):
+            warnings.append(
+                f"The camera looks {np.degrees(off_rad):.0f}° away from where its nominal mount says: if it does not, "
+                "the wheels may count backwards."
+            )
+    if nominal.point_errors is None:
+        turn_deg = np.degrees(max(by_camera[name] for name in ("roll", "pitch", "yaw")))
+        way_mm = 1e3 * max(by_camera[name] for name in ("x", "y", "height"))
+        warnings.append(
+            "The camera's calibration does not say how sure it is, as one by a board does: by what nominal values are "
+            f"off, the mount is unsure by {turn_deg:.1f}° and {way_mm:.0f} mm, as σ says (wheelsight calibrate camera)."
+        )
     late = replace(wheels, delay_s=fit.wheels.delay_s)
     found = (T_base_camera, late, values, sigmas, by_camera, sightings, turning, floor, fit)
-    return BaseCalibration("", nominal, *found, _warnings(T_base_camera, nominal, by_camera))
+    return BaseCalibration("", nominal, *found, tuple(warnings))
 
 
 def mount_values(T_base_camera: FloatArray) -> dict[str, float]:
@@ -387,24 +401,3 @@ def _sigmas(of_mount: FloatArray, of_floor: FloatArray) -> dict[str, float]:
     roll, pitch, height = np.sqrt(np.diag(of_floor)).tolist()
     x, y, yaw, delay = np.sqrt(np.diag(of_mount)[3:7]).tolist()
     return dict(zip(QUANTITIES, (roll, pitch, yaw, x, y, height, delay), strict=True))
-
-
-def _warnings(T_base_camera: FloatArray, nominal: Calibration, by_camera: dict[str, float]) -> tuple[str, ...]:
-    """Warnings if the mount is far from the nominal one, or the camera's calibration has no uncertainty."""
-    warnings = []
-    if nominal.T_base_camera is not None:
-        cosine = (np.trace(nominal.T_base_camera[:3, :3].T @ T_base_camera[:3, :3]) - 1) / 2
-        off_rad = float(np.arccos(np.clip(cosine, -1, 1)))
-        if off_rad >= np.radians(_FAR_OFF_DEG):
-            warnings.append(
-                f"The camera looks {np.degrees(off_rad):.0f}° away from where its nominal mount says: if it does not, "
-                "the wheels may count backwards."
-            )
-    if nominal.point_errors is None:
-        turn_deg = np.degrees(max(by_camera[name] for name in ("roll", "pitch", "yaw")))
-        way_mm = 1e3 * max(by_camera[name] for name in ("x", "y", "height"))
-        warnings.append(
-            "The camera's calibration does not say how sure it is, as one by a board does: by what nominal values are "
-            f"off, the mount is unsure by {turn_deg:.1f}° and {way_mm:.0f} mm, as σ says (wheelsight calibrate camera)."
-        )
-    return tuple(warnings)

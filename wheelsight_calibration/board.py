@@ -179,7 +179,16 @@ def draw_board(board: Board, paper: str = "A4") -> Drawing:
                 sheet.rectangles.append((left + u * side_mm, top + v * side_mm, side_mm, side_mm))
     if board.is_charuco:
         _draw_markers(sheet, board, left, top)
-    _draw_strip(sheet, board, names[paper.lower()])
+    base = sheet.height_mm - _RIM_MM
+    sheet.rectangles.append((_RIM_MM, base - _LINE_MM / 2, _RULER_MM, _LINE_MM))
+    for at in range(0, _RULER_MM + 1, _TICK_MM):
+        tall = 3.0 if at % (5 * _TICK_MM) == 0 else 1.8
+        sheet.rectangles.append((_RIM_MM + at - _LINE_MM / 2, base - tall, _LINE_MM, tall))
+    right = _RIM_MM + _RULER_MM + 4
+    sheet.words.append(
+        (right, base - 4.2, f"{_RULER_MM} mm by a ruler, else the print was scaled: {names[paper.lower()]}, 100 %")
+    )
+    sheet.words.append((right, base, f"--board {board}"))
     return sheet
 
 
@@ -195,17 +204,6 @@ def _draw_markers(sheet: Drawing, board: Board, left: float, top: float) -> None
             edges = np.flatnonzero(np.diff(np.concatenate([[0], row == 0, [0]]).astype(int)))
             for begin, end in edges.reshape(-1, 2):
                 sheet.rectangles.append((x + begin * side_mm, y + v * side_mm, (end - begin) * side_mm, side_mm))
-
-
-def _draw_strip(sheet: Drawing, board: Board, paper: str) -> None:
-    base = sheet.height_mm - _RIM_MM
-    sheet.rectangles.append((_RIM_MM, base - _LINE_MM / 2, _RULER_MM, _LINE_MM))
-    for at in range(0, _RULER_MM + 1, _TICK_MM):
-        tall = 3.0 if at % (5 * _TICK_MM) == 0 else 1.8
-        sheet.rectangles.append((_RIM_MM + at - _LINE_MM / 2, base - tall, _LINE_MM, tall))
-    right = _RIM_MM + _RULER_MM + 4
-    sheet.words.append((right, base - 4.2, f"{_RULER_MM} mm by a ruler, else the print was scaled: {paper}, 100 %"))
-    sheet.words.append((right, base, f"--board {board}"))
 
 
 def as_svg(sheet: Drawing) -> str:

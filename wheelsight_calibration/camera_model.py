@@ -17,7 +17,7 @@ from wheelsight.core.depth_errors import LARGEST_GRID, DepthError
 from wheelsight.core.errors import CalibrationError, ConfigError
 from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, IntArray, PinholeCamera, se3, so3
 from wheelsight_calibration.board import Board
-from wheelsight_calibration.views import RAW_DISPARITY, SENSORS, BoardView, Corners, DepthCells, ViewSet
+from wheelsight_calibration.views import RAW_DISPARITY, SENSORS, BoardView, Corners, DepthCells, ViewSet, size_text
 
 _USUAL_SQUARE_M = 0.05  # initial value without known size
 # Inverse depth, 1/m, of one raw disparity, nominally an eighth of a pixel for Kinect v1 with its baseline of 75 mm
@@ -98,11 +98,6 @@ class CalibrationTask:
         _check_size("colour", seen.color_size, color)
         if seen.depth_size is not None and not setup.is_registered:
             _check_size("depth", seen.depth_size, depth)
-
-
-def size_text(size: tuple[int, int]) -> str:
-    """Width × height, for messages."""
-    return f"{size[0]}×{size[1]}"
 
 
 def _check_size(name: str, size: tuple[int, int], camera: PinholeCamera) -> None:
@@ -325,11 +320,7 @@ def lens_parameters(camera: PinholeCamera, start: PinholeCamera, is_bare: bool =
 
 # Noise of one pixel by how depth is measured: Khoshelham & Elberink 2012, Fankhauser et al. 2015, and of stereo 0.1 px
 # of disparity with 50 mm between lenses of 640 px (Intel's tuning guide for D400 cameras).
-_NOISE = {
-    "structured-light": (0.001, 1.425e-3),
-    "tof": (0.0015, 0.2e-3),
-    "stereo": (0.001, 3.1e-3),
-}
+_NOISE = {"structured-light": (0.001, 1.425e-3), "tof": (0.0015, 0.2e-3), "stereo": (0.001, 3.1e-3)}
 _LEAST_NOISE_M = 1e-4
 # Standard deviation of a raw disparity's cell (Herrera et al. 2012, section 5), and the noise of a cell's mean as a
 # share of a pixel's, as initial values.
@@ -429,9 +420,6 @@ def _joined(corners: Sequence[Corners | None], squares: FloatArray) -> Points:
         return Points(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 2)))
     view = np.concatenate([np.full(len(c.ids), k) for k, c in seen])
     return Points(view, np.concatenate([squares[c.ids] for _, c in seen]), np.concatenate([c.px for _, c in seen]))
-
-
-# Initial values of the joint least squares: lenses from corners alone, poses, and the pose between the cameras.
 
 
 _FLAGS = (
@@ -549,13 +537,7 @@ _NOISE_SIGMAS = 4.5  # of a pixel's: one in 10⁵ is lost
 _MOST_OF_CELL = 0.8
 
 
-def board_cells(
-    reading: Float32Array,
-    outline_px: FloatArray,
-    *,
-    is_disparity: bool,
-    on_plate: bool,
-) -> DepthCells:
+def board_cells(reading: Float32Array, outline_px: FloatArray, *, is_disparity: bool, on_plate: bool) -> DepthCells:
     """CellTable of the plane that a board is on, of one depth image.
 
     Args:

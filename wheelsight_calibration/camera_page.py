@@ -119,9 +119,6 @@ def _depth(found: CameraCalibration) -> str:
     return html.section("depth", "Depth", "", table, by_distance, by_region, correction)
 
 
-# Figures of the calibration
-
-
 _MOST_POINTS, _ARROWS_TIMES = 4000, 60
 _ACROSS, _DOWN = 16, 12
 
@@ -236,9 +233,6 @@ def _middles(length: int, count: int) -> FloatArray:
     return (np.arange(count) + 0.5) * length / count
 
 
-# Tables of the calibration
-
-
 HEAD = ("", "found", "± σ")
 DISTANCE_HEAD = ("distance", "off before", "off after", "scatter", "σ of depth")
 _BANDS_M = (0.0, 0.8, 1.2, 1.6, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 10.0)
@@ -331,9 +325,6 @@ def _of_lens(name: str, lens: PinholeCamera, key: str, found: CameraCalibration)
 
 def _sigma(found: CameraCalibration, name: str, factor: float, unit: str) -> str:
     return f"{factor * found.sigmas[name]:.2g}{unit}" if name in found.sigmas else ""
-
-
-# The page of the mount
 
 
 _MOUNT_FOOTER = (
@@ -435,9 +426,6 @@ def _mount_notes(found: BaseCalibration) -> list[str]:
     return [*found.warnings, *followed, sizes, delay]
 
 
-# Figures of the mount
-
-
 _RATE_STEP_S = 0.2
 _LOOK_M = 0.3
 _DEGREES = 180 / np.pi
@@ -537,9 +525,6 @@ def _heading(R_odom_base: FloatArray) -> FloatArray:
     """Unwrapped yaw (N,) of rotations (N, 3, 3), about the first one's z axis."""
     R = R_odom_base[0].T @ R_odom_base
     return np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
-
-
-# Tables of the mount
 
 
 # Name, unit, and how many of it make one of radians, metres or seconds.

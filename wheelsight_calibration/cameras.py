@@ -39,6 +39,7 @@ from wheelsight_calibration.camera_model import (
 )
 from wheelsight_calibration.camera_solver import PRIOR_APART_M, Residuals, Solution, agreeing, sigmas_of, solve
 from wheelsight_calibration.live_views import covered_share, distances, largest_tilt_deg
+from wheelsight_calibration.solver import larger
 from wheelsight_calibration.views import RAW_DISPARITY, Corners, ViewSet
 
 # Share of the board's outline whose depth cells count, before and after the first estimate of the poses.
@@ -466,19 +467,24 @@ def _depth_sigma(residuals: Residuals, solution: Solution, depth: DepthResiduals
     camera, error = model.depth_camera(x), model.error_of(x)
     px = grid_px(camera, 3, 3)
     readings = readings_for(error, np.repeat(distances_m, len(px)), np.tile(px, (_DISTANCES, 1)), camera)
-    J = np.empty((len(readings), at.stop - at.start))
 
     def true_m(y: FloatArray) -> FloatArray:
         moved = model.error_of(y)
         return moved.of_readings(reading_m(moved, readings), np.tile(px, (_DISTANCES, 1)), camera)
 
-    here = true_m(x)
-    for k in range(at.start, at.stop):
-        y = x.copy()
-        y[k] += _STEP
-        J[:, k - at.start] = (true_m(y) - here) / _STEP
+    J = np.stack(_derivatives(true_m, x, range(at.start, at.stop)), axis=-1)
     sigmas = solution.sigmas_of(J, at).reshape(_DISTANCES, -1)
     return np.stack([distances_m, np.sqrt((sigmas**2).mean(axis=1))], axis=-1)
+
+
+def _derivatives(f: Callable[[FloatArray], FloatArray], x: FloatArray, columns: Sequence[int]) -> list[FloatArray]:
+    """Numeric derivatives of a function by some parameters."""
+    here, steps = f(x), []
+    for k in columns:
+        y = x.copy()
+        y[k] += _STEP
+        steps.append((f(y) - here) / _STEP)
+    return steps
 
 
 def _pixel_sigma(residuals: Residuals, solution: Solution) -> float:
@@ -499,12 +505,7 @@ def _pixel_sigma(residuals: Residuals, solution: Solution) -> float:
 
     columns = [*range(at["color"].start, at["color"].stop), *range(at["depth"].start, at["depth"].stop)]
     columns += range(at["apart"].start, at["apart"].stop)
-    here = color_px(x)
-    J = np.empty((len(here), len(columns)))
-    for index, k in enumerate(columns):
-        y = x.copy()
-        y[k] += _STEP
-        J[:, index] = (color_px(y) - here) / _STEP
+    J = np.stack(_derivatives(color_px, x, columns), axis=-1)
     return float(np.sqrt(2 * (solution.sigmas_of(J, columns) ** 2).mean()))
 
 
@@ -523,53 +524,32 @@ def point_modes(model: Model, solution: Solution) -> PointErrors:
     x, at = solution.x, model.slices()
     blocks = ("color", "error") if model.is_registered else ("depth", "apart", "error")
     columns = [k for name in blocks for k in range(at[name].start, at[name].stop)]
-    points_of = _points_of(model, x, _STATED_TO_M)
-    here = points_of(x)
-    moves = []
-    for k in columns:
-        y = x.copy()
-        y[k] += _STEP
-        moves.append((points_of(y) - here) / _STEP)
-    moved = np.stack(moves)
-    modes = mode_of(here, moved)
-    # An orthogonal basis of points over their distance makes the variances of coefficients comparable.
-    unit = PointErrors(tuple(map(tuple, np.eye(TERMS).tolist()))).moved_m(here)
-    _, R = np.linalg.qr((unit / here[None, :, 2:]).reshape(len(unit), -1).T)
-    some = [R @ modes.T @ C[np.ix_(columns, columns)] @ modes @ R.T for C in (solution.covariance, solution.by_views)]
-    variances, directions = np.linalg.eigh(_larger(*some))
-    order = np.argsort(variances)[::-1]
-    enough = int(np.searchsorted(np.cumsum(variances[order]) / variances.sum(), _KEPT)) + 1
-    kept = order[:enough]
-    found = np.linalg.solve(R, directions[:, kept] * np.sqrt(variances[kept])).T
-    return PointErrors(tuple(map(tuple, found.tolist())))
-
-
-def _points_of(model: Model, x: FloatArray, farthest_m: float) -> Callable[[FloatArray], FloatArray]:
-    """A function from parameters to points (N, 3) of readings all over image and distances; `x` gives the readings."""
-    camera = model.depth_camera(x)
-    distances_m = np.geomspace(_NEAREST_M, farthest_m, _POINT_MODES_DISTANCES)
+    # Readings all over the image and the distances.
+    camera, distances_m = model.depth_camera(x), np.geomspace(_NEAREST_M, _STATED_TO_M, _POINT_MODES_DISTANCES)
     px = np.tile(grid_px(camera, _ACROSS, _DOWN), (_POINT_MODES_DISTANCES, 1))
-    depth_m = np.repeat(distances_m, _ACROSS * _DOWN)
-    readings = readings_for(model.error_of(x), depth_m, px, camera)
+    readings = readings_for(model.error_of(x), np.repeat(distances_m, _ACROSS * _DOWN), px, camera)
 
     def points(y: FloatArray) -> FloatArray:
         error, lens = model.error_of(y), model.depth_camera(y)
         seen_m = error.of_readings(reading_m(error, readings), px, lens)
         return np.asarray(se3.apply(model.T_color_depth_of(y), lens.back_project(px, seen_m)))
 
-    return points
-
-
-def _larger(a: FloatArray, b: FloatArray) -> FloatArray:
-    """The covariance that is in no direction smaller than either of two."""
-    L = np.linalg.cholesky(b + _TINY * np.trace(b) * np.eye(len(b)))
-    inverse = np.linalg.inv(L)
-    values, directions = np.linalg.eigh(inverse @ a @ inverse.T)
-    across = L @ directions
-    return np.asarray((across * np.maximum(values, 1.0)) @ across.T)
-
-
-# Readings of a depth camera and where in its image they are taken: what a calibration is judged by.
+    here = points(x)
+    modes = mode_of(here, np.stack(_derivatives(points, x, columns)))
+    # An orthogonal basis of points over their distance makes the variances of coefficients comparable.
+    unit = PointErrors(tuple(map(tuple, np.eye(TERMS).tolist()))).moved_m(here)
+    _, R = np.linalg.qr((unit / here[None, :, 2:]).reshape(len(unit), -1).T)
+    by_noise, by_views = (
+        R @ modes.T @ C[np.ix_(columns, columns)] @ modes @ R.T for C in (solution.covariance, solution.by_views)
+    )
+    variances, directions = np.linalg.eigh(
+        larger(by_noise, by_views + _TINY * np.trace(by_views) * np.eye(len(by_views)))
+    )
+    order = np.argsort(variances)[::-1]
+    enough = int(np.searchsorted(np.cumsum(variances[order]) / variances.sum(), _KEPT)) + 1
+    kept = order[:enough]
+    found = np.linalg.solve(R, directions[:, kept] * np.sqrt(variances[kept])).T
+    return PointErrors(tuple(map(tuple, found.tolist())))
 
 
 def reading_m(error: DepthError, reading: FloatArray) -> FloatArray:
@@ -596,9 +576,6 @@ def grid_px(camera: PinholeCamera, across: int, down: int) -> FloatArray:
         np.linspace(0.05, 0.95, across) * (camera.width - 1), np.linspace(0.05, 0.95, down) * (camera.height - 1)
     )
     return np.stack([u.ravel(), v.ravel()], axis=-1)
-
-
-# What a calibration of cameras found, as the fields of a calibration file, and as an entry of its history.
 
 
 _CAMERA_PARTS = ("color", "depth", "T_color_depth", "depth_noise", "depth_error", "point_errors", "color_sigma_px")

@@ -13,8 +13,6 @@ from wheelsight.app.cli.run_options import SettingsFile
 from wheelsight_calibration.cli_camera import camera
 from wheelsight_calibration.cli_options import Force, Out, kept_in, open_for, page_beside, save_found, wheel_fields
 
-# wheelsight calibrate base
-
 
 def base(
     recording: RecordingPath,
@@ -55,9 +53,6 @@ def base(
     if page is not None:
         write_base_page(found, page)
     print_mount(found, written, page)
-
-
-# wheelsight calibrate robot
 
 
 Robot = Annotated[
@@ -106,9 +101,6 @@ def robot(file: Robot, check: Check = None, topic: Topics = None) -> None:
             f"next: a loop. Drive 20 m or more and end where you began: wheelsight calibrate robot {file} --check LOOP",
             markup=False,
         )
-
-
-# wheelsight calibrate wheels and umbmark
 
 
 calibrate_app = typer.Typer(

@@ -124,9 +124,6 @@ def camera(
     calibrate_live(task, camera, folders[0] if folders else Path("views"), of_camera)
 
 
-# Views, calibration and files
-
-
 _MOST_LEFT_OUT = 12
 
 
@@ -186,9 +183,6 @@ class CameraTask:
 
         nominal = load_calibration(*self.calibration) if self.calibration else None
         replace(self, setup=replace(self.setup, nominal=nominal)).calibrate(folders)
-
-
-# Views from a live camera
 
 
 _WAIT_S = 0.2
@@ -295,9 +289,6 @@ def camera_progress() -> Iterator[tuple[Callable[[str], None], Callable[[str], N
 
 def _counted(views: int) -> str:
     return f"{views} view{'' if views == 1 else 's'} {'is' if views == 1 else 'are'}"
-
-
-# wheelsight board
 
 
 def board_board(

@@ -71,12 +71,7 @@ def kept_in(out: Path, calibration: Sequence[str] | None) -> dict[str, Any]:
 
 
 def save_found(
-    found: Mapping[str, Any],
-    kept: Mapping[str, Any],
-    nominal: Calibration,
-    source: str,
-    out: Path,
-    entry: Measured,
+    found: Mapping[str, Any], kept: Mapping[str, Any], nominal: Calibration, source: str, out: Path, entry: Measured
 ) -> str:
     """Write found values over kept ones, and below them the wheels as they were known. Print FILE and what it keeps.
 

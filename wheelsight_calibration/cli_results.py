@@ -34,8 +34,6 @@ from wheelsight_calibration.wheel_page import HEAD as CALIBRATION_HEAD
 from wheelsight_calibration.wheel_page import error_rows, fit_rows, square_rows
 from wheelsight_calibration.wheels import WheelTrial
 
-# Squares
-
 
 @dataclass(frozen=True, eq=False)
 class Squares:
@@ -147,9 +145,6 @@ def print_end(warnings: Sequence[str], written: str, page: Path | None) -> None:
         console().print(f"page: {page}", markup=False)
 
 
-# History
-
-
 HEAD = ("", "by", "what", "figures")
 
 
@@ -185,9 +180,6 @@ def history_rows(history: Sequence[Measured]) -> list[tuple[str, ...]]:
         )
         for entry in history
     ]
-
-
-# Steps and the loop check
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,11 +44,7 @@ class ViewTaker:
     """
 
     def __init__(
-        self,
-        board: Board,
-        lens: PinholeCamera,
-        settings: CoachSettings | None = None,
-        seen: Sequence[Corners] = (),
+        self, board: Board, lens: PinholeCamera, settings: CoachSettings | None = None, seen: Sequence[Corners] = ()
     ) -> None:
         self._board, self._lens, self._settings = board, lens, settings or CoachSettings()
         self.seen = list(seen)

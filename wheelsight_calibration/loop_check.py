@@ -10,7 +10,7 @@ import numpy as np
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import CalibrationError
 from wheelsight.core.geometry import FloatArray, chi_square
-from wheelsight_calibration.wheel_drive import WheelDrive, poses_at
+from wheelsight_calibration.wheel_drive import WheelDrive, poses_at, sizes_m
 
 _STEP = 1e-5  # of numeric derivatives
 _ROUNDS, _NOTHING = 6, 1e-6  # of Gauss-Newton; information below which a size has no effect
@@ -68,8 +68,8 @@ def check_loop(drive: WheelDrive, wheels: Wheels, *, mark_m: float = 0.02, mark_
     Raises:
         CalibrationError: the drive is too short.
     """
-    poses = poses_at(drive, _sizes(wheels), drive.stamps_s)
-    steps_m = np.diff(np.stack([drive.left_rad, drive.right_rad], axis=-1), axis=0) * _sizes(wheels)[:2]
+    poses = poses_at(drive, sizes_m(wheels), drive.stamps_s)
+    steps_m = np.diff(np.stack([drive.left_rad, drive.right_rad], axis=-1), axis=0) * sizes_m(wheels)[:2]
     way_m = float(np.abs(steps_m.mean(axis=1)).sum())
     if way_m < _SHORTEST_M:
         problem, fix = f"is a drive of {way_m:.1f} m", f"drive {_SHORTEST_M:g} m or more"
@@ -83,7 +83,15 @@ def check_loop(drive: WheelDrive, wheels: Wheels, *, mark_m: float = 0.02, mark_
     stated = np.array([wheels.scale_sigma, wheels.drift_sigma_rad_per_m, wheels.turn_sigma])
     of_sizes = (J * stated**2) @ J.T
     of_mark = np.diag(np.square([mark_m, mark_m, np.radians(mark_deg)]))
-    of_drive = _by_slip(poses, np.abs(steps_m), wheels) + of_mark
+    # By each wheel's random slip: an excess δ moves the base forward by δ/2 and turns it by ±δ over the track width,
+    # with all of the path from there to the end.
+    rest, by_slip = poses[-1, :2] - poses[1:, :2], np.zeros((3, 3))
+    ahead = np.stack([np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])], axis=-1) / 2
+    for side, sign in ((0, -1.0), (1, 1.0)):
+        turn = sign / wheels.track_width_m
+        moved = np.column_stack([ahead + turn * np.column_stack([-rest[:, 1], rest[:, 0]]), np.full(len(rest), turn)])
+        by_slip += (moved * (wheels.slip_m_per_sqrt_m**2 * np.abs(steps_m)[:, side : side + 1])).T @ moved
+    of_drive = by_slip + of_mark
     sigmas, of_sizes_alone = _sigmas(of_sizes + of_drive), _sigmas(of_sizes)
     most = chi_square.quantile(_CONFIDENCE, 3)
     is_as_stated = float(off @ np.linalg.solve(of_sizes + of_drive, off)) <= most
@@ -100,31 +108,11 @@ def check_loop(drive: WheelDrive, wheels: Wheels, *, mark_m: float = 0.02, mark_
     return LoopCheck(way_m, turns, off_m, off_rad, *sigmas, *of_sizes_alone, is_as_stated, bool(is_good), causes)
 
 
-def _sizes(wheels: Wheels) -> FloatArray:
-    return np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
-
-
 def _end(drive: WheelDrive, wheels: Wheels, scale: float = 0.0, drift: float = 0.0, turn: float = 0.0) -> FloatArray:
     """Return x, y, yaw (3,) of the end for wheels with errors of scale, drift per metre and turn."""
     half = drift * wheels.track_width_m / 2
-    sizes = _sizes(wheels) * (1 + scale) * np.array([1 - half, 1 + half, 1 / (1 + turn)])
+    sizes = sizes_m(wheels) * (1 + scale) * np.array([1 - half, 1 + half, 1 / (1 + turn)])
     return np.asarray(poses_at(drive, sizes, drive.stamps_s[-1:])[0], float)
-
-
-def _by_slip(poses: FloatArray, steps_m: FloatArray, wheels: Wheels) -> FloatArray:
-    """Return the covariance (3, 3) of the end by each wheel's random slip, step by step.
-
-    An excess δ of a wheel moves the base forward by δ/2 and turns it by ±δ over the track width, with all of the path
-    from there to the end.
-    """
-    rest = poses[-1, :2] - poses[1:, :2]
-    ahead = np.stack([np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])], axis=-1) / 2
-    covariance = np.zeros((3, 3))
-    for side, sign in ((0, -1.0), (1, 1.0)):
-        turn = sign / wheels.track_width_m
-        moved = np.column_stack([ahead + turn * np.column_stack([-rest[:, 1], rest[:, 0]]), np.full(len(rest), turn)])
-        covariance += (moved * (wheels.slip_m_per_sqrt_m**2 * steps_m[:, side : side + 1])).T @ moved
-    return covariance
 
 
 def _sigmas(covariance: FloatArray) -> tuple[float, float]:

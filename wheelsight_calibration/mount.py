@@ -4,7 +4,7 @@ and height by the floor.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,9 @@ from wheelsight.core.errors import CalibrationError
 from wheelsight.core.geometry import BoolArray, FloatArray, IntArray, se3, so3
 from wheelsight.core.settings.calibration import FloorRangeSettings
 from wheelsight.core.trajectory import Trajectory
-from wheelsight_calibration.solver import UNKNOWN_SIGMA, robust_fit, spread
-from wheelsight_calibration.wheel_drive import Segments, WheelDrive, cut, yaw_at_readings
-from wheelsight_calibration.wheels import covariance_by
+from wheelsight_calibration.parameters import LARGEST_DELAY_S, MOUNT_BY_DRIVE, DriveProblem
+from wheelsight_calibration.solver import larger, robust_fit, spread
+from wheelsight_calibration.wheel_drive import Segments, WheelDrive, cut, sizes_m, yaw_at_readings
 
 # Hand-eye calibration in the plane. For each piece of a drive A·X = X·B holds, with A the base's motion by the wheels,
 # B the camera's, and X the mount. On a floor, with a levelled camera, it is (R(θ) - 1) t + p = R(ψ) c: rotations θ
@@ -28,13 +28,8 @@ ComplexArray = NDArray[np.complex128]
 
 # A piece of a drive ends after this distance or rotation, long relative to the camera's noise; chosen.
 _SEGMENT_M, _SEGMENT_RAD = 0.3, 0.25
-# Largest delay between the clocks that the fit finds, and how far tyres may creep outwards in bends, as
-# `MountFit.slide_s`; chosen.
-LARGEST_DELAY_S, _SLIDE_SIGMA_S = 0.5, 0.02
 # Bias of visual odometry that residuals do not show; measured on simulated drives.
 _LEAST_SIGMAS = np.array([1e-3, 1e-3, 1e-3, 5e-3, 2e-3, 2e-3, 1e-3, 1e-4])
-# Limits of all parameters but the delay; no robot exceeds them.
-_BOUNDS = np.array([np.log(2.0)] * 3 + [3.0, 3.0, 1.0, np.nan, 0.2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +88,7 @@ def cut_level(drive: WheelDrive, wheels: Wheels, level: Trajectory) -> Segments:
 
 
 def fit_mount(
-    drive: WheelDrive,
-    wheels: Wheels,
-    segments: Segments,
-    delay_s: float,
-    camera_errors: FloatArray | None = None,
+    drive: WheelDrive, wheels: Wheels, segments: Segments, delay_s: float, camera_errors: FloatArray | None = None
 ) -> MountFit:
     """Fit the planar mount robustly to the motions of wheels and camera.
 
@@ -108,21 +99,26 @@ def fit_mount(
         delay_s: initial delay of the wheels' stamps, correct to a few hundredths of a second.
         camera_errors: (K, 3, 3) of the levelled camera, see `camera_errors.motion_errors`; None for none.
     """
-    problem = _MountProblem(drive, wheels, segments, delay_s)
-    found = robust_fit(problem, np.zeros(len(_BOUNDS)))
-    left_m, right_m, track_m = problem.sizes_m(found.values).tolist()
-    fitted = replace(
-        wheels,
-        left_radius_m=left_m,
-        right_radius_m=right_m,
-        track_width_m=track_m,
-        delay_s=problem.delay_s(found.values),
-    )
-    mount = problem.mount(found.values)
-    covariance = _larger(found.covariance, found.if_independent) + np.diag(_LEAST_SIGMAS**2)
-    by_camera = covariance_by(problem, found, np.zeros((0, 3, 3)) if camera_errors is None else camera_errors)
+    base = segments.predicted(drive, sizes_m(wheels), delay_s, np.zeros(3))
+    x, y, turn_rad = base.T
+    middle = np.exp(0.5j * turn_rad)
+    along_m = ((x + 1j * y) / middle).real
+    sideways = np.asarray(-1j * along_m * turn_rad / (segments.end_s - segments.start_s) * middle)
+    start = closed_form(base, segments.motions)
+    problem = DriveProblem(MOUNT_BY_DRIVE, drive, segments, wheels, delay_s, start, sideways)
+    found = robust_fit(problem, np.zeros(len(MOUNT_BY_DRIVE)))
+    # The scatter of a few turns may be small by chance.
+    covariance = larger(found.covariance, found.if_independent) + np.diag(_LEAST_SIGMAS**2)
+    by_camera = problem.covariance_by(found, np.zeros((0, 3, 3)) if camera_errors is None else camera_errors)
     explained = (segments, found.residuals, found.is_outlier)
-    return MountFit(mount, fitted, float(found.values[7]), covariance, by_camera, *explained)
+    return MountFit(
+        problem.mount(found.values),
+        problem.fitted(found.values),
+        float(found.values[7]),
+        covariance,
+        by_camera,
+        *explained,
+    )
 
 
 def closed_form(base: FloatArray, level: FloatArray) -> FloatArray:
@@ -136,53 +132,6 @@ def closed_form(base: FloatArray, level: FloatArray) -> FloatArray:
     a, t = np.linalg.lstsq(np.stack([c, -turn], axis=-1), p)[0]
     size = max(abs(a), 1e-9)
     return np.array([t.real / size, t.imag / size, np.angle(a)])
-
-
-def _larger(a: FloatArray, b: FloatArray) -> FloatArray:
-    """The covariance (P, P) that is in no direction smaller than `a` or `b`.
-
-    The scatter of a few turns may be small by chance, so the covariance for independent residuals is a lower bound.
-    """
-    L = np.linalg.cholesky(b)
-    inverse = np.linalg.inv(L)
-    values, directions = np.linalg.eigh(inverse @ a @ inverse.T)
-    across = L @ directions
-    return np.asarray((across * np.maximum(values, 1.0)) @ across.T)
-
-
-class _MountProblem:
-    """Residuals by log sizes over nominal, mount and delay relative to the initial values, and slide."""
-
-    def __init__(self, drive: WheelDrive, wheels: Wheels, segments: Segments, delay_s: float) -> None:
-        self.drive, self.segments, self.start_delay_s = drive, segments, delay_s
-        self.nominal_m = np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
-        base = segments.predicted(drive, self.nominal_m, delay_s, np.zeros(3))
-        self.start_mount = closed_form(base, segments.motions)
-        self.bounds = _BOUNDS.copy()
-        self.bounds[6] = 2 * LARGEST_DELAY_S
-        self.prior_sigmas = np.full(len(_BOUNDS), UNKNOWN_SIGMA)
-        self.prior_sigmas[7] = _SLIDE_SIGMA_S
-        x, y, turn_rad = base.T
-        middle = np.exp(0.5j * turn_rad)
-        along_m = ((x + 1j * y) / middle).real
-        self.sideways = np.asarray(-1j * along_m * turn_rad / (segments.end_s - segments.start_s) * middle)
-
-    def sizes_m(self, values: FloatArray) -> FloatArray:
-        return np.asarray(self.nominal_m * np.exp(values[:3]))
-
-    def mount(self, values: FloatArray) -> FloatArray:
-        return np.asarray(self.start_mount + values[3:6])
-
-    def delay_s(self, values: FloatArray) -> float:
-        return self.start_delay_s + float(values[6])
-
-    def residuals(self, values: FloatArray) -> FloatArray:
-        """(M, 3) in metres, metres, radians."""
-        mount = self.mount(values)
-        motions = self.segments.predicted(self.drive, self.sizes_m(values), self.delay_s(values), mount)
-        slid = values[7] * self.sideways * np.exp(-1j * mount[2])
-        motions[:, :2] += np.stack([slid.real, slid.imag], axis=-1)
-        return self.segments.residuals(motions)
 
 
 # Largest offset between the clocks, and the step of the search for it, which fits refine; chosen.
@@ -333,13 +282,29 @@ def fit_floor(
     view, pixel = np.nonzero(is_near)
     depth_m = views.depth_m[is_near].astype(float)
     points = _FloorPoints(view, pixel, views.rays[pixel], 1 / depth_m, noise.sigma_m(depth_m) / depth_m**2)
-    q = -up_camera / _coarse_height_m(points, up_camera, settings.highest_m)
+    # The lowest peak of the histogram of heights below the camera.
+    below_m = -(points.rays @ up_camera) / points.inverse
+    edges = np.arange(_LEAST_HEIGHT_M, settings.highest_m, _BIN_M)
+    counts, _ = np.histogram(below_m, edges)
+    pairs = counts[:-1] + counts[1:]
+    many = np.flatnonzero(pairs >= max(_PEAK_SHARE * pairs.max(), _FEWEST_POINTS))
+    if not len(many):
+        raise CalibrationError("hardly any depth lies below the camera: no floor is in view", fix=_ADVICE)
+    lowest = (below_m >= edges[many[-1]]) & (below_m < edges[many[-1] + 2])
+    q = -up_camera / float(np.median(below_m[lowest]))
     for band_m in _BANDS_M:
         q = points.plane(np.abs(points.off_m(q)) < band_m)
     for _ in range(_ROBUST_STEPS):
         q = points.plane(points.agreement(q))
     agreement = points.agreement(q)
-    seen, tilts = _view_by_view(points, q, agreement, view_count)
+    # Roll, pitch and height by each view that determines the plane alone.
+    weights = agreement / points.sigma**2
+    of_view, g = np.zeros((view_count, 3, 3)), np.zeros((view_count, 3))
+    np.add.at(of_view, points.view, weights[:, None, None] * points.rays[:, :, None] * points.rays[:, None, :])
+    np.add.at(g, points.view, (weights * (points.inverse - points.rays @ q))[:, None] * points.rays)
+    seen = np.flatnonzero(np.bincount(points.view, agreement > 0.5, minlength=view_count) >= _FEWEST_POINTS)
+    seen = seen[np.linalg.cond(of_view[seen]) < _WORST_CONDITION]
+    tilts = _tilts(q + np.linalg.solve(of_view[seen], g[seen][..., None])[..., 0])
     if len(tilts) < max(_FEWEST_VIEWS, _FEWEST_VIEW_SHARE * view_count):
         raise CalibrationError(f"only {len(tilts)} of {view_count} views show enough floor", fix=_ADVICE)
     sway = 1.4826 * np.median(np.abs(tilts - np.median(tilts, axis=0)), axis=0)
@@ -352,9 +317,9 @@ def fit_floor(
     if np.count_nonzero(off_m < -_BELOW_M) > _MOST_BELOW * np.count_nonzero(np.abs(off_m) < _BANDS_M[-1]):
         problem = f"much lies below the lowest plane in sight, {height_m:.2f} m under the camera: no floor is in view"
         raise CalibrationError(problem, fix=_ADVICE)
-    covariance = _covariance(points, q, agreement)
-    points_m, weights = points.by_pixel(q, agreement)
-    return FloorFit(-q * height_m, height_m, covariance, points_m, weights, views.stamps_s[seen], tilts, view_count)
+    on_floor = points.by_pixel(q, agreement)
+    covariance = points.covariance(q, agreement)
+    return FloorFit(-q * height_m, height_m, covariance, *on_floor, views.stamps_s[seen], tilts, view_count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -395,34 +360,21 @@ class _FloorPoints:
         shown = (weights > 0) & (inverse > 0)
         return rays[shown] / inverse[shown, None], weights[shown]
 
+    def covariance(self, q: FloatArray, agreement: FloatArray) -> FloatArray:
+        """Covariance (3, 3) of roll, pitch and height by the sandwich estimator.
 
-def _coarse_height_m(points: _FloorPoints, up_camera: FloatArray, highest_m: float) -> float:
-    """The lowest peak of the histogram of heights below the camera."""
-    below_m = -(points.rays @ up_camera) / points.inverse
-    edges = np.arange(_LEAST_HEIGHT_M, highest_m, _BIN_M)
-    counts, _ = np.histogram(below_m, edges)
-    pairs = counts[:-1] + counts[1:]
-    many = np.flatnonzero(pairs >= max(_PEAK_SHARE * pairs.max(), _FEWEST_POINTS))
-    if not len(many):
-        raise CalibrationError("hardly any depth lies below the camera: no floor is in view", fix=_ADVICE)
-    lowest = (below_m >= edges[many[-1]]) & (below_m < edges[many[-1] + 2])
-    return float(np.median(below_m[lowest]))
-
-
-def _view_by_view(
-    points: _FloorPoints, q: FloatArray, agreement: FloatArray, view_count: int
-) -> tuple[IntArray, FloatArray]:
-    """Indices (K,) of the views that determine the plane alone, and roll, pitch and height (K, 3) by each."""
-    weights = agreement / points.sigma**2
-    H = np.zeros((view_count, 3, 3))
-    np.add.at(H, points.view, weights[:, None, None] * points.rays[:, :, None] * points.rays[:, None, :])
-    g = np.zeros((view_count, 3))
-    np.add.at(g, points.view, (weights * (points.inverse - points.rays @ q))[:, None] * points.rays)
-    enough = np.bincount(points.view, agreement > 0.5, minlength=view_count) >= _FEWEST_POINTS
-    seen = np.flatnonzero(enough)
-    seen = seen[np.linalg.cond(H[seen]) < _WORST_CONDITION]
-    planes = q + np.linalg.solve(H[seen], g[seen][..., None])[..., 0]
-    return seen, _tilts(planes)
+        The gradient is summed over runs of neighbouring views, whose errors correlate.
+        """
+        weights = agreement / self.sigma**2
+        H = (weights[:, None] * self.rays).T @ self.rays
+        gradient = (weights * (self.inverse - self.rays @ q))[:, None] * self.rays
+        cluster = self.view * _MOST_CLUSTERS // (int(self.view.max()) + 1)
+        sums = np.stack([np.bincount(cluster, column, minlength=_MOST_CLUSTERS) for column in gradient.T], axis=-1)
+        groups = len(np.unique(cluster))
+        inverse = np.linalg.inv(H)
+        spread = inverse @ (sums.T @ sums) @ inverse * groups / max(groups - 3, 1)
+        J = _derivatives(q)
+        return np.asarray(J @ spread @ J.T + np.diag(_FLOOR_LEAST_SIGMAS**2))
 
 
 def _tilts(q: FloatArray) -> FloatArray:
@@ -435,20 +387,3 @@ def _derivatives(q: FloatArray) -> FloatArray:
     """Derivatives (3, 3) of roll, pitch and height with respect to the plane."""
     steps = 1e-6 * np.linalg.norm(q) * np.eye(3)
     return np.stack([(_tilts(q + h) - _tilts(q - h)) / (2 * h.max()) for h in steps], axis=-1)
-
-
-def _covariance(points: _FloorPoints, q: FloatArray, agreement: FloatArray) -> FloatArray:
-    """Covariance (3, 3) of roll, pitch and height by the sandwich estimator.
-
-    The gradient is summed over runs of neighbouring views, whose errors correlate.
-    """
-    weights = agreement / points.sigma**2
-    H = (weights[:, None] * points.rays).T @ points.rays
-    gradient = (weights * (points.inverse - points.rays @ q))[:, None] * points.rays
-    cluster = points.view * _MOST_CLUSTERS // (int(points.view.max()) + 1)
-    sums = np.stack([np.bincount(cluster, column, minlength=_MOST_CLUSTERS) for column in gradient.T], axis=-1)
-    groups = len(np.unique(cluster))
-    inverse = np.linalg.inv(H)
-    spread = inverse @ (sums.T @ sums) @ inverse * groups / max(groups - 3, 1)
-    J = _derivatives(q)
-    return np.asarray(J @ spread @ J.T + np.diag(_FLOOR_LEAST_SIGMAS**2))

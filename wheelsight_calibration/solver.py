@@ -17,7 +17,6 @@ UNKNOWN_SIGMA = 1e3
 
 _STEP = 0.01  # share of a parameter's bound, the scale of the solver
 
-
 # Chosen, unless the line says otherwise.
 _FIRST_SCALE, _LEAST_SCALE = 0.02, 5e-4  # initial and least spread, in metres and in radians
 _NARROWING = (32.0, 8.0, 4.0, 2.0, 1.0, 1.0, 1.0)  # times the spread, step by step (after Yang et al. 2020)
@@ -80,6 +79,15 @@ def response(problem: Problem, found: RobustFit, moved: FloatArray) -> FloatArra
     weighted = found.weights[:, None, None] * J
     H = np.einsum("mip,miq->pq", weighted, J) + np.diag(problem.prior_sigmas**-2)
     return np.asarray(-np.linalg.solve(H, np.einsum("mip,kmi->pk", weighted, moved / scales)).T)
+
+
+def larger(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the covariance (P, P) that is in no direction smaller than `a` or `b`."""
+    L = np.linalg.cholesky(b)
+    inverse = np.linalg.inv(L)
+    values, directions = np.linalg.eigh(inverse @ a @ inverse.T)
+    across = L @ directions
+    return np.asarray((across * np.maximum(values, 1.0)) @ across.T)
 
 
 def spread(residuals: FloatArray) -> FloatArray:

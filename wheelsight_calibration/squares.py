@@ -22,8 +22,8 @@ from wheelsight.core.geometry import FloatArray
 from wheelsight.core.inputs import Kind, as_number, lines_of, read_text, split_words
 from wheelsight.io.recordings import Recording
 from wheelsight.io.recordings.recording import express_for
-from wheelsight_calibration.wheel_drive import WheelDrive, drive_of, poses_at
-from wheelsight_calibration.wheels import stated
+from wheelsight_calibration.parameters import stated
+from wheelsight_calibration.wheel_drive import WheelDrive, drive_of, poses_at, sizes_m
 
 _LARGEST_FACTOR = 1.5
 _LONGEST_SIDE_M = 1000.0  # a longer side is probably in another unit
@@ -185,10 +185,7 @@ def _square_errors(wheels: Wheels, side_m: float, factors: FloatArray) -> FloatA
 def _checked(errors_m: ArrayLike, name: str) -> FloatArray:
     errors = np.array(errors_m, float)
     if errors.ndim != 2 or errors.shape[1] != 2 or not len(errors):
-        raise CalibrationError(
-            f"there is no {name} run",
-            fix="drive the square in both directions, five times each",
-        )
+        raise CalibrationError(f"there is no {name} run", fix="drive the square in both directions, five times each")
     if not np.isfinite(errors).all():
         raise CalibrationError("a return position error is not a finite number")
     return errors
@@ -219,9 +216,10 @@ class SquareRun:
 
     def path(self, wheels: Wheels) -> FloatArray:
         """Return x, y, yaw (N, 3) by `wheels`, from the start."""
-        sizes = np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
         inside = self.drive.stamps_s[(self.drive.stamps_s > self.start_s) & (self.drive.stamps_s < self.end_s)]
-        poses = poses_at(self.drive, sizes, np.concatenate([[self.start_s], inside, [self.end_s]]) + wheels.delay_s)
+        poses = poses_at(
+            self.drive, sizes_m(wheels), np.concatenate([[self.start_s], inside, [self.end_s]]) + wheels.delay_s
+        )
         steps = (poses[:, :2] - poses[0, :2]) @ np.array([1, 1j]) * np.exp(-1j * poses[0, 2])
         return np.column_stack([steps.real, steps.imag, poses[:, 2] - poses[0, 2]])
 

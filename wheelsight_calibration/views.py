@@ -249,10 +249,7 @@ def _kind_and_name(path: Path, folder: Path) -> tuple[str | None, str]:
 
 
 def read_views(
-    folders: Sequence[StrPath],
-    board: Board,
-    depth_factor: float = 1000.0,
-    on_view: Callable[[], None] = lambda: None,
+    folders: Sequence[StrPath], board: Board, depth_factor: float = 1000.0, on_view: Callable[[], None] = lambda: None
 ) -> ViewSet:
     """Views with their corners; unusable ones are left out with a reason.
 
@@ -287,6 +284,11 @@ def read_views(
     return ViewSet(tuple(views), size, depth_size, tuple(left_out), is_disparity)
 
 
+def size_text(size: tuple[int, int]) -> str:
+    """Width × height, for messages."""
+    return f"{size[0]}×{size[1]}"
+
+
 _Seen = tuple[BoardView, tuple[int, int], tuple[int, int] | None]
 
 
@@ -300,9 +302,9 @@ def _of_one_size(
     views = []
     for view, own, own_depth in seen:
         if own != size:
-            left_out.append((view.name, f"colour image is {_size_text(own)}, others {_size_text(size)}"))
+            left_out.append((view.name, f"colour image is {size_text(own)}, others {size_text(size)}"))
         elif own_depth is not None and depth_size is not None and own_depth != depth_size:
-            left_out.append((view.name, f"depth image is {_size_text(own_depth)}, others {_size_text(depth_size)}"))
+            left_out.append((view.name, f"depth image is {size_text(own_depth)}, others {size_text(depth_size)}"))
         else:
             views.append(view)
     return views, size, depth_size
@@ -360,7 +362,3 @@ def _none_found(folders: Sequence[StrPath], board: Board, left_out: list[tuple[s
 
 def _size(image: Any) -> tuple[int, int]:
     return int(image.shape[1]), int(image.shape[0])
-
-
-def _size_text(size: tuple[int, int]) -> str:
-    return f"{size[0]}×{size[1]}"

@@ -92,17 +92,21 @@ def drive_from_ticks(wheels: Wheels, stamps_s: ArrayLike, left: ArrayLike, right
     return WheelDrive(stamps_s, *angles)
 
 
+def sizes_m(wheels: Wheels) -> FloatArray:
+    """Return left radius, right radius and track width (3,)."""
+    return np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
+
+
 def drive_path(drive: WheelDrive, wheels: Wheels, stamps_s: ArrayLike) -> Trajectory:
     """Return T_odom_base at stamps (M,) of the robot's clock (not the readings'), by arcs between readings."""
-    sizes = np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
-    x, y, yaw_rad = poses_at(drive, sizes, np.asarray(stamps_s, float) + wheels.delay_s).T
+    x, y, yaw_rad = poses_at(drive, sizes_m(wheels), np.asarray(stamps_s, float) + wheels.delay_s).T
     return Trajectory(np.asarray(stamps_s, float), se3.from_plane(x, y, yaw_rad), body="base", frame="odom")
 
 
 def yaw_at_readings(drive: WheelDrive, wheels: Wheels) -> FloatArray:
     """Return the unwrapped yaw (N,), 0 at the first reading; between readings it is linear in time."""
-    sizes_m = np.array([wheels.left_radius_m, wheels.right_radius_m, wheels.track_width_m])
-    return np.concatenate([[0.0], np.cumsum(_arcs(np.diff(drive.left_rad), np.diff(drive.right_rad), sizes_m)[1])])
+    arcs = _arcs(np.diff(drive.left_rad), np.diff(drive.right_rad), sizes_m(wheels))
+    return np.concatenate([[0.0], np.cumsum(arcs[1])])
 
 
 def poses_at(drive: WheelDrive, sizes_m: FloatArray, stamps_s: FloatArray) -> FloatArray:

@@ -142,9 +142,6 @@ def _proof(trial: WheelTrial) -> str:
     return html.section("proof", "On the part it did not use", intro, errors, drive, drift)
 
 
-# Figures
-
-
 _LOOKS = {"nominal": {"color": ORANGE, "width": 2}, "calibrated": {"color": BLUE, "width": 2}}
 _PANELS = (("along the way", "mm", 1e3), ("across", "mm", 1e3), ("turn", "°", 180 / np.pi))
 
@@ -237,9 +234,6 @@ def _mark(figure: go.Figure, point: FloatArray, word: str, color: str, symbol: s
         showlegend=False,
         hoverinfo="skip",
     )
-
-
-# Tables
 
 
 HEAD = ("", "nominal", "calibrated", "± σ", "change")

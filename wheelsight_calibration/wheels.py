@@ -3,7 +3,7 @@
 The reference, ground truth or visual odometry, is cut into short segments. `fit_wheels` seeks the sizes and the delay
 for which the motions of the wheels differ least from those of the reference, along, across, and in yaw. The reference's
 body, a marker or a camera, may sit off the middle of the axle, so its mount is fitted as well. Segments with slip or a
-jump of the reference lose their weight (`core.robust_fit`).
+jump of the reference lose their weight (`solver`).
 
 `try_calibration` fits on the first part of a recording and evaluates on the rest.
 """
@@ -11,8 +11,7 @@ jump of the reference lose their weight (`core.robust_fit`).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,16 +22,15 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import Evaluation, evaluate
 from wheelsight.io.recordings import Recording
 from wheelsight.io.recordings.recording import express_for
-from wheelsight_calibration.motion_errors import typical_motion_errors, with_error
-from wheelsight_calibration.solver import UNKNOWN_SIGMA, Problem, RobustFit, response, robust_fit, spread
+from wheelsight_calibration.motion_errors import typical_motion_errors
+from wheelsight_calibration.parameters import LARGEST_DELAY_S, WHEELS_BY_REFERENCE, DriveProblem, stated
+from wheelsight_calibration.solver import robust_fit, spread
 from wheelsight_calibration.wheel_drive import Segments, WheelDrive, cut, drive_of, drive_path
 
 PARAMETERS = ("left_radius_m", "right_radius_m", "track_width_m", "delay_s")
-LARGEST_DELAY_S = 0.5
 
 _FEWEST_SEGMENTS = 12
 _COARSE_STEP_S = 0.02
-_MOUNT_SIGMAS = np.array([0.5, 0.5, 0.3])  # prior of the mount, for drives that do not determine it
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,17 +99,18 @@ def fit_wheels(
             f"{_FEWEST_SEGMENTS} are needed",
             fix="drive further, turning both ways, or choose a larger part of the recording",
         )
-    problem = _WheelProblem(drive, segments, wheels, with_delay)
+    parameters = WHEELS_BY_REFERENCE if with_delay else WHEELS_BY_REFERENCE[:6]
+    problem = DriveProblem(parameters, drive, segments, wheels, wheels.delay_s, np.zeros(3))
     on_step("searching the delay")
-    start = problem.coarse()
+    start = _coarse(problem)
     on_step("fitting")
     found = robust_fit(problem, start)
     values, fitted = found.values, problem.fitted(found.values)
     refuse_if_unlike(segments, found.residuals, drive, fitted.delay_s)
-    refuse_if_unobservable(problem.sigmas(values, found.covariance), fitted, segments)
+    refuse_if_unobservable(_sigmas(problem, values, found.covariance), fitted, segments)
     refuse_if_impossible(wheels, fitted, LARGEST_DELAY_S)
-    covariance = found.covariance + (0 if camera_errors is None else covariance_by(problem, found, camera_errors))
-    sigmas = problem.sigmas(values, covariance)
+    covariance = found.covariance + (0 if camera_errors is None else problem.covariance_by(found, camera_errors))
+    sigmas = _sigmas(problem, values, covariance)
     difference = np.array([-1, 1]) @ covariance[:2, :2] @ np.array([-1, 1])
     ratio_sigma = float(fitted.right_radius_m / fitted.left_radius_m * np.sqrt(difference))
     # Of the mean of both radii' logarithms, in which common errors add up.
@@ -121,67 +120,34 @@ def fit_wheels(
     return WheelFit(wheels, known, sigmas, ratio_sigma, problem.mount(values), segments, *explained)
 
 
-class _WheelProblem:
-    """Residuals by the unknowns: logarithms of sizes over nominal ones, mount, change of delay."""
-
-    def __init__(self, drive: WheelDrive, segments: Segments, nominal: Wheels, with_delay: bool) -> None:
-        self.drive, self.segments, self.nominal = drive, segments, nominal
-        self.nominal_sizes = np.array([nominal.left_radius_m, nominal.right_radius_m, nominal.track_width_m])
-        self.bounds = np.array([np.log(8.0)] * 3 + [3.0, 3.0, 1.5] + [2 * LARGEST_DELAY_S] * with_delay)
-        self.prior_sigmas = np.full(len(self.bounds), UNKNOWN_SIGMA)
-        self.prior_sigmas[3:6] = _MOUNT_SIGMAS
-        self.with_delay = with_delay
-
-    def sizes(self, values: FloatArray) -> FloatArray:
-        return np.asarray(self.nominal_sizes * np.exp(values[:3]))
-
-    def mount(self, values: FloatArray) -> FloatArray:
-        return np.asarray(values[3:6])
-
-    def delay_s(self, values: FloatArray) -> float:
-        return self.nominal.delay_s + (float(values[6]) if self.with_delay else 0.0)
-
-    def residuals(self, values: FloatArray) -> FloatArray:
-        """Return (M, 3) in metres, metres, radians."""
-        robot = (self.sizes(values), self.delay_s(values), self.mount(values))
-        return self.segments.residuals(self.segments.predicted(self.drive, *robot))
-
-    def coarse(self) -> FloatArray:
-        """Return nominal sizes with the delay for which wheel angles fit the reference best, in a linear model."""
-        values = np.zeros(len(self.bounds))
-        if not self.with_delay:
-            return values
-        yaw_rad = self.segments.motions[:, 2]
-        along_m = chords_m(self.segments) / np.sinc(yaw_rad / (2 * np.pi))
-        steps = round(LARGEST_DELAY_S / _COARSE_STEP_S)
-        delays_s = _COARSE_STEP_S * np.arange(-steps, steps + 1)
-        misfits = np.zeros(len(delays_s))
-        for i, delay_s in enumerate(delays_s):
-            clock_s = self.nominal.delay_s + delay_s
-            start, end = (self.drive.angles_at(s + clock_s) for s in (self.segments.start_s, self.segments.end_s))
-            turned = np.stack([end[0] - start[0], end[1] - start[1]], axis=-1)
-            for wanted in (along_m, yaw_rad):
-                # Logarithm of the mean squared residual, with residuals limited to three spreads.
-                off = wanted - turned @ np.linalg.lstsq(turned, wanted)[0]
-                limit = 3 * max(float(spread(off[:, None])[0]), 1e-9)
-                misfits[i] += float(np.log(np.mean(np.minimum(off**2, limit**2)) + 1e-12))
-        values[6] = delays_s[np.argmin(misfits)]
+def _coarse(problem: DriveProblem) -> FloatArray:
+    """Return nominal values with the delay for which wheel angles fit the reference best, in a linear model."""
+    values = np.zeros(len(problem.bounds))
+    if len(values) < len(WHEELS_BY_REFERENCE):
         return values
+    segments, drive = problem.segments, problem.drive
+    yaw_rad = segments.motions[:, 2]
+    along_m = chords_m(segments) / np.sinc(yaw_rad / (2 * np.pi))
+    steps = round(LARGEST_DELAY_S / _COARSE_STEP_S)
+    delays_s = _COARSE_STEP_S * np.arange(-steps, steps + 1)
+    misfits = np.zeros(len(delays_s))
+    for i, delay_s in enumerate(delays_s):
+        clock_s = problem.nominal.delay_s + delay_s
+        start, end = (drive.angles_at(s + clock_s) for s in (segments.start_s, segments.end_s))
+        turned = np.stack([end[0] - start[0], end[1] - start[1]], axis=-1)
+        for wanted in (along_m, yaw_rad):
+            # Logarithm of the mean squared residual, with residuals limited to three spreads.
+            off = wanted - turned @ np.linalg.lstsq(turned, wanted)[0]
+            limit = 3 * max(float(spread(off[:, None])[0]), 1e-9)
+            misfits[i] += float(np.log(np.mean(np.minimum(off**2, limit**2)) + 1e-12))
+    values[6] = delays_s[np.argmin(misfits)]
+    return values
 
-    def fitted(self, values: FloatArray) -> Wheels:
-        left_m, right_m, track_m = (float(size) for size in self.sizes(values))
-        return replace(
-            self.nominal,
-            left_radius_m=left_m,
-            right_radius_m=right_m,
-            track_width_m=track_m,
-            delay_s=self.delay_s(values),
-        )
 
-    def sigmas(self, values: FloatArray, covariance: FloatArray) -> dict[str, float]:
-        deviations = np.sqrt(np.diag(covariance))
-        found = dict(zip(PARAMETERS, (self.sizes(values) * deviations[:3]).tolist(), strict=False))
-        return found | ({"delay_s": float(deviations[6])} if self.with_delay else {})
+def _sigmas(problem: DriveProblem, values: FloatArray, covariance: FloatArray) -> dict[str, float]:
+    deviations = np.sqrt(np.diag(covariance))
+    found = dict(zip(PARAMETERS, (problem.sizes_m(values) * deviations[:3]).tolist(), strict=False))
+    return found | ({"delay_s": float(deviations[6])} if len(values) > 6 else {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,26 +260,6 @@ def try_calibration(
     return WheelTrial(recording.name, fit, reference, split_s, held_out, before, after, recording.warnings)
 
 
-class SegmentsProblem(Problem, Protocol):
-    """A fit to segments of a reference."""
-
-    segments: Segments
-
-
-def covariance_by(problem: SegmentsProblem, found: RobustFit, errors: FloatArray) -> FloatArray:
-    """Return the covariance (P, P) of the fitted values by independent errors (K, 3, 3) of the motions, of one σ each.
-
-    Errors are as in `camera_errors.motion_errors`.
-    """
-    segments, moved = problem.segments, []
-    for error in errors:
-        problem.segments = replace(segments, motions=with_error(segments.motions, error))
-        moved.append(problem.residuals(found.values) - found.residuals)
-    problem.segments = segments
-    shifts = response(problem, found, np.reshape(moved, (-1, *found.residuals.shape)))
-    return np.asarray(shifts.T @ shifts)
-
-
 _MOST_UNCERTAIN_SHARE = 0.03  # that of a tape measure
 _MOST_UNCERTAIN_DELAY_S = 0.1
 _LARGEST_FACTOR = 2.5
@@ -419,26 +365,3 @@ def _agreement(a: FloatArray, b: FloatArray) -> float:
     """Return the cosine between (M,) and (M,), -1 to 1."""
     size = float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
     return float(np.sum(a * b)) / size if size > 0 else 0.0
-
-
-# σ of changes of tyres from day to day, which a fit does not show. Computed: two kilograms more on one side compress
-# its tyre by 0.06 % of the radius, a milliradian per metre for wheels half a metre apart. Air pressure and temperature
-# have similar effects on both; the point of contact within the width of a tyre changes the track width.
-DAILY_SCALE, DAILY_DRIFT_RAD_PER_M, DAILY_TURN = 0.003, 0.001, 0.003
-
-
-def stated(wheels: Wheels, ratio_sigma: float, track_share: float, scale_share: float | None = None) -> Wheels:
-    """Return wheels with standard deviations.
-
-    Args:
-        wheels: as fitted.
-        ratio_sigma: standard deviation of right radius over left.
-        track_share: of the track width, relative.
-        scale_share: of the mean radius, relative; None to keep that of `wheels`.
-    """
-    scale = wheels.scale_sigma if scale_share is None else float(np.hypot(scale_share, DAILY_SCALE))
-    drift = float(np.hypot(ratio_sigma / wheels.track_width_m, DAILY_DRIFT_RAD_PER_M))
-    turn = float(np.hypot(track_share, DAILY_TURN))
-    return replace(
-        wheels, scale_sigma=min(scale, 1.0), drift_sigma_rad_per_m=min(drift, 1.0), turn_sigma=min(turn, 1.0)
-    )

@@ -31,10 +31,7 @@ def fit(simulated: SimulatedDrive, nominal: Wheels = NOMINAL, **options: object)
 @pytest.mark.slow
 @settings(max_examples=6)
 @given(
-    ratio=st.floats(0.98, 1.02),
-    track_m=st.floats(0.45, 0.8),
-    delay_s=st.floats(-0.4, 0.4),
-    seed=st.integers(0, 1000),
+    ratio=st.floats(0.98, 1.02), track_m=st.floats(0.45, 0.8), delay_s=st.floats(-0.4, 0.4), seed=st.integers(0, 1000)
 )
 def test_injected_sizes_are_found_within_two_parts_in_a_thousand(
     ratio: float, track_m: float, delay_s: float, seed: int

@@ -79,9 +79,7 @@ def test_slips_lose_their_weight(rng: np.random.Generator) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("blur", "least"),
-    [(USUAL, 0.05), (Blur(step_m=0.002, step_rad=0.001), 0.3)],
-    ids=["each by itself", "adding up"],
+    ("blur", "least"), [(USUAL, 0.05), (Blur(step_m=0.002, step_rad=0.001), 0.3)], ids=["each by itself", "adding up"]
 )
 def test_errors_are_at_most_as_large_as_stated(blur: Blur, least: float) -> None:
     """Normalised error squared over thirty drives with noisy wheels and poses.

@@ -12,7 +12,7 @@ from wheelsight.core.calibration import Calibration, load_calibration, save_cali
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import CalibrationError
 from wheelsight.estimation import ErrorStateSettings
-from wheelsight_calibration.wheels import DAILY_DRIFT_RAD_PER_M, stated
+from wheelsight_calibration.parameters import DAILY_DRIFT_RAD_PER_M, stated
 from wheelsight_sim.robot import WheelSizeSettings, as_calibrated
 
 WHEELS = Wheels(0.17, 0.17, 0.5, 3200.0)
