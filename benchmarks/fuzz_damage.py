@@ -517,7 +517,7 @@ def _many(text: bytes, rng: Rng) -> bytes:
     node = spots[int(rng.integers(len(spots)))]
     key = sorted(node)[0] if isinstance(node, dict) else 0
     member = json.dumps(node[key])
-    count = min(int(_pick((50, 5000, 200_000), rng)), _MOST_BYTES // (len(member) + 8))
+    count = min(int(_pick((50, 5000, 200_000), rng)), _MOST_BYTES // (len(member) + len(str(key)) + 8))
     if isinstance(node, dict):
         node.update({f"{key}{i}": node[key] for i in range(count)})
     else:
