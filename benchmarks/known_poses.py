@@ -12,8 +12,8 @@ from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import FrameSurface, PredictedView
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.threads import Rows
-from wheelsight.estimation.camera_localizer import Thinning
 from wheelsight.mapping import SurfelMap
+from wheelsight.mapping.surfels import Thinning
 from wheelsight.vision.dense import DenseSettings
 from wheelsight.vision.dense.alignment import Gridder, ReferenceMaker
 from wheelsight_sim import SimulatedRecording

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from wheelsight.core.checks import FrameGate, FrameRefusal
 from wheelsight.core.geometry import se3
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.estimation.camera_localizer import FrameGate, FrameRefusal
 
 AHEAD = se3.exp([0.0, 0.0, 0.02, 0.0, 0.0, 0.0])
 TURNED = se3.exp([0.0, 0.0, 0.0, 0.0, 0.02, 0.0])

@@ -8,7 +8,7 @@ from narrowing import not_none
 from numpy.testing import assert_allclose
 
 from wheelsight.core.geometry import se3
-from wheelsight.estimation.camera_localizer import Pace
+from wheelsight.vision.features.tracking import Pace
 
 TWIST = np.array([0.4, -0.1, 0.05, 0.1, -0.3, 1.2])
 

@@ -15,8 +15,9 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.estimates import CameraEstimate, Estimate, Status
 from wheelsight.core.geometry import se3
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.estimation.camera_localizer import ByFrames, MapBuilder, Thinning
+from wheelsight.estimation.camera_localizer import ByFrames
 from wheelsight.mapping import SurfelSettings
+from wheelsight.mapping.surfels import MapBuilder, Thinning
 from wheelsight.vision.dense import DenseOdometry
 
 TRUTH = synthetic.wobbling_trajectory(6)

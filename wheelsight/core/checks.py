@@ -1,6 +1,6 @@
 """Checks of events and arguments, before OpenCV, a kernel or a filter sees them.
 
-Types, shapes and numbers come first. `Repeats` detects that a camera delivers the same image again.
+Types, shapes and numbers come first. `FrameGate` rejects frames that repeat an image.
 
 `SessionClock` maps the stamps of all sensors to one continuous session time, even if their clocks leap.
 
@@ -326,6 +326,61 @@ class Repeats:
 
 def _are_the_same(a: np.ndarray, b: np.ndarray) -> bool:
     return a.shape == b.shape and len(a) > 0 and np.array_equal(a[0], b[0]) and np.array_equal(a, b)
+
+
+_WAIT_S = 1.0  # at the start, for wheels: their first reading begins the filter
+_HANGS_S = 1.0  # of one image; some cameras are logged at a multiple of their rate
+# A robot that moves less from frame to frame stands: one that creeps at 2 cm/s moves more.
+_MOVED_M, _MOVED_RAD = 0.0005, 0.0005
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRefusal:
+    """Why a frame is not aligned.
+
+    Attributes:
+        note: for a user.
+        is_repeat: whether the image only repeats a previous one: neither a measurement nor a failure.
+    """
+
+    note: str
+    is_repeat: bool = False
+
+
+class FrameGate:
+    """Rejects frames that repeat an image, and delays the first frames until wheel readings arrive.
+
+    Attributes:
+        has_wheels: whether any wheel reading has arrived.
+    """
+
+    def __init__(self) -> None:
+        self.has_wheels = False
+        self._first_s = math.inf
+        self._repeats = Repeats()
+
+    def why_not(self, frame: RgbdFrame, T_last_frame: FloatArray | None = None) -> FrameRefusal | None:
+        """Return why a frame is rejected, or None.
+
+        Args:
+            frame: to check.
+            T_last_frame: (4, 4) motion of the camera since the last tracked frame, by the wheels.
+        """
+        lasting_s = self._repeats.lasting_s(frame)
+        if lasting_s == 0:
+            return None
+        if T_last_frame is not None:
+            way_m, turn_rad = np.linalg.norm(T_last_frame[:3, 3]), se3.angle(T_last_frame[:3, :3])
+            if not (way_m > _MOVED_M or turn_rad > _MOVED_RAD):
+                return None  # the robot stands: a camera without noise repeats its image
+        if lasting_s <= _HANGS_S:
+            return FrameRefusal("the same image as before", is_repeat=True)
+        return FrameRefusal(f"the camera hangs: the same image for over {_HANGS_S:g} s")
+
+    def waits_for_wheels(self, frame: RgbdFrame) -> bool:
+        """Whether a frame is too early to go without wheel readings."""
+        self._first_s = min(self._first_s, frame.stamp_s)
+        return not self.has_wheels and frame.stamp_s - self._first_s < _WAIT_S
 
 
 # A gyroscope is optional, so no other sensor is left out because of it.

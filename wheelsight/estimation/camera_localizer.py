@@ -1,27 +1,22 @@
-"""Localization by the camera alone (`ByFrames`), and the camera of a filter (`FusedCamera`).
-
-`FrameGate` rejects frames that need no alignment. `MapBuilder` fuses tracked frames into a surfel map.
-"""
+"""Localization by the camera alone (`ByFrames`), and the choice of its odometry."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.checks import Repeats, Untimed
+from wheelsight.core.checks import FrameGate, Untimed
 from wheelsight.core.errors import CalibrationError
-from wheelsight.core.estimates import CameraEstimate, Estimate, FusedEstimate, Reason, Status
-from wheelsight.core.geometry import FloatArray, se3, so3
-from wheelsight.core.geometry import motion_kernels as motions
+from wheelsight.core.estimates import CameraEstimate, Estimate, Reason, Status
+from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame
 from wheelsight.estimation.loop_updates import LoopsBeside, begin_in, loops_beside
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
-from wheelsight.mapping import FusedFrame, SurfelMap, SurfelSettings
+from wheelsight.mapping.surfels import MapBuilder
 from wheelsight.slam.place_recognition import KnownMap
 from wheelsight.vision.dense import DenseEstimate, DenseOdometry
 from wheelsight.vision.features import FeatureEstimate, FeatureOdometry, MatchedPixels
@@ -31,12 +26,6 @@ CameraOdometry = FeatureOdometry | DenseOdometry | OwnOdometry
 
 # Frames in a row that show nothing known, after which the camera continues from the pose of the wheels.
 RESTART_AFTER = 5
-# Over a longer gap the mean velocity says little of that at the frame (simulator).
-_LONGEST_STEP_S = 0.35
-_WAIT_S = 1.0  # at the start, for wheels: their first reading begins the filter
-_HANGS_S = 1.0  # of one image; some cameras are logged at a multiple of their rate
-# A robot that moves less from frame to frame stands: one that creeps at 2 cm/s moves more.
-_MOVED_M, _MOVED_RAD = 0.0005, 0.0005
 # Reasons of frames that show nothing at all, rather than something unknown.
 BLIND = (Reason.TOO_LITTLE_DEPTH, Reason.FRAME_UNUSABLE, Reason.TOO_FEW_KEYPOINTS)
 # Standard deviations of the speed and turn rate of a camera that sees nothing, as when carried; chosen. The largest one
@@ -181,81 +170,6 @@ def framed(seen: CameraEstimate, T_odom_map: FloatArray) -> CameraEstimate:
     return replace(seen, T_odom_body=T_odom_camera, covariance=Ad @ seen.covariance @ Ad.T, T_map_odom=T_map_odom)
 
 
-class FusedCamera:
-    """Camera odometry of a filter, which predicts the camera's motion.
-
-    Attributes:
-        odometry: of the camera.
-        mapper: builds a surfel map, if the settings ask for one.
-        gate: rejects frames that need no alignment.
-        unknown: number of frames in a row that showed nothing known.
-        last_matches: pixels by which the last frame was aligned; None for dense odometry.
-        slips: whether the wheels slip. Then the camera's last motion predicts the next frame, else the wheels do.
-        pace: the camera's last motion.
-    """
-
-    def __init__(
-        self,
-        calibration: Calibration,
-        settings: Config,
-        T_base_camera: FloatArray,
-        known: KnownMap | None = None,
-        parts: OwnParts = NO_PARTS,
-    ) -> None:
-        self.odometry, self.mapper = camera_odometry(calibration, settings, known, parts)
-        self._of = calibration, settings, None, parts
-        self.gate = FrameGate()
-        self.unknown = 0
-        self.last_matches: MatchedPixels | None = None
-        self._Ad_camera_base = motions.inverse_adjoint(T_base_camera)
-        self.pace, self.slips = Pace(), False
-
-    def process(
-        self, frame: RgbdFrame, by_wheels: FloatArray | None, twist: FloatArray | None, *, ask_wheels: bool
-    ) -> CameraEstimate:
-        """Return T_map_camera at a frame.
-
-        Args:
-            frame: to align.
-            by_wheels: (4, 4) motion of the camera since the last frame, by the wheels.
-            twist: (6,) velocity of the camera in its own frame; see `twist`.
-            ask_wheels: whether `by_wheels` may be the initial estimate.
-        """
-        expected: tuple[FloatArray | None, ...] = (None,)
-        if ask_wheels:
-            expected = (by_wheels,)
-            if self.slips:  # the camera may go on as before, or the wheels may grip again
-                by_pace = self.pace.expect(frame.stamp_s)
-                expected = (by_pace, by_wheels) if isinstance(self.odometry, DenseOdometry) else (by_pace,)
-        seen = self.odometry.process(frame, *expected, twist=twist)
-        self.last_matches = seen.matched if isinstance(seen, FeatureEstimate) else None
-        if seen.T_odom_body is not None:
-            self.pace.add(frame.stamp_s, seen.T_odom_body)
-        return seen
-
-    def twist(self, answer: FusedEstimate) -> FloatArray | None:
-        """Return the camera's velocity (6,) in its own frame, by the wheels; None if they slip or give none."""
-        if self.slips or answer.twist is None:
-            return None
-        return np.asarray(self._Ad_camera_base @ np.array([*answer.twist[:2], 0.0, 0.0, 0.0, answer.twist[2]]))
-
-    def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> CameraEstimate:
-        """Restart odometry at a frame that shows nothing known, at a given pose (4, 4); return T_map_camera."""
-        self.unknown = 0
-        return self.odometry.restart(frame, T_map_camera, covariance)
-
-    def miss(self, seen: Estimate) -> bool:
-        """Add a frame without a pose; return whether it showed anything, which then is unknown."""
-        if seen.reason in BLIND:
-            return False
-        self.unknown += 1
-        return True
-
-    def another(self) -> CameraOdometry:
-        """Return new odometry of the same camera, without keyframes."""
-        return camera_odometry(*self._of)[0]
-
-
 def mount_of(calibration: Calibration) -> FloatArray:
     """Return T_base_camera (4, 4), made rigid since files round it. Raises CalibrationError if it is not known."""
     if calibration.T_base_camera is None:
@@ -287,143 +201,3 @@ def camera_odometry(
     if "dense" in settings.odometry:
         return DenseOdometry(calibration, settings.dense, T_map_first=T_map_first, store=store), None
     return FeatureOdometry(calibration, settings.features, T_map_first=T_map_first, store=store), None
-
-
-class Pace:
-    """Predicts the camera's motion at constant velocity, for when the wheels slip."""
-
-    def __init__(self) -> None:
-        self._before: tuple[float, FloatArray] | None = None
-        self._last: tuple[float, FloatArray] | None = None
-
-    def add(self, stamp_s: float, T_map_camera: FloatArray) -> None:
-        """Add the pose (4, 4) of a tracked frame."""
-        self._before, self._last = self._last, (stamp_s, T_map_camera)
-
-    def moved(self, T_new_old: FloatArray) -> None:
-        """Apply a correction (4, 4) of the map, from the left."""
-        self._before, self._last = (pose and (pose[0], T_new_old @ pose[1]) for pose in (self._before, self._last))
-
-    def expect(self, stamp_s: float) -> FloatArray | None:
-        """Return T_last_current (4, 4) at constant velocity; None if the velocity is unknown or too old."""
-        if self._before is None or self._last is None:
-            return None
-        seconds, since_s = self._last[0] - self._before[0], stamp_s - self._last[0]
-        if not (0 < seconds <= _LONGEST_STEP_S and 0 < since_s <= _LONGEST_STEP_S):
-            return None
-        return se3.exp(se3.log(se3.invert(self._before[1]) @ self._last[1]) * (since_s / seconds))
-
-
-@dataclass(frozen=True, slots=True)
-class FrameRefusal:
-    """Why a frame is not aligned.
-
-    Attributes:
-        note: for a user.
-        is_repeat: whether the image only repeats a previous one: neither a measurement nor a failure.
-    """
-
-    note: str
-    is_repeat: bool = False
-
-
-class FrameGate:
-    """Rejects frames that repeat an image, and delays the first frames until wheel readings arrive.
-
-    Attributes:
-        has_wheels: whether any wheel reading has arrived.
-    """
-
-    def __init__(self) -> None:
-        self.has_wheels = False
-        self._first_s = math.inf
-        self._repeats = Repeats()
-
-    def why_not(self, frame: RgbdFrame, T_last_frame: FloatArray | None = None) -> FrameRefusal | None:
-        """Return why a frame is rejected, or None.
-
-        Args:
-            frame: to check.
-            T_last_frame: (4, 4) motion of the camera since the last tracked frame, by the wheels.
-        """
-        lasting_s = self._repeats.lasting_s(frame)
-        if lasting_s == 0:
-            return None
-        if T_last_frame is not None:
-            way_m, turn_rad = np.linalg.norm(T_last_frame[:3, 3]), so3.angle(T_last_frame[:3, :3])
-            if not (way_m > _MOVED_M or turn_rad > _MOVED_RAD):
-                return None  # the robot stands: a camera without noise repeats its image
-        if lasting_s <= _HANGS_S:
-            return FrameRefusal("the same image as before", is_repeat=True)
-        return FrameRefusal(f"the camera hangs: the same image for over {_HANGS_S:g} s")
-
-    def waits_for_wheels(self, frame: RgbdFrame) -> bool:
-        """Whether a frame is too early to go without wheel readings."""
-        self._first_s = min(self._first_s, frame.stamp_s)
-        return not self.has_wheels and frame.stamp_s - self._first_s < _WAIT_S
-
-
-_COLORED_EVERY = 3  # one fused frame in this many gives colour, for display only, which takes time to load; chosen
-
-
-class MapBuilder:
-    """Fuses tracked frames into a surfel map; at most one in a tenth of a second while the camera hardly moves.
-
-    Args:
-        odometry: tracks the frames, extracts surfaces, and keeps the keyframes to which surfels are attached.
-        calibration: has the noise of depth.
-        settings: of the map.
-
-    Attributes:
-        map: the surfel map.
-    """
-
-    def __init__(
-        self, odometry: DenseOdometry, calibration: Calibration, settings: SurfelSettings | None = None
-    ) -> None:
-        self.map = SurfelMap(settings, odometry.store)
-        self._odometry = odometry
-        self._thinning = Thinning(self.map.settings)
-        self._noise = calibration.depth_noise
-
-    def fuse_tracked(self, frame: RgbdFrame, seen: DenseEstimate) -> FusedFrame | None:
-        """Fuse a frame that odometry has tracked, T_map_camera; return None if it is skipped or has no pose."""
-        T_map_camera, odometry = seen.T_odom_body, self._odometry
-        if seen.frame is None or T_map_camera is None:
-            return None
-        frames = self._thinning.count(T_map_camera, frame.stamp_s)  # with the skipped ones before it
-        if not frames:
-            return None
-        with odometry.watch.stage("fuse"):
-            with_color = self.map.frames % _COLORED_EVERY == 0
-            surface = odometry.surface(seen.frame, frame, with_color)
-            how = (self._noise, frames, seen.keyframe)
-            return self.map.fuse(surface, odometry.intrinsics, T_map_camera, frame.stamp_s, *how)
-
-    def track_map(self, tracks: bool) -> None:
-        """Align further frames with the map's prediction, or with keyframes."""
-        self._odometry.refer_to(self.map if tracks else None)
-
-
-class Thinning:
-    """Remembers the last fused frame, and counts the frames skipped since.
-
-    A frame from the same place shows the same pixels with the same sensor errors. It costs as much as one from
-    elsewhere and adds less information.
-    """
-
-    def __init__(self, settings: SurfelSettings) -> None:
-        self._settings = settings
-        self._T_map_last: FloatArray | None = None
-        self._last_s, self._skipped = -np.inf, 0
-
-    def count(self, T_map_camera: FloatArray, stamp_s: float) -> int:
-        """Return the weight, in frames, of one at a pose (4, 4), with those skipped before; 0 to skip it too."""
-        if self._T_map_last is not None and stamp_s - self._last_s < self._settings.fused_after_s:
-            shift_m = se3.view_shift_m(se3.invert(self._T_map_last) @ T_map_camera)
-            if shift_m < self._settings.fused_way_m:
-                self._skipped += 1
-                return 0
-        frames, self._skipped = self._skipped + 1, 0
-        self._T_map_last, self._last_s = T_map_camera, stamp_s
-        return frames

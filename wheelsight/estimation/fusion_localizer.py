@@ -3,8 +3,8 @@
 The wheels predict the pose and the camera corrects it. `ByFusion._decide` alone decides the status, the flags, the
 covariance and the frames of an `Estimate`, from the filter and the evidence of the checks, by the table `DECISIONS`.
 
-`BaseSensors` prepares wheels and gyroscope for the filter. `CameraMap` is the map frame of camera odometry, and its
-pose in odom. `FusedOdom` is the frame `odom`.
+`FusedCamera` and `BaseSensors` prepare the sensors for the filter. `CameraMap` is the map frame of camera odometry, and
+its pose in odom. `FusedOdom` is the frame `odom`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.camera_errors import frame_covariance
-from wheelsight.core.checks import Untimed
+from wheelsight.core.checks import FrameGate, Untimed
 from wheelsight.core.estimates import (
     DEGENERATE_SCALE,
     STEP_BEGIN,
@@ -37,9 +37,10 @@ from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, WheelReading, WheelSpeeds, YawRate
+from wheelsight.estimation import camera_localizer as cameras
 from wheelsight.estimation.agreement import Culprit
 from wheelsight.estimation.area_localizer import Places, PlaceSense
-from wheelsight.estimation.camera_localizer import RESTART_AFTER, CameraOdometry, FusedCamera, MapBuilder, mount_of
+from wheelsight.estimation.camera_localizer import RESTART_AFTER, CameraOdometry, mount_of
 from wheelsight.estimation.consistency_check import (
     DARK_S,
     ENOUGH_M,
@@ -54,10 +55,12 @@ from wheelsight.estimation.loop_updates import InMap, LoopsBeside, begin_in, loo
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
 from wheelsight.estimation.pose_belief import COAST_AFTER_S, FilterParameters
 from wheelsight.estimation.wheel_localizer import ByWheels, slip_note
+from wheelsight.mapping.surfels import MapBuilder
 from wheelsight.places import PlaceMatch
 from wheelsight.slam.place_recognition import KnownMap
-from wheelsight.vision.dense import DenseEstimate
-from wheelsight.vision.features import MatchedPixels
+from wheelsight.vision.dense import DenseEstimate, DenseOdometry
+from wheelsight.vision.features import FeatureEstimate, MatchedPixels
+from wheelsight.vision.features.tracking import Pace
 from wheelsight.wheels import HolonomicOdometry, ReadingTimes, WheelSettings, odometry_of
 
 # Distance from an anchor to the next one; a turn by a radian counts as 1.5 m. Errors of single frames do not add up
@@ -475,6 +478,81 @@ class ByFusion:
     def last_place(self) -> PlaceMatch | None:
         """Result of the model of places for the last frame; None if it was not asked."""
         return None if self._places is None else self._places.last_place
+
+
+class FusedCamera:
+    """Camera odometry of a filter, which predicts the camera's motion.
+
+    Attributes:
+        odometry: of the camera.
+        mapper: builds a surfel map, if the settings ask for one.
+        gate: rejects frames that need no alignment.
+        unknown: number of frames in a row that showed nothing known.
+        last_matches: pixels by which the last frame was aligned; None for dense odometry.
+        slips: whether the wheels slip. Then the camera's last motion predicts the next frame, else the wheels do.
+        pace: the camera's last motion.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        settings: Config,
+        T_base_camera: FloatArray,
+        known: KnownMap | None = None,
+        parts: OwnParts = NO_PARTS,
+    ) -> None:
+        self.odometry, self.mapper = cameras.camera_odometry(calibration, settings, known, parts)
+        self._of = calibration, settings, None, parts
+        self.gate = FrameGate()
+        self.unknown = 0
+        self.last_matches: MatchedPixels | None = None
+        self._Ad_camera_base = motions.inverse_adjoint(T_base_camera)
+        self.pace, self.slips = Pace(), False
+
+    def process(
+        self, frame: RgbdFrame, by_wheels: FloatArray | None, twist: FloatArray | None, *, ask_wheels: bool
+    ) -> CameraEstimate:
+        """Return T_map_camera at a frame.
+
+        Args:
+            frame: to align.
+            by_wheels: (4, 4) motion of the camera since the last frame, by the wheels.
+            twist: (6,) velocity of the camera in its own frame; see `twist`.
+            ask_wheels: whether `by_wheels` may be the initial estimate.
+        """
+        expected: tuple[FloatArray | None, ...] = (None,)
+        if ask_wheels:
+            expected = (by_wheels,)
+            if self.slips:  # the camera may go on as before, or the wheels may grip again
+                by_pace = self.pace.expect(frame.stamp_s)
+                expected = (by_pace, by_wheels) if isinstance(self.odometry, DenseOdometry) else (by_pace,)
+        seen = self.odometry.process(frame, *expected, twist=twist)
+        self.last_matches = seen.matched if isinstance(seen, FeatureEstimate) else None
+        if seen.T_odom_body is not None:
+            self.pace.add(frame.stamp_s, seen.T_odom_body)
+        return seen
+
+    def twist(self, answer: FusedEstimate) -> FloatArray | None:
+        """Return the camera's velocity (6,) in its own frame, by the wheels; None if they slip or give none."""
+        if self.slips or answer.twist is None:
+            return None
+        return np.asarray(self._Ad_camera_base @ np.array([*answer.twist[:2], 0.0, 0.0, 0.0, answer.twist[2]]))
+
+    def restart(self, frame: RgbdFrame, T_map_camera: FloatArray, covariance: FloatArray) -> CameraEstimate:
+        """Restart odometry at a frame that shows nothing known, at a given pose (4, 4); return T_map_camera."""
+        self.unknown = 0
+        return self.odometry.restart(frame, T_map_camera, covariance)
+
+    def miss(self, seen: Estimate) -> bool:
+        """Add a frame without a pose; return whether it showed anything, which then is unknown."""
+        if seen.reason in cameras.BLIND:
+            return False
+        self.unknown += 1
+        return True
+
+    def another(self) -> CameraOdometry:
+        """Return new odometry of the same camera, without keyframes."""
+        return cameras.camera_odometry(*self._of)[0]
 
 
 class ReadmissionCheck:

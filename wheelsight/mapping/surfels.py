@@ -1,13 +1,14 @@
 """`SurfelMap` fuses RGB-D frames into surfels and predicts views from them.
 
-Surfels are those of Keller et al. 2013; the active time window is that of Whelan et al. 2015 and 2016.
+`MapBuilder` chooses the tracked frames that it fuses. Surfels are those of Keller et al. 2013; the active time
+window is that of Whelan et al. 2015 and 2016.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -32,6 +33,11 @@ from wheelsight.mapping.fusion_kernels import (
     find_candidates,
     find_new,
 )
+
+if TYPE_CHECKING:
+    from wheelsight.core.calibration import Calibration
+    from wheelsight.core.messages import RgbdFrame
+    from wheelsight.vision.dense import DenseEstimate, DenseOdometry
 
 _COPIED_AT_ONCE = 1 << 16  # 5 MB
 # Time after its first observation, and without observation, at which an unstable surfel is removed. Chosen.
@@ -642,3 +648,69 @@ def views_of(part: SurfelArrays) -> Surfels:
     color, grey, first_s, last_s = part.look[:, :3], part.look[:, 3], part.seen_s[:, 0], part.seen_s[:, 1]
     others = radius_m[:, 0], color, grey, confidence[:, 0], part.variance, first_s, last_s, part.keyframe
     return Surfels(position, normal, *others)
+
+
+_COLORED_EVERY = 3  # one fused frame in this many gives colour, for display only, which takes time to load; chosen
+
+
+class MapBuilder:
+    """Fuses tracked frames into a surfel map; at most one in a tenth of a second while the camera hardly moves.
+
+    Args:
+        odometry: tracks the frames, extracts surfaces, and keeps the keyframes to which surfels are attached.
+        calibration: has the noise of depth.
+        settings: of the map.
+
+    Attributes:
+        map: the surfel map.
+    """
+
+    def __init__(
+        self, odometry: DenseOdometry, calibration: Calibration, settings: SurfelSettings | None = None
+    ) -> None:
+        self.map = SurfelMap(settings, odometry.store)
+        self._odometry = odometry
+        self._thinning = Thinning(self.map.settings)
+        self._noise = calibration.depth_noise
+
+    def fuse_tracked(self, frame: RgbdFrame, seen: DenseEstimate) -> FusedFrame | None:
+        """Fuse a frame that odometry has tracked, T_map_camera; return None if it is skipped or has no pose."""
+        T_map_camera, odometry = seen.T_odom_body, self._odometry
+        if seen.frame is None or T_map_camera is None:
+            return None
+        frames = self._thinning.count(T_map_camera, frame.stamp_s)  # with the skipped ones before it
+        if not frames:
+            return None
+        with odometry.watch.stage("fuse"):
+            with_color = self.map.frames % _COLORED_EVERY == 0
+            surface = odometry.surface(seen.frame, frame, with_color)
+            how = (self._noise, frames, seen.keyframe)
+            return self.map.fuse(surface, odometry.intrinsics, T_map_camera, frame.stamp_s, *how)
+
+    def track_map(self, tracks: bool) -> None:
+        """Align further frames with the map's prediction, or with keyframes."""
+        self._odometry.refer_to(self.map if tracks else None)
+
+
+class Thinning:
+    """Remembers the last fused frame, and counts the frames skipped since.
+
+    A frame from the same place shows the same pixels with the same sensor errors. It costs as much as one from
+    elsewhere and adds less information.
+    """
+
+    def __init__(self, settings: SurfelSettings) -> None:
+        self._settings = settings
+        self._T_map_last: FloatArray | None = None
+        self._last_s, self._skipped = -np.inf, 0
+
+    def count(self, T_map_camera: FloatArray, stamp_s: float) -> int:
+        """Return the weight, in frames, of one at a pose (4, 4), with those skipped before; 0 to skip it too."""
+        if self._T_map_last is not None and stamp_s - self._last_s < self._settings.fused_after_s:
+            shift_m = se3.view_shift_m(se3.invert(self._T_map_last) @ T_map_camera)
+            if shift_m < self._settings.fused_way_m:
+                self._skipped += 1
+                return 0
+        frames, self._skipped = self._skipped + 1, 0
+        self._T_map_last, self._last_s = T_map_camera, stamp_s
+        return frames

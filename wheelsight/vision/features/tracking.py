@@ -761,3 +761,28 @@ def refine_motion(pairs: PointPairs, T_current_reference: FloatArray) -> Alignme
     covariance = np.asarray((vectors / np.maximum(values, 1e-6)) @ vectors.T)
     is_inlier = squares < INLIER_CHI2
     return Alignment(se3.from_parts(R, t), covariance, is_inlier, int(np.count_nonzero(is_inlier)))
+
+
+class Pace:
+    """Predicts the camera's motion at constant velocity, for when the wheels slip."""
+
+    def __init__(self) -> None:
+        self._before: tuple[float, FloatArray] | None = None
+        self._last: tuple[float, FloatArray] | None = None
+
+    def add(self, stamp_s: float, T_map_camera: FloatArray) -> None:
+        """Add the pose (4, 4) of a tracked frame."""
+        self._before, self._last = self._last, (stamp_s, T_map_camera)
+
+    def moved(self, T_new_old: FloatArray) -> None:
+        """Apply a correction (4, 4) of the map, from the left."""
+        self._before, self._last = (pose and (pose[0], T_new_old @ pose[1]) for pose in (self._before, self._last))
+
+    def expect(self, stamp_s: float) -> FloatArray | None:
+        """Return T_last_current (4, 4) at constant velocity; None if the velocity is unknown or too old."""
+        if self._before is None or self._last is None:
+            return None
+        seconds, since_s = self._last[0] - self._before[0], stamp_s - self._last[0]
+        if not (0 < seconds <= LONGEST_STEP_S and 0 < since_s <= LONGEST_STEP_S):
+            return None
+        return se3.exp(se3.log(se3.invert(self._before[1]) @ self._last[1]) * (since_s / seconds))
