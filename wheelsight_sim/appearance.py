@@ -364,17 +364,14 @@ class Shadows:
         grid = np.array([*lighting.grid[:2], _CELL_M])
         brightest = np.empty((*shape, _CANDIDATES), np.int32)
         brightest_lamps(lighting.lamps, grid, LAMP_REACH_M, brightest)
-        self._lamps = self._visible(Lamps(lighting.lamps, grid, brightest))
-        self._starts, self._listed = _listed(self._lamps, self._boxes, self._still)
-
-    def _visible(self, lamps: Lamps) -> Lamps:
-        """Each cell's brightest lamps of those that walls do not hide from all of it."""
+        # Each cell's brightest lamps of those that walls do not hide from all of it.
+        lamps = Lamps(lighting.lamps, grid, brightest)
         starts, listed = _listed(lamps, self._boxes, self._still)
-        nothing = np.empty(0, np.int32)
-        blockers = Blockers(self._boxes, self._is_round, self._geom, nothing, starts, listed)
-        brightest = np.empty((*lamps.brightest.shape[:2], _LAMPS), np.int32)
-        drop_hidden(lamps, blockers, brightest)
-        return lamps._replace(brightest=brightest)
+        blockers = Blockers(self._boxes, self._is_round, self._geom, np.empty(0, np.int32), starts, listed)
+        seen_lamps = np.empty((*lamps.brightest.shape[:2], _LAMPS), np.int32)
+        drop_hidden(lamps, blockers, seen_lamps)
+        self._lamps = lamps._replace(brightest=seen_lamps)
+        self._starts, self._listed = _listed(self._lamps, self._boxes, self._still)
 
     def kept(self, view: View, level: float, T_world_base: FloatArray | None) -> Float32Array:
         """(H, W) share of the light that is left on what a view shows, with all that moves where the scene has it.

@@ -198,7 +198,13 @@ class LiveBodyMotion:
     def step(self, T_world_base: FloatArray) -> None:
         """The base is here one period after the last step."""
         settings, before_m_s = self._settings, self._speeds[0]
-        self._speeds = self._speeds_of(T_world_base)
+        if self._before is not None:
+            # Forward speed in m/s and yaw rate in rad/s, smoothed twice over half of the time each.
+            moved = se3.compose(se3.invert(self._before), T_world_base)
+            now = np.array([moved[0, 3], math.atan2(moved[1, 0], moved[0, 0])]) / self._period_s
+            share = 1 - math.exp(-self._period_s / (_SMOOTH_S / 2))
+            self._smoothed = self._smoothed + share * (now - self._smoothed)
+            self._speeds = np.asarray(self._speeds + share * (self._smoothed - self._speeds))
         speed_m_s, turn_rad_s = self._speeds
         pitch, roll, up_m = (float(jolt[0]) for jolt in jolts(T_world_base[None], self._robot, self._floor))
         pitch -= settings.pitch_rad_s2_m * (speed_m_s - before_m_s) / self._period_s
@@ -220,16 +226,6 @@ class LiveBodyMotion:
         for axis, column in zip((3, 4, 5, 2), known.T, strict=True):
             xi[:, axis] = np.interp(stamps_s, known_s, column)
         return np.asarray(se3.exp(xi))
-
-    def _speeds_of(self, T: FloatArray) -> FloatArray:
-        """(2,) forward speed in m/s and yaw rate in rad/s, smoothed twice over half of the time each."""
-        if self._before is None:
-            return np.zeros(2)
-        moved = se3.compose(se3.invert(self._before), T)
-        now = np.array([moved[0, 3], math.atan2(moved[1, 0], moved[0, 0])]) / self._period_s
-        share = 1 - math.exp(-self._period_s / (_SMOOTH_S / 2))
-        self._smoothed = self._smoothed + share * (now - self._smoothed)
-        return np.asarray(self._speeds + share * (self._smoothed - self._speeds))
 
 
 class _Spring:

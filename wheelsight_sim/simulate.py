@@ -22,7 +22,6 @@ from wheelsight.io.recordings import RecordingWriter
 from wheelsight.io.recordings.tables import LIST
 from wheelsight_sim.cameras import camera_model
 from wheelsight_sim.doors import swinging
-from wheelsight_sim.drivers import Driver
 from wheelsight_sim.faults import Covered
 from wheelsight_sim.frames import Renderer
 from wheelsight_sim.physics import (
@@ -33,7 +32,6 @@ from wheelsight_sim.physics import (
     simulate_drive,
     simulate_holonomic_drive,
 )
-from wheelsight_sim.robot import Drive
 from wheelsight_sim.settings import SimulationSettings, realism_of
 from wheelsight_sim.simulated_recording import SimulatedRecording, with_camera_faults
 from wheelsight_sim.world import World
@@ -71,34 +69,26 @@ def simulate(
     refuse_walls(settings, world, driver, refused)
     covers = [Covered(begin_s=begin_s, end_s=end_s, seed=settings.seed) for begin_s, end_s in settings.covered_s]
     _refuse_never(settings, settings.duration_s or _LONGEST_DRIVE_S)
-    drive = _driven(settings, world, driver, on_progress)
-    _refuse_never(settings, drive.duration_s)
-    recording = SimulatedRecording(settings, world, drive, Renderer(world, drive, settings, camera))
-    return with_camera_faults(recording, *covers) if covers else recording
-
-
-def _driven(
-    settings: SimulationSettings,
-    world: World,
-    driver: Driver,
-    on_progress: Callable[[float, float | None], None] | None,
-) -> Drive:
     total_s = expected_s(settings, world)
     report = None if on_progress is None else lambda driven_s: on_progress(driven_s, total_s)
     if settings.base != "differential":
-        return simulate_holonomic_drive(settings, world, report)
-    return simulate_drive(
-        world,
-        settings.robot,
-        driver,
-        faults=settings.faults,
-        slip=settings.has_slip,
-        seed=settings.day_seed,
-        floor_seed=settings.seed,
-        realism=realism_of(settings.realism),
-        time_limit_s=settings.duration_s or _LONGEST_DRIVE_S,
-        on_progress=report,
-    )
+        drive = simulate_holonomic_drive(settings, world, report)
+    else:
+        drive = simulate_drive(
+            world,
+            settings.robot,
+            driver,
+            faults=settings.faults,
+            slip=settings.has_slip,
+            seed=settings.day_seed,
+            floor_seed=settings.seed,
+            realism=realism_of(settings.realism),
+            time_limit_s=settings.duration_s or _LONGEST_DRIVE_S,
+            on_progress=report,
+        )
+    _refuse_never(settings, drive.duration_s)
+    recording = SimulatedRecording(settings, world, drive, Renderer(world, drive, settings, camera))
+    return with_camera_faults(recording, *covers) if covers else recording
 
 
 def world_of(settings: SimulationSettings, begin: tuple[float, float, float] | None = None) -> World:

@@ -202,7 +202,7 @@ class Simulator(Closing, OneCaller):
                 self._broken = f"the physics became unstable at {self.time_s:.1f} s"
             elif robot.chair.T_world_base[2, 2] < _FALLEN:
                 self._broken = f"the wheelchair fell over at {self.time_s:.1f} s"
-        return list(self._due())
+        return self._due()
 
     def stop(self) -> None:
         """Cut the motors' voltage; the chair brakes by itself in later steps, until it receives STOP."""
@@ -217,11 +217,13 @@ class Simulator(Closing, OneCaller):
     def _put(self, event: Event) -> None:
         heapq.heappush(self._waiting, (event.stamp_s, next(self._order), event))
 
-    def _due(self) -> Iterator[Event]:
+    def _due(self) -> list[Event]:
         """Events with stamps up to now, and before any pending frame."""
         until_s = min(self.time_s, self._camera.next_stamp_s if self._has_camera else np.inf)
+        due: list[Event] = []
         while self._waiting and self._waiting[0][0] < until_s:
-            yield heapq.heappop(self._waiting)[2]
+            due.append(heapq.heappop(self._waiting)[2])
+        return due
 
 
 _STANDS_M_S = 0.02  # a fidgeting rider moves a standing chair by at most 0.0014 m/s
