@@ -1,3 +1,3 @@
-"""Entry points: runs, drives, the live page, reports, batches, exports and the command line."""
+"""Entry points: runs, drives, the live page, reports and the command line."""
 
 __all__: list[str] = []
