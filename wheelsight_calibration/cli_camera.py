@@ -106,6 +106,7 @@ def camera(
 
     wheelsight calibrate camera views --board charuco:11x8:33mm --plate --out robot.yaml --force
     """
+    from wheelsight.core.calibration import load_calibration
     from wheelsight_calibration.board import board_from
     from wheelsight_calibration.camera_model import CameraSetup
 
@@ -116,7 +117,8 @@ def camera(
     if camera is None:
         if not folders:
             raise ConfigError("no folder of images is named", fix="FOLDER, or --camera NAME")
-        task.by_folders(folders)
+        nominal = load_calibration(*calibration) if calibration else None
+        replace(task, setup=replace(setup, nominal=nominal)).calibrate(folders)
         return
     if folders and len(folders) > 1:
         raise ConfigError("--camera takes views into one folder", fix="name one")
@@ -139,17 +141,12 @@ class CameraTask:
     settings: CameraCalibrationSettings
     force: bool
 
-    def check(self) -> None:
-        """Check outputs before any work. Raises OutputError, CalibrationError."""
-        page_beside(self.out, self.force)
-        kept_in(self.out, self.calibration)
-
     def calibrate(self, folders: Sequence[Path]) -> None:
         """Read views, calibrate by them, and write FILE and its page.
 
         Raises RecordingError, and CalibrationError where the views do not determine it.
         """
-        from wheelsight.app.cli.console import console, print_warning, rows_table
+        from wheelsight.app.cli.console import rows_table
         from wheelsight.app.cli.progress import FrameProgress
         from wheelsight.core.calibration import Calibration
         from wheelsight_calibration.camera_page import DISTANCE_HEAD, HEAD, distance_rows, lens_rows, write_camera_page
@@ -177,13 +174,6 @@ class CameraTask:
             stdout.print(rows_table("depth on the boards' planes", DISTANCE_HEAD, distance_rows(found)))
         print_end(found.warnings, written, page)
 
-    def by_folders(self, folders: Sequence[Path]) -> None:
-        """Calibrate as `calibrate`, starting from the cameras of `--calibration`."""
-        from wheelsight.core.calibration import load_calibration
-
-        nominal = load_calibration(*self.calibration) if self.calibration else None
-        replace(self, setup=replace(self.setup, nominal=nominal)).calibrate(folders)
-
 
 _WAIT_S = 0.2
 
@@ -201,31 +191,23 @@ def calibrate_live(task: CameraTask, which: str, folder: Path, settings: LiveCam
         InputError: the camera, the folder or FILE cannot be used; views of a camera that ended do not determine it.
         Exit: after Ctrl-C; the views stay.
     """
+    from wheelsight.core.calibration import load_calibration
     from wheelsight.io.devices import open_live_camera
     from wheelsight.io.devices.cameras import ANY
     from wheelsight_calibration.live_views import ViewTaker
-
-    task.check()
-    # Views of an earlier call
     from wheelsight_calibration.views import read_views
 
-    if not any(folder.glob("*-color.png")):
-        seen = []
-    else:
-        seen = [view.color for view in read_views([folder], task.board).views]
+    page_beside(task.out, task.force)  # outputs are checked before any work
+    kept_in(task.out, task.calibration)
+    is_begun = any(folder.glob("*-color.png"))
+    seen = [view.color for view in read_views([folder], task.board).views] if is_begun else []
     with until_stopped() as is_over, open_live_camera(None if which == ANY else which, settings) as camera:
         for warning in camera.warnings:
             print_warning(warning)
-        # The camera's own calibration, overridden by `--calibration`
-        from wheelsight.core.calibration import load_calibration
-
-        nominal = camera.calibration
-        if task.calibration:
-            nominal = load_calibration(*task.calibration, under=nominal)
-        setup = replace(task.setup, nominal=nominal, is_registered=camera.calibration.is_registered)
-        task = replace(task, setup=setup)
-        assert task.setup.nominal is not None
-        taker = ViewTaker(task.board, task.setup.nominal.cameras[0], task.settings.coach, seen)
+        own = camera.calibration  # overridden by `--calibration`
+        nominal = load_calibration(*task.calibration, under=own) if task.calibration else own
+        task = replace(task, setup=replace(task.setup, nominal=nominal, is_registered=own.is_registered))
+        taker = ViewTaker(task.board, nominal.cameras[0], task.settings.coach, seen)
         print_note(f"{_counted(len(taker.seen))} in {folder}; {taker.advice}; Ctrl-C ends it and keeps them")
         while True:
             why = _take_views(camera, taker, folder, task.depth_factor, is_over)
@@ -249,6 +231,7 @@ def _take_views(
     camera: LiveCamera, taker: ViewTaker, folder: Path, depth_factor: float, is_over: Callable[[], bool]
 ) -> _Why:
     """Take views until none is missing, the camera ends, or the user stops. Prints each view once it is on disk."""
+    from wheelsight.io.devices import CameraStatus
     from wheelsight_calibration.live_views import save_view
 
     with camera_progress() as (show, note):
@@ -260,10 +243,7 @@ def _take_views(
             while live is not None and (later := camera.read(0)) is not None:
                 live = later
             if live is None:
-                from wheelsight.io.devices import CameraStatus
-
-                has_ended = camera.report().status in (CameraStatus.ENDED, CameraStatus.CLOSED)
-                if has_ended:
+                if camera.report().status in (CameraStatus.ENDED, CameraStatus.CLOSED):
                     return _Why.ENDED
                 show(str(camera.report().status))
                 continue
@@ -315,7 +295,6 @@ def board_board(
 
     wheelsight board --board charuco:11x8:33mm --paper A3 --out charuco.pdf
     """
-    from wheelsight.app.cli.console import console
     from wheelsight.app.cli.options import check_out
     from wheelsight.core.errors import OutputError
     from wheelsight.core.files import write_bytes
