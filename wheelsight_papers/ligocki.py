@@ -50,6 +50,7 @@ class ByLigocki:
     """
 
     body, frame, answers = "base", "map", (RgbdFrame, SkippedFrame)
+    last_place = loops = None
 
     def __init__(self, calibration: Calibration, settings: Config, parts: OwnParts = NO_PARTS) -> None:
         mount_of(calibration)  # raises if it is not known

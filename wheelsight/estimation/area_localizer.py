@@ -80,12 +80,13 @@ class ByPlaces:
     """
 
     body, frame, answers = "base", "map", (*WHEEL_READINGS, RgbdFrame, SkippedFrame)
-    last_matches = None
+    last_matches = loops = mapper = None
 
     def __init__(self, calibration: Calibration, settings: Config, places: Places) -> None:
         self._wheels = ByWheels(calibration, settings.wheels)
         self.hears: tuple[type[Event], ...] = (*self._wheels.hears, RgbdFrame, SkippedFrame)
         self.last_place: PlaceMatch | None = None
+        self.T_odom_map: FloatArray = np.eye(4)
         self._model, self._begin_s = places.model, places.begin_s
         self._rectifier: _Rectifier
         if settings.places.rectify == "paper":

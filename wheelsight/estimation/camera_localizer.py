@@ -43,6 +43,8 @@ class ByFrames:
     """
 
     answers = (RgbdFrame, SkippedFrame)
+    last_place = None
+    warnings: tuple[str, ...] = ()
 
     def __init__(
         self,

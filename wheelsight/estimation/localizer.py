@@ -132,7 +132,7 @@ class Localizer(OneCaller):
         self._estimator = _estimator(self._images.calibration, settings, places, known, parts, waits=waits)
         self.body, self.frame = self._estimator.body, self._estimator.frame
         self.answers, self.hears = self._estimator.answers, self._estimator.hears
-        self._loops = self._estimator.loops if isinstance(self._estimator, ByFrames | ByFusion) else None
+        self._loops = self._estimator.loops
         self.note, self._resting = "", resting_keyframes(self.keyframes, settings.localizer)
         self._clock = SessionClock(settings.clocks)
         self._stamps = StampCheck()
@@ -201,12 +201,12 @@ class Localizer(OneCaller):
     @property
     def last_place(self) -> PlaceMatch | None:
         """Result of the model of places for the last frame; None if it was not asked."""
-        return self._estimator.last_place if isinstance(self._estimator, ByPlaces | ByFusion) else None
+        return self._estimator.last_place
 
     @property
     def map(self) -> SurfelMap | None:
         """Surfel map of this run, which lies at `T_odom_map`; None if the configuration asks for no map."""
-        mapper = None if isinstance(self._estimator, ByWheels | ByPlaces) else self._estimator.mapper
+        mapper = self._estimator.mapper
         return None if mapper is None else mapper.map
 
     @property
@@ -232,13 +232,12 @@ class Localizer(OneCaller):
         The filter corrects T_odom_body by measurements that no camera makes, such as the level floor. The map keeps its
         shape. In the map the body is at `inv(T_odom_map) @ T_odom_body`.
         """
-        return np.eye(4) if isinstance(self._estimator, ByWheels | ByPlaces) else self._estimator.T_odom_map
+        return self._estimator.T_odom_map
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """One sentence for each sensor that is unused or wrong, and for each jump of a clock."""
-        of_sensors = () if isinstance(self._estimator, ByFrames) else self._estimator.warnings
-        return (*self._unused.values(), *of_sensors, *self._clock.warnings)
+        return (*self._unused.values(), *self._estimator.warnings, *self._clock.warnings)
 
     @property
     def stage_seconds(self) -> dict[str, float]:

@@ -109,9 +109,7 @@ class LoopsBeside:
         T_known, T_old = update.T_map_keyframe.copy(), np.array(self._store.T_map_keyframe)
         unjoined: IntArray = np.unique(update.piece[update.piece > 0])
         for first in unjoined:  # stays apart
-            T_known[update.piece == first] = (
-                self._apart(self._pieces.index(int(first))) @ T_known[update.piece == first]
-            )
+            T_known[update.piece == first] = apart(self._pieces.index(int(first))) @ T_known[update.piece == first]
         count = len(T_known)
         T_newer = T_old[count:]
         if self._pieces[-1] < count:  # else the thread does not know the piece of the newer ones
@@ -268,15 +266,12 @@ class LoopsBeside:
     def apart(self, T_map_camera: FloatArray) -> FloatArray:
         """Return T_map_camera (4, 4) at the begin of a new piece of map, for a camera at (4, 4) in the current one."""
         here = 0 if self.is_laid else len(self._pieces) - 1
-        return self._apart(len(self._pieces)) @ se3.invert(self._apart(here)) @ T_map_camera
+        return apart(len(self._pieces)) @ se3.invert(apart(here)) @ T_map_camera
 
     def begin_piece(self, keyframe: KeyframeId) -> None:
         """Begin a piece of map, apart from the others, at a keyframe."""
         self._pieces.append(keyframe)
         self.is_laid = self.is_joined = self._was_sure = False
-
-    def _apart(self, piece: int) -> FloatArray:
-        return apart(piece)
 
     def tie(self, number: int) -> bool:
         """Whether loops connect keyframes from `number` on to older ones, from views as far apart as between pieces.

@@ -27,10 +27,11 @@ class ByWheels:
     """
 
     body, frame, answers = "base", "odom", WHEEL_READINGS
-    last_matches = None
+    last_matches = last_place = loops = mapper = None
 
     def __init__(self, calibration: Calibration, settings: WheelSettings) -> None:
         self.stage_seconds: dict[str, float] = {}
+        self.T_odom_map: FloatArray = np.eye(4)
         self._alone: AnyWheelOdometry = odometry_of(calibration, settings.integration)
         self._joined: AnyWheelOdometry | None = None
         self._next: tuple[float, AnyWheelOdometry] | None = None  # backup from when, if the gyroscope agrees until then

@@ -36,7 +36,7 @@ def pair(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     normal, offset = np.array([0.1, -0.2, -1.0]) / np.linalg.norm([0.1, -0.2, -1.0]), -1.5
     depth_m = (offset / (normal[0] * x + normal[1] * y + normal[2])).astype(np.float32)
     there = (100 + 3.0 * columns - 2.0 * rows).astype(np.float32)
-    pixels = np.empty((*depth_m.shape, kernels.CHANNELS), np.float32)
+    pixels = np.empty((*depth_m.shape, _grid_kernels.CHANNELS), np.float32)
     normals = np.broadcast_to(normal, (*depth_m.shape, 3)).astype(np.float32)
     _reference_kernels.pack(depth_m, normals, there, GRID, NO_BOUNDARY, 0, TINY.height, pixels)
     here = there + rng.normal(0, 3, there.shape)
@@ -62,7 +62,7 @@ def test_jacobian_is_the_numeric_one(pair: tuple, kind: str, pixel: tuple[int, i
     alone[pixel] = depth_m[pixel]
     grey[pixel] = 60.0  # darker than the reference, so that the error keeps its sign
     if kind == "grey":
-        pixels[..., kernels.OFFSET] = np.nan
+        pixels[..., _grid_kernels.OFFSET] = np.nan
     weight, count = (0.0, kernels.PLANE_COUNT) if kind == "plane" else (1.0, kernels.GREY_COUNT)
     T = se3.exp([0.004, -0.003, 0.02, 0.003, -0.002, 0.004])
 
@@ -73,7 +73,7 @@ def test_jacobian_is_the_numeric_one(pair: tuple, kind: str, pixel: tuple[int, i
 
     total = of(T)
     part = total[kernels.GREY_SUMS :] if kind == "grey" else total
-    sign = np.sign(pixels[10, 10, kernels.NZ] * (depth_m[pixel] + 0.02 - pixels[(*pixel, kernels.DEPTH)]))
+    sign = np.sign(pixels[10, 10, _grid_kernels.NZ] * (depth_m[pixel] + 0.02 - pixels[(*pixel, _grid_kernels.DEPTH)]))
     sign = sign if kind == "plane" else 1.0
     jacobian = sign * part[21:27] / total[count + 1]
     steps_ = 1e-3 * np.eye(6)
@@ -247,12 +247,15 @@ def test_grey_has_no_gradient_beside_what_stands_out_before_it(turned: bool) -> 
     if turned:
         depth_m, grey, expected = (np.ascontiguousarray(a.T) for a in (depth_m, grey, expected))
         normal = np.ascontiguousarray(normal.transpose(1, 0, 2))
-    boundary, out = np.array([0.0, 0.02, 0.0], np.float32), np.empty((*depth_m.shape, kernels.CHANNELS), np.float32)
+    boundary, out = (
+        np.array([0.0, 0.02, 0.0], np.float32),
+        np.empty((*depth_m.shape, _grid_kernels.CHANNELS), np.float32),
+    )
     _reference_kernels.pack(depth_m, normal, grey, GRID, boundary, 0, len(depth_m), out)
     inner = slice(1, -1), slice(1, -1)
-    np.testing.assert_array_equal(np.isnan(out[..., kernels.ALONG_U])[inner], expected[inner])
-    np.testing.assert_array_equal(np.isnan(out[..., kernels.ALONG_V])[inner], expected[inner])
-    assert np.isfinite(out[..., kernels.GREY]).all()
+    np.testing.assert_array_equal(np.isnan(out[..., _grid_kernels.ALONG_U])[inner], expected[inner])
+    np.testing.assert_array_equal(np.isnan(out[..., _grid_kernels.ALONG_V])[inner], expected[inner])
+    assert np.isfinite(out[..., _grid_kernels.GREY]).all()
 
 
 def test_noise_tilts_no_normals_of_a_wall_that_is_passed(rng: np.random.Generator) -> None:

@@ -29,7 +29,6 @@ from wheelsight.core.geometry.motion_kernels import is_definite
 from wheelsight.core.keyframes import KeyframeFeatures, KeyframeId, ReferenceModel
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.threads import Stopwatch
-from wheelsight.vision.dense import alignment_kernels as kernels
 from wheelsight.vision.dense.alignment import (
     CORRELATION,
     LEVELS,
@@ -62,6 +61,7 @@ from wheelsight.vision.features.tracking import (
     maps_without_lens,
     straighten,
 )
+from wheelsight.vision.image_kernels import CHANNELS, DEPTH, NX, NZ, OFFSET
 
 # Number of keyframes, the most recently used, with pyramids in memory. A pyramid is recomputed in 5 ms.
 _IN_MEMORY = 6
@@ -821,11 +821,11 @@ def misfits(frame: GridFrame, reference: Reference, T_reference_frame: FloatArra
     height, width = level.depth_m.shape
     is_inside = is_ahead & (u >= 0) & (u < width) & (v >= 0) & (v < height)
     at = np.where(is_inside, v * width + u, 0).astype(np.int64)
-    planes = seen.pixels.reshape(-1, kernels.CHANNELS)[at]
+    planes = seen.pixels.reshape(-1, CHANNELS)[at]
     sigmas = np.hypot(*noise.sigma_m(np.stack([points[:, 2], depth])))
-    along = (planes[:, kernels.NX : kernels.NZ + 1] * there).sum(axis=1)
-    off = np.abs(along - planes[:, kernels.OFFSET]) / sigmas
-    elsewhere = np.abs(planes[:, kernels.DEPTH] - depth) > _MOST_SIGMAS * sigmas + _OTHER_SURFACE * depth
+    along = (planes[:, NX : NZ + 1] * there).sum(axis=1)
+    off = np.abs(along - planes[:, OFFSET]) / sigmas
+    elsewhere = np.abs(planes[:, DEPTH] - depth) > _MOST_SIGMAS * sigmas + _OTHER_SURFACE * depth
     off = np.minimum(np.where(elsewhere, _MOST_SIGMAS, off), _MOST_SIGMAS)
     is_known = is_inside & np.isfinite(off)
     region = (rows * REGION_ROWS // height) * REGION_COLUMNS + columns * REGION_COLUMNS // width
