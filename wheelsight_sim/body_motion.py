@@ -165,7 +165,7 @@ def trembling(
     return np.asarray(irfft(spectrum * gain, whole)[:count])
 
 
-_TREMBLES_ANEW_S = 600.0  # its spectrum has no edges, so that the end goes on as the beginning
+_TREMBLING_REPEATS_S = 600.0  # its spectrum has no edges, so that the end goes on as the beginning
 _KEPT_S = 1.0
 
 
@@ -187,7 +187,7 @@ class LiveBodyMotion:
     ) -> None:
         self._period_s, self._robot, self._floor, self._settings = period_s, robot, floor, settings
         rates = settings.roll_rad_s, settings.pitch_rad_s, settings.yaw_rad_s
-        count = round(_TREMBLES_ANEW_S / period_s)
+        count = round(_TREMBLING_REPEATS_S / period_s)
         self._trembling = np.stack([trembling(count, period_s, settings.bands_hz, rate, rng) for rate in rates])
         self._springs = [_Spring(settings, period_s) for _ in range(3)]
         self._before: FloatArray | None = None

@@ -65,7 +65,7 @@ class Driver(Protocol):
 class RouteFollower:
     """Follows a smooth path: its speed by the path's bends, its yaw rate by the bend ahead and by how far it is off.
 
-    Legs that turn back too sharply to be rounded are parted by a turn on the spot; see `_paths.smooth_path`.
+    Legs that turn back too sharply to be rounded are parted by a turn on the spot; see `smooth_path`.
     """
 
     def __init__(self, paths: list[Path2d], speed_m_s: float) -> None:

@@ -284,9 +284,9 @@ def _check_share(name: str, value: float) -> None:
 
 # What a place does to a camera, and a person to a robot: glass, mirrors, sun, the dark, a view that stands, silence.
 #
-# Faults as those of `camera_faults`. They are put on images as they come, so that they know no walls: glass and
-# mirror fill a part of the view for as long as they act, whatever the camera's way. What they show is worse than a
-# real pane, whose mirror image is a room that stands still.
+# These faults are put on images as they come, so that they know no walls: glass and mirror fill a part of the view for
+# as long as they act, whatever the camera's way. What they show is worse than a real pane, whose mirror image is a room
+# that stands still.
 
 
 # Of light in a room; a Kinect's colour camera shows little but noise then, in levels.

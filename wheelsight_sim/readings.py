@@ -181,7 +181,7 @@ def _growing(stamps_s: FloatArray) -> FloatArray:
 
 
 class Delays:
-    """Stamps readings one by one as `realism.stamps.as_stamped` does those of a whole drive; None leaves them exact."""
+    """Stamps readings one by one as `as_stamped` does those of a whole drive; None leaves them exact."""
 
     def __init__(self, settings: StampSettings | None, rng: np.random.Generator) -> None:
         self._settings, self._rng = settings, rng

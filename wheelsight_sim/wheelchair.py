@@ -45,7 +45,7 @@ _CASTOR_X_M, _CASTOR_Y_M = 0.45, 0.17
 _TAIL_M = 0.30
 _CLEARANCE_M = 0.05
 _NO_SLIP_FRICTION = 3.0
-# Soft enough for creep to be set at any speed, see `_ground.Tyres`; and hard, for wheels that must not slip.
+# Soft enough for creep to be set at any speed, see `Tyres`; and hard, for wheels that must not slip.
 _FRICTION_TO_NORMAL_IMPEDANCE = {True: 0.05, False: 10.0}
 _STIFF = (2 * TIMESTEP_S, 1.0)
 _IMPEDANCE = (0.99, 0.99, 0.001, 0.5, 2.0)
