@@ -12,7 +12,7 @@ from navigation.test_plan_view import EYE
 
 from wheelsight.core.geometry import FloatArray
 from wheelsight.navigation import CellState, Costmap, NavigationSettings, Plan, PlanFailure, StaticLayer
-from wheelsight.navigation.planning import CautiousPlanner, PlanView
+from wheelsight.navigation.planning import CautiousPlanner, PlanView, RoutePlanner
 
 SETTINGS, VIEW = NavigationSettings(), PlanView(CHAIR, EYE)
 PLANNER = CautiousPlanner(CHAIR, SETTINGS, VIEW)
@@ -95,3 +95,16 @@ def test_why_there_is_none_is_said() -> None:
     made = Made(*PLANNER.plan(ROOM, avoiding, hidden_about((0.5, 2.6), 2.0), START, [goal]))
     assert not made.found
     assert not made.is_blind
+
+
+def test_the_first_pose_that_is_blocked_is_found() -> None:
+    planner, goal = RoutePlanner(CHAIR, SETTINGS), np.array([8.0, 5.0, 0.0])
+    plan = planner.plan(ROOM, START, [goal])
+    assert isinstance(plan, Plan)
+    assert planner.blocked_at(ROOM, plan, START, 20.0) is None
+    wall = np.column_stack([np.full(200, 7.0), np.linspace(0.1, 9.9, 200)])
+    blocked = planner.blocked_at(avoiding(wall), plan, START, 20.0)
+    assert blocked is not None
+    front_m = CHAIR.corners[:, 0].max()
+    assert blocked[0] == pytest.approx(7.0 - front_m, abs=0.15)
+    assert planner.blocked_at(avoiding(wall), plan, START, 0.5) is None

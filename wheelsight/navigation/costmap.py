@@ -147,7 +147,6 @@ class Costmap:
         speed_m_s: (H, W) float32 speed limits of zones, infinite elsewhere.
         origin: x and y in metres of the corner of cell (0, 0).
         frame: `map` or `odom`.
-        dearness: (H, W) float32 factor of the cost of a metre; None for 1.
     """
 
     state: ByteArray
@@ -161,7 +160,6 @@ class Costmap:
     inscribed_m: float
     settings: CostmapSettings
     is_assumed: BoolArray | None = None
-    dearness: Float32Array | None = None
 
     @property
     def is_unseen(self) -> BoolArray:
@@ -243,8 +241,7 @@ class Costmap:
     def _with_state(self, state: ByteArray) -> Costmap:
         """Return the costmap with other cell states (H, W)."""
         place = self.resolution_m, self.origin, self.frame
-        made = _made(state, self.speed_m_s, place, self.inscribed_m, self.settings)
-        return replace(made, dearness=self.dearness)
+        return _made(state, self.speed_m_s, place, self.inscribed_m, self.settings)
 
     def cells_at(self, xy: ArrayLike) -> IntArray:
         """Return (..., 2) row and column of points (..., 2); they may lie outside."""

@@ -530,7 +530,7 @@ class Navigator(OneCaller):
             self._planning.ask(task.goals, now_s)
         if self._planning.is_asked or now_s - task.planned_s < _REPLAN_S:
             return True
-        task.replan_reason, is_free = self._planning.look(plan, task.T_map_odom, now_s)
+        task.replan_reason, is_free = self._planning.look(plan, task.T_map_odom)
         if not is_free:
             self._planning.ask(task.goals, now_s)
         elif task.replan_reason:

@@ -245,11 +245,10 @@ class Drivable:
         """Convert a costmap, a footprint and settings. A limit of zero makes its motion infinitely expensive."""
         sums = np.zeros((costmap.is_lethal.shape[0], costmap.is_lethal.shape[1] + 1), np.int32)
         np.cumsum(costmap.is_lethal, axis=1, out=sums[:, 1:], dtype=np.int32)
-        # (H, W) cost of a metre of the centre of rotation, by nearness to obstacles, speed zones and blocked paths.
+        # (H, W) cost of a metre of the centre of rotation, by nearness to obstacles and speed zones.
         slow = np.float32(_USUAL_M_S) / costmap.speed_m_s
-        dear = np.float32(1) if costmap.dearness is None else costmap.dearness
         metre = 1 + np.float32(settings.nearness_cost) * costmap.cost
-        metre_cost = np.ascontiguousarray(metre * np.maximum(slow, 1) * dear, np.float32)
+        metre_cost = np.ascontiguousarray(metre * np.maximum(slow, 1), np.float32)
         cells = PlanCells(
             sums, costmap.distance_m, metre_cost, float(costmap.resolution_m), *map(float, costmap.origin)
         )

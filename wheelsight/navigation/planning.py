@@ -1,7 +1,6 @@
 """Planning: requests plans to the goals of a task, and decides when to replan.
 
-Plans lead through several poses, prefer floor that the camera can observe (`PlanView`), and avoid paths that were
-blocked before (`BlockedWays`).
+Plans lead through several poses and prefer floor that the camera can observe (`PlanView`).
 """
 
 from __future__ import annotations
@@ -68,7 +67,6 @@ class Planning:
         self._senses, self._settings, self._footprint = senses, settings, footprint
         self._planner = CautiousPlanner(footprint, settings, PlanView(footprint, senses.eye), own)
         self._worker: Worker[Planned] = worker or WorkerInStep(PLANNING_S)
-        self._blocked = BlockedWays(free_visits=int(senses.floor.is_fixed))
         self._asked_s, self._longest_s = 0.0, 0.0
 
     def is_silent(self, now_s: float) -> bool:
@@ -94,18 +92,15 @@ class Planning:
         """Request a plan from the current pose, which must be known. It replaces an earlier request."""
         where = self._senses.where
         assert where.state is not None
-        pose, blocked, floor = where.state.pose, self._blocked, self._senses.floor_now()
+        pose, floor = where.state.pose, self._senses.floor_now()
         hidden = floor.hidden if self._senses.avoids_hidden else floor.hidden[:0]
 
-        def avoiding(avoided: FloatArray) -> Costmap:
-            return blocked.on(floor.costmap(avoided), now_s)
-
         def plan() -> Planned:
-            costmap = avoiding(hidden[:0, :2])
+            costmap = floor.costmap(hidden[:0, :2])
             ahead = goals.upcoming(pose, costmap)
             if not ahead:
                 return Planned(None, floor.T_map_odom)
-            made, is_blind = self._planner.plan(costmap, avoiding, hidden, pose, ahead)
+            made, is_blind = self._planner.plan(costmap, floor.costmap, hidden, pose, ahead)
             found = self._judged(made, costmap, floor, pose, ahead[-1])
             return Planned(found, floor.T_map_odom, is_blind)
 
@@ -123,8 +118,8 @@ class Planning:
         """Drop the request."""
         self._worker.drop()
 
-    def look(self, plan: Plan, T_map_odom: FloatArray, now_s: float) -> tuple[str, bool]:
-        """Check the next metres of a plan. A blocked place is recorded, so that later plans avoid it if they can.
+    def look(self, plan: Plan, T_map_odom: FloatArray) -> tuple[str, bool]:
+        """Check the next metres of a plan.
 
         Args:
             T_map_odom: (3,) x, y, yaw of `odom` in `map` at its request.
@@ -140,7 +135,6 @@ class Planning:
             return "the map has moved below it", self.is_free(plan, ONWARD_M)
         blocked = self._blocked_at(plan, CHECK_M)
         if blocked is not None:
-            self._blocked = self._blocked.with_place(blocked[:2], now_s)
             is_free = self._is_far(plan, blocked) and self._blind_at(plan, ONWARD_M) is None
             return "something is in the way", is_free
         blind = self._blind_at(plan, CHECK_M)
@@ -339,58 +333,6 @@ def _nearest(plan: Plan, pose: FloatArray) -> int:
     # Half a turn counts as much as a metre.
     score = apart + off / np.pi
     return int(len(score) - 1 - score[::-1].argmin())
-
-
-# Radius of a blocked place around the axle: a robot's width.
-_BLOCKED_M = 0.6
-# Extra cost of a metre there per visit that found it blocked, a detour of up to 15 m is cheaper; and the most visits
-# that count, as it may be the only path. In a map of an earlier session the first one does not count.
-_BLOCKED_COST, _MOST = 4.0, 3
-# Time within which it counts as the same visit, and after which a visit expires: a person there may have left.
-_VISIT_S, _BLOCKED_S = 10.0, 180.0
-
-
-@dataclass(frozen=True, slots=True)
-class BlockedWays:
-    """Places where plans were blocked some time ago. Paths through them cost more, so that plans avoid them.
-
-    Many blockages are visible from close by only: hidden obstacles, unseen floor, a gap too narrow by a cell. From
-    farther away the path looks free again, and the shortest plan leads back.
-
-    Attributes:
-        free_visits: visits that do not count: in a fixed map a person may have stood there.
-        found: (x, y, stamp) in the map, one per visit, at its end.
-    """
-
-    free_visits: int = 0
-    found: tuple[tuple[float, float, float], ...] = ()
-
-    def with_place(self, xy: FloatArray, now_s: float) -> BlockedWays:
-        """Return a copy with a blocked path at the base's place (2,); further blockages of one visit replace it."""
-        kept: list[tuple[float, float, float]] = []
-        for x, y, stamp_s in self.found:
-            age_s = now_s - stamp_s
-            is_here = np.hypot(x - xy[0], y - xy[1]) <= _BLOCKED_M
-            if age_s < _BLOCKED_S and not (is_here and age_s < _VISIT_S):
-                kept.append((x, y, stamp_s))
-        return replace(self, found=(*kept, (float(xy[0]), float(xy[1]), now_s)))
-
-    def on(self, costmap: Costmap, now_s: float) -> Costmap:
-        """Return the costmap with a higher cost of paths there."""
-        times = np.zeros(costmap.state.shape, np.float32)
-        reach = int(np.ceil(_BLOCKED_M / costmap.resolution_m))
-        for x, y, stamp_s in self.found:
-            if now_s - stamp_s >= _BLOCKED_S:
-                continue
-            row, column = costmap.cells_at((x, y)).tolist()
-            low = np.clip([row - reach, column - reach], 0, times.shape)
-            high = np.clip([row + reach + 1, column + reach + 1], 0, times.shape)
-            rows, columns = (np.arange(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
-            is_near = np.hypot(*np.meshgrid(rows - row, columns - column, indexing="ij")) <= reach
-            times[low[0] : high[0], low[1] : high[1]] += is_near
-        if times.max(initial=0) <= self.free_visits:
-            return costmap
-        return replace(costmap, dearness=1 + np.float32(_BLOCKED_COST) * np.clip(times - self.free_visits, 0, _MOST))
 
 
 # Poses of a plan between a frame and its use, about 0.1 m.
