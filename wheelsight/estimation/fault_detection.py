@@ -112,7 +112,6 @@ class FaultDetection:
         gyro_sum_s: time of that turn.
         turn_slip_s: when the gyroscope last contradicted the wheels.
         measured_s: stamp of the last camera measurement.
-        slipped_s: when wheels were last known to slip.
         preintegration: of the wheels, since the pose that the camera measures against.
         noise: estimated noise of the wheels.
     """
@@ -132,7 +131,6 @@ class FaultDetection:
     gyro_sum_s: float = 0.0
     turn_slip_s: float = -np.inf
     measured_s: float = -np.inf
-    slipped_s: float = -np.inf
     preintegration: Preintegration | None = None
     noise: WheelNoise = field(default_factory=WheelNoise)
 
@@ -238,11 +236,7 @@ def _update_sound(
     alternative = _slip_hypothesis(detection.primary, stamp_s, measurement, settings)
     if alternative is None:
         return detection, Reason.CONTRADICTION
-    # Wheels that slipped a moment ago are likelier to slip again than the camera is to fail.
-    again = settings.contradiction_nats if stamp_s - detection.slipped_s <= settings.slippery_s else 0.0
-    split = changed(
-        _with_fault(detection, Fault.UNDECIDED, stamp_s), alternative=alternative, log_ratio=detection.log_ratio + again
-    )
+    split = changed(_with_fault(detection, Fault.UNDECIDED, stamp_s), alternative=alternative)
     return _verdict(_settled(split, stamp_s, settings))
 
 
@@ -315,8 +309,7 @@ def _verdict(detection: FaultDetection) -> tuple[FaultDetection, Reason | None]:
 
 
 def _with_fault(detection: FaultDetection, fault: Fault, stamp_s: float) -> FaultDetection:
-    slipped_s = stamp_s if detection.fault is Fault.WHEEL_SLIP else detection.slipped_s
-    return changed(detection, fault=fault, alternative=None, agreed=0, since_s=stamp_s, slipped_s=slipped_s)
+    return changed(detection, fault=fault, alternative=None, agreed=0, since_s=stamp_s)
 
 
 def _slip_hypothesis(

@@ -156,7 +156,7 @@ class FilterParameters:
     leap_side_share: float = 0.25
     leap_confidence: float = 0.99
     leap_chi2_cap: float = 16.0
-    contradiction_nats: float = 1.5  # for slip: a contradicting frame with usual inliers, and slip shortly before
+    contradiction_nats: float = 1.5  # for slip: a contradicting frame with usual inliers
     # Motion of a base whose wheels slip, at a walk; a lifted wheel tilts it.
     slip_m_per_sqrt_s: float = 0.3
     slip_rad_per_sqrt_s: float = 0.5

@@ -8,7 +8,7 @@ import pytest
 from wheelsight.core.estimates import Reason
 from wheelsight.core.geometry import se3
 from wheelsight.estimation.fault_detection import Fault, FaultDetection, updated
-from wheelsight.estimation.pose_belief import FilterParameters, PoseBelief, RelativeMotion, WheelStep, changed
+from wheelsight.estimation.pose_belief import FilterParameters, PoseBelief, RelativeMotion, WheelStep
 
 SETTINGS = FilterParameters.of()
 BEGUN_S, FRAME_S = 8.0, 0.1
@@ -66,32 +66,6 @@ def test_noise_of_the_looks_after_doubt_does_not_decide_who_was_right(seed):
         assert reason is None
         assert (apart(detection.primary.T[0], told.primary.T[0]) < [0.005, 0.1]).all()
         detection = told
-
-
-def contradicted(slipped_s):
-    """Both believed at 10 s, where wheels last slipped at a stamp, and the camera sees them 2.4 degrees off."""
-    detection = changed(undecided(0.0), alternative=None, fault=Fault.NONE, agreed=0, slipped_s=slipped_s)
-    Z = se3.invert(detection.primary.T[1]) @ se3.exp(APART) @ detection.primary.T[0]
-    return updated(detection, 10.0, RelativeMotion("frame", Z, np.eye(6), 1e-7 * np.eye(6), 1e-7 * np.eye(6)), SETTINGS)
-
-
-@pytest.mark.parametrize(("ago_s", "by_camera"), [(1.0, True), (30.0, False)])
-def test_wheels_that_slipped_a_moment_ago_are_taken_to_slip_again(ago_s, by_camera):
-    """One frame contradicts the wheels, and all that follow agree."""
-    detection, reason = contradicted(10.0 - ago_s)
-    assert (detection.fault, reason) == (Fault.UNDECIDED, Reason.CONTRADICTION)
-    wheels_say, camera_says = detection.primary.T[0], detection.alternative.T[0]
-    assert apart(wheels_say, camera_says)[1] > 2
-    now = detection.likelier(SETTINGS).T[0]
-    assert (apart(now, camera_says if by_camera else wheels_say) < [0.005, 0.1]).all()
-
-
-def test_when_wheels_last_slipped_is_kept_once_they_are_believed_again():
-    detection = changed(undecided(0.0), alternative=None, fault=Fault.WHEEL_SLIP, slipped_s=-np.inf)
-    Z = se3.invert(detection.primary.T[1]) @ detection.primary.T[0]
-    agrees = RelativeMotion("frame", Z, np.eye(6), 1e-7 * np.eye(6), 1e-7 * np.eye(6))
-    detection, _ = updated(detection, 10.0, agrees, SETTINGS)
-    assert (detection.fault, detection.slipped_s) == (Fault.NONE, 10.0)
 
 
 def test_a_look_that_is_farther_off_than_slipping_wheels_get_is_refused_and_splits_nothing():
