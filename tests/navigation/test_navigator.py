@@ -446,9 +446,7 @@ def test_feedback_tells_how_far_it_is() -> None:
 class Found(PoseGoals):
     """Poses that the task found by itself."""
 
-    @property
-    def is_asked_for(self) -> bool:
-        return False
+    is_asked_for = False
 
 
 def test_where_nobody_asked_for_a_place_it_is_the_same_beside_it() -> None:

@@ -47,9 +47,9 @@ class Robot(DrawnRobot):
         super().stop()
         self.stops.append(self.now_s)
 
-    def _rolled(self, command: VelocityCommand) -> WheelTicks:
+    def roll(self, command: VelocityCommand) -> WheelTicks:
         before = self.pose
-        ticks = super()._rolled(command)
+        ticks = super().roll(command)
         forward, turn = command.forward_m_s * (1 - self.slip / 2), command.turn_rad_s + self.slip * command.forward_m_s
         if self.slip:
             seconds, yaw = 0.025, before[2]

@@ -150,13 +150,7 @@ class DrawnRobot:
         events: list[Event] = []
         for _ in range(_READINGS_A_STEP):
             self.now_s += _READING_S
-            across_m_s = command.turn_rad_s * WHEELS.track_width_m / 2
-            self._rolled_m += (np.array([-across_m_s, across_m_s]) + command.forward_m_s) * _READING_S
-            x, y, yaw = self.pose
-            way_m, turn = command.forward_m_s * _READING_S, command.turn_rad_s * _READING_S
-            self.pose = np.array([x + way_m * np.cos(yaw), y + way_m * np.sin(yaw), yaw + turn])
-            ticks = np.rint(self._rolled_m / (WHEELS.left_m_per_tick, WHEELS.right_m_per_tick)).astype(int).tolist()
-            events.append(WheelTicks(self.now_s, *ticks))
+            events.append(self.roll(command))
         self._steps += 1
         if self._steps % _STEPS_A_FRAME == 0:
             color, depth_m = seen_from(self.T_map_base, self.calibration.depth)
@@ -167,6 +161,16 @@ class DrawnRobot:
     def T_map_base(self) -> FloatArray:
         """(4, 4) where it truly is."""
         return se3.from_plane(*self.pose)
+
+    def roll(self, command: VelocityCommand) -> WheelTicks:
+        """Move by a command for the time between two readings; return the next reading."""
+        across_m_s = command.turn_rad_s * WHEELS.track_width_m / 2
+        self._rolled_m += (np.array([-across_m_s, across_m_s]) + command.forward_m_s) * _READING_S
+        x, y, yaw = self.pose
+        way_m, turn = command.forward_m_s * _READING_S, command.turn_rad_s * _READING_S
+        self.pose = np.array([x + way_m * np.cos(yaw), y + way_m * np.sin(yaw), yaw + turn])
+        ticks = np.rint(self._rolled_m / (WHEELS.left_m_per_tick, WHEELS.right_m_per_tick)).astype(int).tolist()
+        return WheelTicks(self.now_s, *ticks)
 
     def stop(self) -> None:
         """As `Robot` has it."""
