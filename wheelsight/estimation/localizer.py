@@ -12,7 +12,6 @@ import tempfile
 import weakref
 from dataclasses import replace
 from functools import partial
-from types import TracebackType
 from typing import TYPE_CHECKING, BinaryIO
 
 import cv2
@@ -30,7 +29,7 @@ from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId, Ke
 from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, YawRate
 from wheelsight.core.settings import LocalizerSettings
 from wheelsight.core.stamps import StampCheck
-from wheelsight.core.threads import OneCaller, Rows, ends, one_at_a_time
+from wheelsight.core.threads import Closing, OneCaller, Rows, ends, one_at_a_time
 from wheelsight.estimation.area_localizer import ByPlaces, Places, load_places
 from wheelsight.estimation.camera_localizer import ByFrames, CameraOdometry
 from wheelsight.estimation.fusion_localizer import ByFusion
@@ -55,7 +54,7 @@ _KINDS = {RgbdFrame: FRAMES, SkippedFrame: FRAMES, **dict.fromkeys(WHEEL_READING
 _CONFIG_FIX = 'load_config(PATH), or load_config(overrides={"odometry": "dense"})'
 
 
-class Localizer(OneCaller):
+class Localizer(Closing, OneCaller):
     """Returns the pose of the body at each frame or wheel reading, or the reason why there is none.
 
     `config.odometry` selects the sensors. By default the localizer fuses all sensors that the calibration describes
@@ -254,14 +253,6 @@ class Localizer(OneCaller):
             self.keyframes.close()
         if self._loops is not None:
             self._loops.close()
-
-    def __enter__(self) -> Localizer:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _estimator(

@@ -55,7 +55,7 @@ def option_field(
     def named(flag: str) -> Any:
         how = {"flag": flag, **details}
         if setting:
-            SET_BY[setting] = how["flag"].partition("/")[0]
+            return setting_option(setting, how.pop("flag"), text, metavar, shown, panel, **how)
         return option(text, metavar, shown, panel, **how)
 
     return field(default=default, metadata={"option": named, "setting": setting})

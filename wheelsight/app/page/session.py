@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import count
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -27,6 +27,7 @@ from wheelsight.core.geometry import FloatArray
 from wheelsight.core.messages import Event
 from wheelsight.core.robots import CONTROL_PERIOD_S, Robot, WatchedRobot
 from wheelsight.core.settings import LivePageSettings
+from wheelsight.core.threads import Closing
 from wheelsight.navigation import Feedback, NavigationResult, NavigationState, Transition
 from wheelsight.navigation.settings import SILENT_S
 
@@ -178,7 +179,7 @@ class _Next:
     pose: FloatArray | None = None
 
 
-class Session:
+class Session(Closing):
     """Drives a robot in its own thread. Use it in a `with` block, which stops the robot at the end. It begins in the
     first map.
 
@@ -224,12 +225,9 @@ class Session:
         self._watchdog = Watchdog(self._may_be_silent_s, self.part_fails, self.say)
         self._thread = threading.Thread(target=self._run, name="wheelsight-drive", daemon=True)
 
-    def __enter__(self) -> Session:
+    def __enter__(self) -> Self:
         self._thread.start()
         return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @property
     def latest(self) -> Snapshot:

@@ -8,8 +8,7 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numba.core import event
@@ -23,6 +22,7 @@ from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeStore
 from wheelsight.core.messages import STOP, Event, RgbdFrame, VelocityCommand, WheelTicks
 from wheelsight.core.robots import STOPPED
+from wheelsight.core.threads import Closing
 from wheelsight.io.recordings import Recording, open_recording
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import (
@@ -128,7 +128,7 @@ def rehearse_navigation(calibration: Calibration) -> None:
     Planner(footprint).plan(corridor, (1.2, 1.5, 0.0), (1.2, 1.5, np.pi))
 
 
-class DrawnRobot:
+class DrawnRobot(Closing):
     """A `Robot` in the rehearsal's room: it obeys at once, and frames are drawn.
 
     Attributes:
@@ -178,14 +178,6 @@ class DrawnRobot:
 
     def close(self) -> None:
         """As `Robot` has it; nothing is open."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class TrueLocalization:

@@ -22,6 +22,7 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import ConfigError, DeviceError
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelReading, WheelTicks
 from wheelsight.core.settings import RealTimeSettings
+from wheelsight.core.threads import Closing
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.devices import BAUDRATE, ClockMap, LinkStatus, TicksFile, WheelSource, is_recorded, open_wheels
 from wheelsight.io.recordings import AssociationReport, ListedFrame, ListsFrames, Recording
@@ -433,7 +434,7 @@ class RecordedWheels:
         self.warnings = tuple(source.warnings) if isinstance(source, TicksFile) else ()
 
 
-class LiveWheels:
+class LiveWheels(Closing):
     """A live source of ticks, read by a thread. Use it in a `with` block.
 
     The source has its own clock: the link stamps in host time mapped from the controller's clock, the pipe as its
@@ -490,12 +491,6 @@ class LiveWheels:
         self._is_over, self._listener = True, None
         self._source.close()
         self._thread.join()
-
-    def __enter__(self) -> LiveWheels:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _listen(self) -> None:
         try:
