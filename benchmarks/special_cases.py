@@ -5,9 +5,9 @@ errors of real sensors, the real recordings, fields of obstacles of another seed
 replaces a method of the package from outside. A first run with all rules counts how often each one acts. Where a rule
 never acts, its result is the same, and no second run is made. Rules that cannot be counted run on all drives.
 
-A drive is "better" with a rule if its error is smaller by more than 1 mm and 2 %, "worse" likewise. The gain is the
-mean difference over the drives on which the rule acts, with its standard error. A rule gains something if that is more
-than two standard errors, or if it avoids wrong poses or contacts, or reaches more goals.
+A drive is "better" with a rule if its error is smaller by more than 1 mm and 2 %, and "worse" if it is larger by as
+much. The gain is the mean difference over the drives on which the rule acts, with its standard error. A rule gains
+something if that is more than two standard errors, or if it avoids wrong poses or contacts, or reaches more goals.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A drive in the rehearsal's room: no simulator, no map folder; the robot is told where it is."""
+"""A drive in the rehearsal's room: no simulator, no map folder; the localization knows the true pose."""
 
 from __future__ import annotations
 
@@ -32,8 +32,10 @@ def rehearsed_drive(
     watched, recorder = WatchedRobot(robot), DriveRecorder(config.navigation.footprint.outline)
     watched.listeners += [recorder.add, on_events]
     floor = KnownFloor(drawn_room())
-    told = TrueLocalization(robot)
-    navigator = Navigator(watched, told, floor, config.navigation, trusts_floor=True, on_transition=on_transition)
+    localization = TrueLocalization(robot)
+    navigator = Navigator(
+        watched, localization, floor, config.navigation, trusts_floor=True, on_transition=on_transition
+    )
     return GoalDrive(watched, recorder, navigator, drawn_room, "a room"), robot, config
 
 

@@ -30,7 +30,7 @@ from wheelsight_sim.drivers import (
     read_manual_velocities,
     smooth_path,
 )
-from wheelsight_sim.readings import GYRO_PERIOD_S, Encoders, Gyroscope, Reckoning, is_during
+from wheelsight_sim.readings import GYRO_PERIOD_S, DeadReckoning, Encoders, Gyroscope, is_during
 from wheelsight_sim.robot import TICK_PERIOD_S, Drive, RobotModel, WheelFaults, WheelSizeSettings
 from wheelsight_sim.settings import Realism, SimulationSettings, realism_of, stream
 from wheelsight_sim.wheelchair import TIMESTEP_S, Chair, Underfoot
@@ -193,7 +193,7 @@ def simulate_drive(
     floor = floor_of(world, realism, seed if floor_seed is None else floor_seed)
     moving = SteppedRobot(world, robot, start, faults=faults, slip=slip, seed=seed, floor=floor)
     readings: list[Reading] = []
-    reason = _drive(moving, Reckoning(robot.nominal, start), driver, readings, time_limit_s, on_progress)
+    reason = _drive(moving, DeadReckoning(robot.nominal, start), driver, readings, time_limit_s, on_progress)
     stamps_s = np.array([reading.stamp_s for reading in readings])
     ticks = tuple(reading.ticks for reading in readings if reading.ticks is not None)
     yaw_rates = tuple(reading.yaw_rate for reading in readings if reading.yaw_rate is not None)
@@ -202,7 +202,7 @@ def simulate_drive(
 
 def _drive(
     robot: SteppedRobot,
-    reckoning: Reckoning,
+    odometry: DeadReckoning,
     driver: Driver,
     readings: list[Reading],
     time_limit_s: float,
@@ -216,8 +216,8 @@ def _drive(
             return f"the physics became unstable at {stamp_s:.1f} s"
         readings.append(robot.read())
         if tick % ticks_of(COMMAND_PERIOD_S) == 0:
-            believed = reckoning.update(*robot.counts)
-            command = driver.command(stamp_s, believed if driver.is_blind else chair.T_world_base)
+            T_odometry = odometry.update(*robot.counts)
+            command = driver.command(stamp_s, T_odometry if driver.is_blind else chair.T_world_base)
             if command is None:
                 return ""
             reason = watch.trouble(stamp_s, chair, command)

@@ -67,7 +67,7 @@ class Gyroscope:
         return YawRate(stamp_s, float(yaw_rate_rad_s + self._bias_rad_s + noise_rad_s))
 
 
-class Reckoning:
+class DeadReckoning:
     """Where the wheelchair's own controller takes itself to be, by counts alone: what a blind driver steers by."""
 
     def __init__(self, nominal: Wheels, T_world_start: FloatArray) -> None:
@@ -77,7 +77,7 @@ class Reckoning:
         self._last = (0, 0)
 
     def update(self, left: int, right: int) -> FloatArray:
-        """T_world_base (4, 4) as believed, from cumulative counts; each step is taken along its middle direction."""
+        """T_world_base (4, 4) by dead reckoning, from cumulative counts; each step goes along its middle direction."""
         left_m = self._nominal.left_m_per_tick * (left - self._last[0])
         right_m = self._nominal.right_m_per_tick * (right - self._last[1])
         turn_rad = (right_m - left_m) / self._nominal.track_width_m

@@ -12,7 +12,7 @@ from wheelsight.core.messages import WheelTicks
 from wheelsight.wheels import integrate_log
 from wheelsight_sim.drivers import ManualVelocities
 from wheelsight_sim.physics import simulate_drive
-from wheelsight_sim.readings import Encoders, Gyroscope, Reckoning, is_during
+from wheelsight_sim.readings import DeadReckoning, Encoders, Gyroscope, is_during
 from wheelsight_sim.robot import RobotModel, WheelFaults
 
 ROBOT = RobotModel()
@@ -115,7 +115,7 @@ def test_reckoning_is_what_odometry_makes_of_the_counts(rng: np.random.Generator
     readings = [reading for reading in turned(Encoders(ROBOT, WheelFaults(), rng), 8.0) if reading]
     stamps_s, left, right = np.array([(r.stamp_s, r.left, r.right) for r in readings]).T
     T_world_start = se3.from_plane(1.0, 2.0, 0.7)
-    reckoning = Reckoning(ROBOT.nominal, T_world_start)
+    reckoning = DeadReckoning(ROBOT.nominal, T_world_start)
     for reading in readings:
         T_world_base = reckoning.update(reading.left, reading.right)
     path = integrate_log(ROBOT.nominal, stamps_s, left.astype(int), right.astype(int)).trajectory()

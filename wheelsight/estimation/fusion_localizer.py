@@ -488,7 +488,7 @@ class FusedCamera:
         mapper: builds a surfel map, if the settings ask for one.
         gate: rejects frames that need no alignment.
         unknown: number of frames in a row that showed nothing known.
-        last_matches: pixels by which the last frame was aligned; None for dense odometry.
+        last_matches: pixels that aligned the last frame; None for dense odometry.
         slips: whether the wheels slip. Then the camera's last motion predicts the next frame, else the wheels do.
         pace: the camera's last motion.
     """

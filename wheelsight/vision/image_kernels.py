@@ -491,7 +491,7 @@ class DepthImage(NamedTuple):
 
 
 class Triangles(NamedTuple):
-    """Which three pairs make a hypothesis: sides of at least so many metres, alike to so much and a share of them."""
+    """Limits of three pairs that make a hypothesis: least length of a side, largest difference of its two lengths."""
 
     least_m: float
     change_m: float
@@ -599,7 +599,7 @@ def project(points: FloatArray, fx: float, fy: float, cx: float, cy: float, widt
 
 @kernel
 def align_three(p_a: FloatArray, p_b: FloatArray) -> Any:
-    """Rotation and translation that lay (3, 3) points b on points a: Zhang section 3.2, the reflection mended."""
+    """Return rotation and translation from (3, 3) points b to points a, without reflection (Zhang, section 3.2)."""
     mean_a = (p_a[0] + p_a[1] + p_a[2]) / 3
     mean_b = (p_b[0] + p_b[1] + p_b[2]) / 3
     W = np.zeros((3, 3))
@@ -634,7 +634,7 @@ def ransac(pairs: Pairs, rules: Triangles, gate: float, iterations: int, seed: i
     """R, t current from reference that most of N point pairs agree with, and how many do (their chi-square < gate).
 
     All pairs have depth; three make a hypothesis. Those whose distances differ between the frames, or that stand too
-    close together to tell a rotation, are not tried. Stops early once a better hypothesis is unlikely (at 99.9 %).
+    close together to determine a rotation, are not tried. Stops early once a better hypothesis is unlikely (at 99.9 %).
     """
     np.random.seed(seed)
     p_reference, xy, depth_m = pairs.p_reference, pairs.xy, pairs.depth_m
