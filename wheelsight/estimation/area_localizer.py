@@ -80,7 +80,7 @@ class ByPlaces:
     """
 
     body, frame, answers = "base", "map", (*WHEEL_READINGS, RgbdFrame, SkippedFrame)
-    last_matches = loops = mapper = None
+    last_matches = loops = mapper = keyframes = None
 
     def __init__(self, calibration: Calibration, settings: Config, places: Places) -> None:
         self._wheels = ByWheels(calibration, settings.wheels)
