@@ -30,7 +30,7 @@ from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.checks import Untimed
 from wheelsight.core.errors import ConfigError
-from wheelsight.core.estimates import Estimate, PoseDecision, PoseEvidence, PoseFinding, Reason, decide
+from wheelsight.core.estimates import UNDECIDED, Estimate, PoseDecision, PoseEvidence, PoseFinding, Reason, decide
 from wheelsight.core.geometry import FloatArray, se2, se3
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame
 from wheelsight.core.settings.fusion import LigockiSettings
@@ -104,7 +104,7 @@ class ByLigocki:
         if seen.reason is Reason.REPEATED and self._answer is not None:
             return replace(self._answer, reason=Reason.REPEATED)
         if self._rolled is None or self._rolled.T_odom_body is None:
-            return replace(seen, T_odom_body=None, covariance=None, status=_NOT_BEGUN.status)
+            return replace(seen, T_odom_body=None, covariance=None, status=UNDECIDED.status)
         # The wheels' velocity predicts the pose at the frame, for at most the longest gap.
         seconds = min(max(seen.stamp_s - self._rolled.stamp_s, 0.0), self._max_gap_s)
         T_odom_base = self._rolled.T_odom_body @ self._wheels.odometry.motion_in(seconds)
@@ -121,9 +121,9 @@ class ByLigocki:
         return self._answer
 
 
-_NOT_BEGUN, _BY_BOTH, _BY_WHEELS, _NOT_LATER = (
+_BY_BOTH, _BY_WHEELS, _NOT_LATER = (
     decide([PoseEvidence(finding)])
-    for finding in (PoseFinding.NOT_BEGUN, PoseFinding.TRACKED, PoseFinding.WHEELS_ALONE, PoseFinding.NOT_LATER)
+    for finding in (PoseFinding.TRACKED, PoseFinding.WHEELS_ALONE, PoseFinding.NOT_LATER)
 )
 _PLANE = np.array([0, 1, 5])
 # σ of the drift of x, y and yaw, in metres and radians per √s, for the covariance alone.

@@ -321,7 +321,9 @@ class PoseFinding(StrEnum):
 
     NOT_BEGUN = "no sensor has measured a pose yet"
     TRACKED = "the camera measures the pose"
+    DEAD_RECKONED = "the wheels measure the motion since a known pose"
     WHEELS_ALONE = "no camera measurement was accepted lately"
+    READING_REFUSED = "the wheel reading yields no motion"
     FRAME_FAILED = "the frame yields no pose"
     CAMERA_LOST = "too many frames in a row yield no pose"
     NOT_LATER = "the stamp is not later than the one before"
@@ -362,7 +364,9 @@ class Consequence(NamedTuple):
 DECISIONS = {
     PoseFinding.NOT_BEGUN: Consequence(Status.INITIALIZING),
     PoseFinding.TRACKED: Consequence(Status.TRACKING),
+    PoseFinding.DEAD_RECKONED: Consequence(Status.TRACKING),
     PoseFinding.WHEELS_ALONE: Consequence(Status.COASTING),
+    PoseFinding.READING_REFUSED: Consequence(Status.FAILING),
     PoseFinding.FRAME_FAILED: Consequence(Status.FAILING),
     PoseFinding.CAMERA_LOST: Consequence(Status.LOST),
     PoseFinding.NOT_LATER: Consequence(Status.FAILING, reason=Reason.CLOCK_BACKWARDS),
@@ -438,6 +442,11 @@ def decide(evidence: Iterable[PoseEvidence], before: PoseDecision = UNDECIDED) -
         C = C if one.covariance is None else one.covariance
         C_map = C_map if one.covariance_map is None else one.covariance_map
     return PoseDecision(status, slip, is_degenerate, is_doubtful, reason, T, C, C_map)
+
+
+def status_of(finding: PoseFinding) -> Status:
+    """Return the status of an estimate with one finding."""
+    return decide([PoseEvidence(finding)]).status
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,6 +23,7 @@ from wheelsight.core.checks import FrameGate, Untimed
 from wheelsight.core.estimates import (
     DEGENERATE_SCALE,
     STEP_BEGIN,
+    UNDECIDED,
     CameraEstimate,
     Estimate,
     FusedEstimate,
@@ -195,7 +196,7 @@ class ByFusion:
     def _update_wheels(self, reading: WheelReading) -> tuple[Estimate | None, str]:
         wheels, note = self._base.process(reading)
         if self._places is not None and self._is_early(wheels.stamp_s):
-            return Estimate(wheels.stamp_s, Status.INITIALIZING, body=self.body), note
+            return Estimate(wheels.stamp_s, UNDECIDED.status, body=self.body), note
         self._camera.gate.has_wheels = True
         check = self._check
         if check.by_wheels is not None:
@@ -219,7 +220,7 @@ class ByFusion:
             self._places.forget()
             if self._is_early(event.stamp_s):
                 note = event.reason if isinstance(event, SkippedFrame) else ""
-                return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), note
+                return Estimate(event.stamp_s, UNDECIDED.status, body=self.body), note
         if isinstance(event, SkippedFrame):
             return self._miss(event.stamp_s), event.reason
         if self._check.verdict.left_out is Culprit.CAMERA:
@@ -232,7 +233,7 @@ class ByFusion:
         if why_not is not None:
             return self._miss(event.stamp_s), why_not.note
         if not gate.has_wheels and gate.waits_for_wheels(event):
-            return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), ""
+            return Estimate(event.stamp_s, UNDECIDED.status, body=self.body), ""
         if self._check.by_wheels is not None:
             self._check.add_frame(event)
         fused = self._track(event, expected)

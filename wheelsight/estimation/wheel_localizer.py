@@ -8,7 +8,7 @@ import numpy as np
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.checks import Untimed
-from wheelsight.core.estimates import Reason, Status, WheelEstimate
+from wheelsight.core.estimates import PoseFinding, Reason, WheelEstimate, status_of
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.messages import WHEEL_READINGS, Event, WheelReading, YawRate
@@ -99,7 +99,8 @@ class ByWheels:
             return None, ""
         self._moved = _STILL
         T, C, stamp_s = self.odometry.T_odom_base, self.odometry.covariance, event.stamp_s - self._delay_s
-        return self._in_odom(WheelEstimate(stamp_s, Status.FAILING, T, C, why.reason, "base")), why.note
+        status = status_of(PoseFinding.READING_REFUSED)
+        return self._in_odom(WheelEstimate(stamp_s, status, T, C, why.reason, "base")), why.note
 
     def _in_odom(self, answer: WheelEstimate) -> WheelEstimate:
         """Return the last estimate in the frame of the poses."""
