@@ -425,15 +425,18 @@ UNDECIDED = PoseDecision()
 """Without evidence: no pose yet."""
 
 
-def decide(evidence: Iterable[PoseEvidence], before: PoseDecision = UNDECIDED) -> PoseDecision:
+def decide(evidence: Iterable[PoseEvidence | None], before: PoseDecision = UNDECIDED) -> PoseDecision:
     """Return what is decided of an estimate, by `DECISIONS`.
 
     Args:
-        evidence: in the order in which it applies: the last status and covariance count, and the first reason.
+        evidence: in the order in which it applies: the last status and covariance count, and the first reason. None
+            where a check finds nothing.
         before: decided by earlier evidence.
     """
     status, slip, is_degenerate, is_doubtful, reason, T, C, C_map = before
     for one in evidence:
+        if one is None:
+            continue
         then = DECISIONS[one.finding]
         status, slip = then.status or status, slip if then.slip is None else then.slip
         is_degenerate, is_doubtful = is_degenerate or then.is_degenerate, is_doubtful or then.is_doubtful

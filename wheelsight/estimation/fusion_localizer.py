@@ -175,8 +175,7 @@ class ByFusion:
             decided = decide([sensors], decided)
         T, C, T_map_filter = decided.T_odom_body, decided.covariance, self._map.T_map_odom
         if T is not None and C is not None:  # without a pose, the status of the sensors stays
-            watched = self._restart.evidence(T, C), self._kidnap.evidence(T, C)
-            decided = decide([*(one for one in watched if one is not None), *found], decided)
+            decided = decide([self._restart.evidence(T, C), self._kidnap.evidence(T, C), *found], decided)
             if self.loops is not None:
                 in_map = self.loops.evidence(decided.status, T, decided.covariance, T_map_filter)
                 decided = decide([in_map], decided)
