@@ -800,7 +800,7 @@ class OdomFrame:
         fields: dict[str, Any] = {
             "T_map_odom": motions.times(np.ascontiguousarray(answer.T_map_odom), self.T_filter_odom),
             "T_filter_odom": self.T_filter_odom,
-            "T_odom_body": None if T is None else self.T_odom_body(T),
+            "T_odom_body": None if T is None else motions.times(self.T_odom_filter, T),
             "covariance": None if C is None else Ad @ C @ Ad.T,
         }
         if isinstance(answer, WheelEstimate) and answer.before is not None:
