@@ -28,6 +28,7 @@ from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 from operator import attrgetter
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
@@ -424,6 +425,7 @@ _TRACKED, _WHEELS_ALONE = PoseEvidence(PoseFinding.TRACKED), PoseEvidence(PoseFi
 _TOO_UNCERTAIN, _SILENT = PoseEvidence(PoseFinding.TOO_UNCERTAIN), PoseEvidence(PoseFinding.SILENT)
 _SLIP, _DEGENERATE = PoseEvidence(PoseFinding.SLIP), PoseEvidence(PoseFinding.DEGENERATE)
 _UNDECIDED = PoseEvidence(PoseFinding.UNDECIDED)
+_decided = cache(decide)  # evidence of the filter has no poses, so equal findings give equal decisions
 
 
 class CurrentPose(NamedTuple):
@@ -465,7 +467,7 @@ class CurrentPose(NamedTuple):
             evidence.append(_DEGENERATE)
         if detection.fault is Fault.UNDECIDED:
             evidence.append(_UNDECIDED)
-        return cls(stamp_s, belief, decide(evidence), T, C, (moving[0], moving[1]))
+        return cls(stamp_s, belief, _decided(tuple(evidence)), T, C, (moving[0], moving[1]))
 
 
 def _diverged(before: FusionState, event: FilterEvent, settings: FilterParameters) -> FusionState:

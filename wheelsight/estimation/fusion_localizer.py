@@ -175,7 +175,8 @@ class ByFusion:
             decided = decide([sensors], decided)
         T, C, T_map_filter = decided.T_odom_body, decided.covariance, self._map.T_map_odom
         if T is not None and C is not None:  # without a pose, the status of the sensors stays
-            decided = decide([self._restart.evidence(T, C), self._kidnap.evidence(T, C), *found], decided)
+            watched = [self._restart.evidence(T, C), self._kidnap.evidence(T, C), *found]
+            decided = decide(watched, decided) if any(watched) else decided
             if self.loops is not None:
                 in_map = self.loops.evidence(decided.status, T, decided.covariance, T_map_filter)
                 decided = decide([in_map], decided)
