@@ -30,7 +30,7 @@ from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.checks import Untimed
 from wheelsight.core.errors import ConfigError
-from wheelsight.core.estimates import Estimate, Reason, Status
+from wheelsight.core.estimates import UNDECIDED, Estimate, PoseDecision, PoseEvidence, PoseFinding, Reason, decide
 from wheelsight.core.geometry import FloatArray, se2, se3
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame
 from wheelsight.core.settings.fusion import LigockiSettings
@@ -45,6 +45,7 @@ class ByLigocki:
 
     Attributes:
         odometry: of the camera.
+        keyframes: of the camera.
         mapper: builds a map of the camera alone, if the settings ask for one.
         T_odom_map: (4, 4) pose of that map at the last frame with poses of both sensors.
     """
@@ -58,6 +59,7 @@ class ByLigocki:
         self.hears: tuple[type[Event], ...] = (*self._wheels.hears, *self.answers)
         self._camera = ByFrames(calibration, settings, parts=parts)
         self.odometry, self.mapper = self._camera.odometry, self._camera.mapper
+        self.keyframes = self._camera.keyframes
         assert calibration.any_wheels is not None  # ByWheels has refused it
         self._max_gap_s = calibration.any_wheels.max_gap_s
         self._filter = LigockiFilter(settings.fusion.ligocki)
@@ -102,7 +104,7 @@ class ByLigocki:
         if seen.reason is Reason.REPEATED and self._answer is not None:
             return replace(self._answer, reason=Reason.REPEATED)
         if self._rolled is None or self._rolled.T_odom_body is None:
-            return replace(seen, T_odom_body=None, covariance=None, status=Status.INITIALIZING)
+            return replace(seen, T_odom_body=None, covariance=None, status=UNDECIDED.status)
         # The wheels' velocity predicts the pose at the frame, for at most the longest gap.
         seconds = min(max(seen.stamp_s - self._rolled.stamp_s, 0.0), self._max_gap_s)
         T_odom_base = self._rolled.T_odom_body @ self._wheels.odometry.motion_in(seconds)
@@ -119,6 +121,10 @@ class ByLigocki:
         return self._answer
 
 
+_BY_BOTH, _BY_WHEELS, _NOT_LATER = (
+    decide([PoseEvidence(finding)])
+    for finding in (PoseFinding.TRACKED, PoseFinding.WHEELS_ALONE, PoseFinding.NOT_LATER)
+)
 _PLANE = np.array([0, 1, 5])
 # σ of the drift of x, y and yaw, in metres and radians per √s, for the covariance alone.
 _WHEEL_DRIFT, _VISUAL_DRIFT = np.array([0.02, 0.02, 0.02]), np.array([0.005, 0.005, 0.003])
@@ -183,15 +189,15 @@ class LigockiFilter:
         visual = None if T_map_base_visual is None else _planar(T_map_base_visual)
         if not np.isfinite(stamp_s):
             raise ConfigError(f"stamp_s is {stamp_s}", fix="seconds")
-        status = Status.TRACKING if visual is not None else Status.COASTING
+        decided = _BY_WHEELS if visual is None else _BY_BOTH
         if self._stamp_s is None:
             self._stamp_s, self._wheels = stamp_s, wheels
             begin = wheels if visual is None else wheels + _unwrapped(visual - wheels)
             self._x[:] = np.stack([wheels, begin] * 2, axis=-1)
-            return self._estimate(status, None)
+            return self._estimate(decided, None)
         dt_s = stamp_s - self._stamp_s
         if dt_s <= 0:
-            return self._estimate(Status.FAILING, None, Reason.CLOCK_BACKWARDS)
+            return self._estimate(_NOT_LATER, None)
         H, A = measurement_matrix(self._weight, dt_s), process_matrix(self._weight)
         yaw_rad = (self._x @ H[0])[2] - self._wheels[2]
         c, s = np.cos(yaw_rad), np.sin(yaw_rad)
@@ -204,9 +210,9 @@ class LigockiFilter:
         self._P = A @ self._P @ A.T + self._Q * dt_s
         self._wheels = wheels
         self._stamp_s = stamp_s
-        return self._estimate(status, dt_s)
+        return self._estimate(decided, dt_s)
 
-    def _estimate(self, status: Status, dt_s: float | None, reason: Reason | None = None) -> JoinedEstimate:
+    def _estimate(self, decided: PoseDecision, dt_s: float | None) -> JoinedEstimate:
         assert self._stamp_s is not None
         H = measurement_matrix(self._weight, dt_s or 1.0)
         joined, spread = self._x @ H.T, H @ self._P @ H.T
@@ -216,8 +222,8 @@ class LigockiFilter:
         covariance = np.zeros((6, 6))
         covariance[np.ix_(_PLANE, _PLANE)] = J @ np.diag(spread[:, 0, 0]) @ J.T
         moving = (None, None) if dt_s is None else (joined[:, 1], np.diag(spread[:, 1, 1]))
-        pose = (se3.from_plane(x, y, yaw), covariance, reason, "base", 0, 0)
-        return JoinedEstimate(self._stamp_s, status, *pose, *moving)
+        pose = (se3.from_plane(x, y, yaw), covariance, decided.reason, "base", 0, 0)
+        return JoinedEstimate(self._stamp_s, decided.status, *pose, *moving)
 
 
 def _planar(T: ArrayLike) -> FloatArray:

@@ -22,7 +22,7 @@ from wheelsight.config import PlaceSettings
 from wheelsight.core.areas import AreaMap
 from wheelsight.core.checks import need_motion
 from wheelsight.core.errors import AreaError, ConfigError
-from wheelsight.core.estimates import Estimate, Status, WheelEstimate
+from wheelsight.core.estimates import Estimate, PoseFinding, WheelEstimate, status_of
 from wheelsight.core.geometry import FloatArray, IntArray
 from wheelsight.core.settings.fusion import AxisWeights, OdometryTerm, Weights
 from wheelsight.estimation import area_kernels as kernels
@@ -94,7 +94,7 @@ class PaperRectifier:
         """Return the current pose, by the wheels since the last frame. Eq. 5 has no covariance."""
         T_odom_base = self._T_map_wheels.copy()
         T_odom_base[:2, 3] += self._rectified - self._odometry_at_frame
-        return Estimate(stamp_s, Status.TRACKING, T_odom_base, body="base")
+        return Estimate(stamp_s, status_of(PoseFinding.DEAD_RECKONED), T_odom_base, body="base")
 
 
 class ByPaper:

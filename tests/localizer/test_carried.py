@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from narrowing import not_none
 
+from wheelsight.core.estimates import PoseFinding
 from wheelsight.core.geometry import se3
-from wheelsight.estimation.consistency_check import KidnapDetection, PoseFinding
+from wheelsight.estimation.consistency_check import KidnapDetection
 
 HERE = np.eye(4), 1e-6 * np.eye(6)
 SPREAD = np.eye(4), np.eye(6)

@@ -13,12 +13,12 @@ from room_drive import make_room_drive
 
 from wheelsight.config import load_config
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.estimates import CameraEstimate, Estimate, MotionEstimate, Status
+from wheelsight.core.estimates import CameraEstimate, Estimate, MotionEstimate, PoseFinding, Status
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.core.messages import Event, RgbdFrame
 from wheelsight.estimation import Localizer
-from wheelsight.estimation.loop_updates import InMap, LoopsBeside
+from wheelsight.estimation.loop_updates import LoopsBeside
 from wheelsight.io.recordings import Recording, open_recording
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.drive_graph import KeyframePlace, OdometryKeyframe, PoseUpdate, Revisit
@@ -36,8 +36,9 @@ WAYS = {
 }
 
 
-def in_map(beside: LoopsBeside, found: Estimate) -> tuple[InMap, FloatArray | None]:
-    return beside.evidence(found.status, found.T_odom_body, found.covariance, found.T_map_odom)
+def in_map(beside: LoopsBeside, found: Estimate) -> tuple[PoseFinding, FloatArray | None]:
+    evidence = beside.evidence(found.status, found.T_odom_body, found.covariance, found.T_map_odom)
+    return evidence.finding, evidence.covariance_map
 
 
 @pytest.fixture(scope="module")
@@ -188,10 +189,10 @@ def test_a_piece_counts_as_joined_once_it_is_sure_where_it_lies(
     beside.move_keyframes(1.0, None)
     # As where somebody before the camera has led odometry astray since, and it says so.
     doubtful = replace(seen, covariance=C_odom + 0.1 * np.eye(6))
-    assert in_map(beside, doubtful)[0] is InMap.UNSURE
+    assert in_map(beside, doubtful)[0] is PoseFinding.PLACE_UNCERTAIN
     found, covariance_map = in_map(beside, seen)
     assert beside.is_joined == is_sure
-    assert found is (InMap.KNOWN if is_sure else InMap.UNSURE)
+    assert found is (PoseFinding.PLACE_KNOWN if is_sure else PoseFinding.PLACE_UNCERTAIN)
     assert (covariance_map is not None) == is_sure
     if covariance_map is not None and sigma_m is not None:
         # 0.1 m at the keyframe, and what odometry has grown by since: 0.01 m, and little by turns at half a metre.
@@ -223,7 +224,10 @@ def test_in_a_map_that_stays_a_pose_is_tracked_while_it_is_sure(monkeypatch: pyt
     # A start that somebody gave is as unsure as he is, and believed.
     answers = [replace(sure, covariance=C * of) for of in (700.0, 2.0, 30.0, 700.0, 2.0)]
     found = [in_map(beside, answer)[0] for answer in answers]
-    assert found == [InMap.KNOWN] * 3 + [InMap.KNOWN if grows else InMap.UNSURE, InMap.KNOWN]
+    assert found == [PoseFinding.PLACE_KNOWN] * 3 + [
+        PoseFinding.PLACE_KNOWN if grows else PoseFinding.PLACE_UNCERTAIN,
+        PoseFinding.PLACE_KNOWN,
+    ]
     beside.close()
 
 

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from localizer.joined_drives import Drive, Eye, Sight, answers_to, drive, joined, of_frames, off_m, pushed, spread_m
 
-from wheelsight.core.estimates import CameraEstimate, Reason, Status
+from wheelsight.core.estimates import CameraEstimate, PoseEvidence, PoseFinding, Reason, Status
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.estimation import FusedEstimate
 from wheelsight.estimation import fusion_localizer as by_fusion
-from wheelsight.estimation.loop_updates import InMap
 from wheelsight_sim.faults import Silence
 
 pytestmark = pytest.mark.slow  # one to three seconds each
@@ -122,8 +121,8 @@ class Loops:
         self.asked.append(number)
         return len(self.asked) >= self.times
 
-    def evidence(self, *_: object) -> tuple[InMap, None]:
-        return InMap.KNOWN, None
+    def evidence(self, *_: object) -> PoseEvidence:
+        return PoseEvidence(PoseFinding.PLACE_KNOWN)
 
 
 def test_after_a_silence_loops_tell_the_place(monkeypatch: pytest.MonkeyPatch) -> None:

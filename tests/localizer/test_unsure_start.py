@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from narrowing import not_none
 
-from wheelsight.core.estimates import Status
+from wheelsight.core.estimates import PoseFinding, Status
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.estimation import FusedEstimate
-from wheelsight.estimation.consistency_check import PoseFinding, UncertainRestart
+from wheelsight.estimation.consistency_check import UncertainRestart
 
 T_ODOM_BASE = se3.from_plane(5.0, -2.0, 1.0)
 

@@ -1,11 +1,16 @@
-"""Estimates of motion and pose, by one odometry or by all sensors, with status and covariance."""
+"""Estimates of motion and pose, by one odometry or by all sensors, with status and covariance.
+
+`decide` alone decides the status, the flags and the covariance of an estimate, from `PoseEvidence`, by `DECISIONS`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
+from enum import Enum, StrEnum
 from functools import cached_property
 from itertools import repeat
+from typing import NamedTuple
 
 import numpy as np
 
@@ -84,12 +89,13 @@ class TrackingState:
 
     @property
     def status(self) -> Status:
-        """The status of the estimate at the last frame."""
+        """The status of the estimate at the last frame, by `DECISIONS`."""
+        finding = PoseFinding.FRAME_FAILED if self.failures else PoseFinding.TRACKED
         if not self.has_begun:
-            return Status.INITIALIZING
-        if self.is_lost:
-            return Status.LOST
-        return Status.FAILING if self.failures else Status.TRACKING
+            finding = PoseFinding.NOT_BEGUN
+        elif self.is_lost:
+            finding = PoseFinding.CAMERA_LOST
+        return DECISIONS[finding].status or Status.INITIALIZING
 
     def tracked(self) -> TrackingState:
         """The state after a tracked frame."""
@@ -308,6 +314,142 @@ class FusedEstimate(Estimate):
     twist_covariance: FloatArray | None = None
     nis: tuple[float, int] | None = None
     wheel_errors: FloatArray | None = None
+
+
+class PoseFinding(StrEnum):
+    """What an odometry, a filter or a check finds about a pose. `DECISIONS` has the consequences."""
+
+    NOT_BEGUN = "no sensor has measured a pose yet"
+    TRACKED = "the camera measures the pose"
+    DEAD_RECKONED = "the wheels measure the motion since a known pose"
+    WHEELS_ALONE = "no camera measurement was accepted lately"
+    READING_REFUSED = "the wheel reading yields no motion"
+    FRAME_FAILED = "the frame yields no pose"
+    CAMERA_LOST = "too many frames in a row yield no pose"
+    NOT_LATER = "the stamp is not later than the one before"
+    TOO_UNCERTAIN = "the covariance is larger than that of a known pose"
+    SILENT = "all sensors were silent for too long, or the filter diverged"
+    SLIP = "the camera or the gyroscope contradicts the wheels, and is accepted"
+    DEGENERATE = "the last image does not constrain all directions"
+    UNDECIDED = "camera and wheels contradict each other, without a decision"
+    UNCOMPARED = "wheels and camera have not been compared over enough way"
+    FLOOR_ELSEWHERE = "the camera sees the floor at a wrong distance"
+    SENSOR_WRONG = "wheels and camera contradict each other all along"
+    UNCERTAIN_RESTART = "the camera restarted at a pose that the wheels know poorly"
+    KIDNAPPED = "the view changed although the wheels stood"
+    CLOCKS_APART = "a clock jumped, and the base moves unobserved"
+    PLACE_KNOWN = "the place in the map is as certain as the pose"
+    PLACE_UNCERTAIN = "the place in the map is uncertain, or the piece of map is not joined"
+    NOT_RECOGNISED = "no place of an existing map is recognised yet"
+
+
+class Consequence(NamedTuple):
+    """What follows from a finding.
+
+    Attributes:
+        status: of the estimate; None for the one so far.
+        slip: whether the wheels slip; None for the answer so far.
+        is_degenerate, is_doubtful: whether the estimate gets that flag.
+        reason: of an event that has none.
+    """
+
+    status: Status | None = None
+    slip: bool | None = None
+    is_degenerate: bool = False
+    is_doubtful: bool = False
+    reason: Reason | None = None
+
+
+# `docs/fusion.md` shows this table.
+DECISIONS = {
+    PoseFinding.NOT_BEGUN: Consequence(Status.INITIALIZING),
+    PoseFinding.TRACKED: Consequence(Status.TRACKING),
+    PoseFinding.DEAD_RECKONED: Consequence(Status.TRACKING),
+    PoseFinding.WHEELS_ALONE: Consequence(Status.COASTING),
+    PoseFinding.READING_REFUSED: Consequence(Status.FAILING),
+    PoseFinding.FRAME_FAILED: Consequence(Status.FAILING),
+    PoseFinding.CAMERA_LOST: Consequence(Status.LOST),
+    PoseFinding.NOT_LATER: Consequence(Status.FAILING, reason=Reason.CLOCK_BACKWARDS),
+    PoseFinding.TOO_UNCERTAIN: Consequence(Status.LOST),
+    PoseFinding.SILENT: Consequence(Status.LOST),
+    PoseFinding.SLIP: Consequence(slip=True),
+    PoseFinding.DEGENERATE: Consequence(is_degenerate=True),
+    PoseFinding.UNDECIDED: Consequence(is_doubtful=True),
+    PoseFinding.UNCOMPARED: Consequence(),
+    PoseFinding.FLOOR_ELSEWHERE: Consequence(),
+    PoseFinding.SENSOR_WRONG: Consequence(slip=False, is_doubtful=True, reason=Reason.CONTRADICTION),
+    PoseFinding.UNCERTAIN_RESTART: Consequence(Status.COASTING, is_doubtful=True, reason=Reason.NOT_RECOGNISED),
+    PoseFinding.KIDNAPPED: Consequence(Status.COASTING, is_doubtful=True, reason=Reason.CONTRADICTION),
+    PoseFinding.CLOCKS_APART: Consequence(Status.COASTING, reason=Reason.CLOCKS_APART),
+    PoseFinding.PLACE_KNOWN: Consequence(),
+    PoseFinding.PLACE_UNCERTAIN: Consequence(Status.COASTING),
+    PoseFinding.NOT_RECOGNISED: Consequence(Status.INITIALIZING),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseEvidence:
+    """A finding, and the pose that it calls for.
+
+    Attributes:
+        finding: what was found.
+        accused: sensors that may be wrong, each a `Culprit`.
+        by: estimate of the sensors that are not accused, in place of the fused one; None for the fused one.
+        T_odom_base: (4, 4) pose, if it is not that of the estimate.
+        covariance: (6, 6) that also covers what was found, in place of that of the estimate; or None.
+        covariance_map: (6, 6) of the left perturbation of the pose in the map; or None.
+    """
+
+    finding: PoseFinding
+    accused: frozenset[Enum] = frozenset()
+    by: FusedEstimate | None = None
+    T_odom_base: FloatArray | None = None
+    covariance: FloatArray | None = None
+    covariance_map: FloatArray | None = None
+
+
+class PoseDecision(NamedTuple):
+    """Status, flags, reason, pose and covariances of an estimate; the fields are those of `FusedEstimate`."""
+
+    status: Status = Status.INITIALIZING
+    slip: bool = False
+    degenerate: bool = False
+    doubtful: bool = False
+    reason: Reason | None = None
+    T_odom_body: FloatArray | None = None
+    covariance: FloatArray | None = None
+    covariance_map: FloatArray | None = None
+
+
+UNDECIDED = PoseDecision()
+"""Without evidence: no pose yet."""
+
+
+def decide(evidence: Iterable[PoseEvidence | None], before: PoseDecision = UNDECIDED) -> PoseDecision:
+    """Return what is decided of an estimate, by `DECISIONS`.
+
+    Args:
+        evidence: in the order in which it applies: the last status and covariance count, and the first reason. None
+            where a check finds nothing.
+        before: decided by earlier evidence.
+    """
+    status, slip, is_degenerate, is_doubtful, reason, T, C, C_map = before
+    for one in evidence:
+        if one is None:
+            continue
+        then = DECISIONS[one.finding]
+        status, slip = then.status or status, slip if then.slip is None else then.slip
+        is_degenerate, is_doubtful = is_degenerate or then.is_degenerate, is_doubtful or then.is_doubtful
+        reason = reason or then.reason
+        T = T if one.T_odom_base is None else one.T_odom_base
+        C = C if one.covariance is None else one.covariance
+        C_map = C_map if one.covariance_map is None else one.covariance_map
+    return PoseDecision(status, slip, is_degenerate, is_doubtful, reason, T, C, C_map)
+
+
+def status_of(finding: PoseFinding) -> Status:
+    """Return the status of an estimate with one finding."""
+    return decide([PoseEvidence(finding)]).status
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ from wheelsight.core.areas import AreaMap, load_areas
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.checks import Repeats, Untimed
 from wheelsight.core.errors import ConfigError
-from wheelsight.core.estimates import Estimate, FusedEstimate, Reason, Status, WheelEstimate
+from wheelsight.core.estimates import UNDECIDED, Estimate, FusedEstimate, PoseFinding, Reason, WheelEstimate, status_of
 from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame
@@ -80,7 +80,7 @@ class ByPlaces:
     """
 
     body, frame, answers = "base", "map", (*WHEEL_READINGS, RgbdFrame, SkippedFrame)
-    last_matches = loops = mapper = None
+    last_matches = loops = mapper = keyframes = None
 
     def __init__(self, calibration: Calibration, settings: Config, places: Places) -> None:
         self._wheels = ByWheels(calibration, settings.wheels)
@@ -132,14 +132,15 @@ class ByPlaces:
         """Return the estimate at an event with an invalid stamp; None at a yaw rate."""
         self.last_place = None
         if isinstance(event, RgbdFrame | SkippedFrame):
-            failed = Estimate(event.stamp_s, Status.FAILING, reason=Reason.FRAME_UNUSABLE, body=self.body)
+            status = status_of(PoseFinding.FRAME_FAILED)
+            failed = Estimate(event.stamp_s, status, reason=Reason.FRAME_UNUSABLE, body=self.body)
             return failed, f"no measurement: {why.note}"
         reading, note = self._wheels.refuse(event, why)
         return (None if reading is None else self._reading(reading)), note
 
     def _reading(self, wheels: WheelEstimate) -> Estimate:
         if wheels.stamp_s < self._begin_s:
-            return Estimate(wheels.stamp_s, Status.INITIALIZING, body=self.body)
+            return Estimate(wheels.stamp_s, UNDECIDED.status, body=self.body)
         self._rectifier.predict(wheels)
         if wheels.reason is not Reason.CLOCK_BACKWARDS:
             self._reading_s = wheels.stamp_s
@@ -149,10 +150,11 @@ class ByPlaces:
     def _why_not(self, frame: RgbdFrame | SkippedFrame) -> tuple[Estimate, str] | None:
         """Return the estimate at a frame without a current pose of the wheels, else None."""
         if self._reading_s == -np.inf:
-            return Estimate(frame.stamp_s, Status.INITIALIZING, body=self.body), "no wheel reading yet"
+            return Estimate(frame.stamp_s, UNDECIDED.status, body=self.body), "no wheel reading yet"
         if frame.stamp_s > self._reading_s + self._max_gap_s:
             note = f"the last wheel reading is {frame.stamp_s - self._reading_s:.3f} s old"
-            return replace(self._rectifier.estimate(frame.stamp_s), status=Status.FAILING, reason=Reason.GAP), note
+            status = status_of(PoseFinding.FRAME_FAILED)
+            return replace(self._rectifier.estimate(frame.stamp_s), status=status, reason=Reason.GAP), note
         return None
 
     def _correct(self, frame: RgbdFrame | SkippedFrame) -> tuple[Estimate, str]:

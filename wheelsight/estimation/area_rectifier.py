@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from wheelsight.core.areas import AreaMap
 from wheelsight.core.checks import array_of
 from wheelsight.core.errors import ConfigError
-from wheelsight.core.estimates import Estimate, Status, WheelEstimate
+from wheelsight.core.estimates import Estimate, PoseFinding, WheelEstimate, status_of
 from wheelsight.core.geometry import FloatArray, se2, se3, so3
 from wheelsight.core.settings.fusion import AreaRectifierSettings
 from wheelsight.estimation import area_kernels as kernels
@@ -155,7 +155,7 @@ class AreaRectifier:
         covariance[np.ix_(PLANE, PLANE)] = J @ spread @ J.T
         return RectifiedEstimate(
             stamp_s,
-            Status.TRACKING,
+            status_of(PoseFinding.DEAD_RECKONED),
             se3.from_plane(x, y, yaw),
             covariance,
             body="base",

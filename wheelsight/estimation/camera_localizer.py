@@ -10,7 +10,16 @@ from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.checks import FrameGate, Untimed
 from wheelsight.core.errors import CalibrationError
-from wheelsight.core.estimates import CameraEstimate, Estimate, Reason, Status
+from wheelsight.core.estimates import (
+    CameraEstimate,
+    Estimate,
+    PoseDecision,
+    PoseEvidence,
+    PoseFinding,
+    Reason,
+    Status,
+    decide,
+)
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame
@@ -37,6 +46,7 @@ class ByFrames:
     """Answers frames by the odometry that the settings name. Poses are of the base if `T_base_camera` is known.
 
     Attributes:
+        keyframes: of the odometry.
         last_matches: pixels by which the last frame was aligned; None if there are none.
         loops: closes loops while driving, if the settings ask for it.
         T_odom_map: (4, 4) pose of the map, in which loops move the camera.
@@ -58,6 +68,7 @@ class ByFrames:
         self.frame = "map" if known is None else "odom"  # with an existing map, odom starts anywhere in it
         self.body = "camera" if calibration.T_base_camera is None else "base"
         self.odometry, self.mapper = camera_odometry(calibration, settings, known, parts)
+        self.keyframes = self.odometry.store
         T_base_camera = calibration.T_base_camera
         self._T_camera_base = None if T_base_camera is None else se3.invert(T_base_camera)
         self._gate = FrameGate()
@@ -83,7 +94,8 @@ class ByFrames:
         if why_not is None:
             return self._of_body(self._track(event)), ""
         if why_not.is_repeat:  # no pose, and no failure of odometry
-            status = Status.FAILING if self._status is Status.TRACKING else self._status
+            evidence = [PoseEvidence(PoseFinding.FRAME_FAILED)] if self._status is Status.TRACKING else []
+            status = decide(evidence, PoseDecision(self._status)).status
             return Estimate(event.stamp_s, status, reason=Reason.REPEATED, body=self.body), why_not.note
         return self._failed(event.stamp_s, why_not.note)
 
@@ -114,10 +126,11 @@ class ByFrames:
             self.loops.hand_over()
         self._last = self._last if in_odom.T_odom_body is None else in_odom
         T_map_odom = in_odom.T_map_odom
-        in_map, C = self.loops.evidence(in_odom.status, in_odom.T_odom_body, in_odom.covariance, T_map_odom)
+        in_map = self.loops.evidence(in_odom.status, in_odom.T_odom_body, in_odom.covariance, T_map_odom)
+        decided = decide([in_map], PoseDecision(in_odom.status))
         is_known = in_odom.status in (Status.TRACKING, Status.COASTING)
-        status = in_odom.status if in_map.value is None or not is_known else in_map.value
-        return replace(in_odom, status=status, covariance_map=C)
+        status = decided.status if is_known else in_odom.status
+        return replace(in_odom, status=status, covariance_map=decided.covariance_map)
 
     def _begin_piece(self, loops: LoopsBeside, frame: RgbdFrame, lost: CameraEstimate) -> CameraEstimate:
         """Begin a separate piece of map at a frame that shows nothing known.

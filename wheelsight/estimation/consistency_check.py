@@ -1,4 +1,4 @@
-"""Checks of the filter's estimate. Each gives `PoseEvidence`, from which `fusion_localizer` decides the estimate.
+"""Checks of the filter's estimate. Each gives `PoseEvidence`, from which `decide` makes the status of the estimate.
 
 `BaseCheck` compares the motions of wheels and camera over the first metres, as `calibrate base` does. A wrong
 calibration (scale of depth, mount, ticks per turn, swapped wheels) contradicts the other sensor all along, by more than
@@ -13,8 +13,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sized
-from dataclasses import dataclass
-from enum import Enum
 from heapq import nlargest
 
 import cv2
@@ -22,7 +20,7 @@ import numpy as np
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import HolonomicWheels, Wheels
-from wheelsight.core.estimates import Estimate, FusedEstimate, WheelEstimate
+from wheelsight.core.estimates import Estimate, FusedEstimate, PoseEvidence, PoseFinding, WheelEstimate
 from wheelsight.core.geometry import Float32Array, FloatArray, interpolate_at, se3
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.messages import RgbdFrame
@@ -58,36 +56,6 @@ _KNOWN_TURN_RAD = 0.5  # σ of a heading that is known again
 _TURNED_RAD = np.pi / np.sqrt(3)
 # With an unknown heading, a way of r ends within 2 r of its estimated end: three standard deviations.
 _ASTRAY = 2 / 3
-
-
-class PoseFinding(Enum):
-    """What a check finds. `fusion_localizer.DECISIONS` has the consequences."""
-
-    UNCOMPARED = "wheels and camera have not been compared over enough way"
-    FLOOR_ELSEWHERE = "the camera sees the floor at a wrong distance"
-    SENSOR_WRONG = "wheels and camera contradict each other all along"
-    UNCERTAIN_RESTART = "the camera restarted at a pose that the wheels know poorly"
-    KIDNAPPED = "the view changed although the wheels stood"
-    CLOCKS_APART = "a clock jumped, and the base moves unobserved"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PoseEvidence:
-    """A finding, and the pose that it calls for.
-
-    Attributes:
-        finding: what was found.
-        accused: sensors that may be wrong.
-        by: estimate of the sensors that are not accused, in place of the fused one; None for the fused one.
-        T_odom_base: (4, 4) pose, if it is not that of the estimate.
-        covariance: (6, 6) that also covers what was found, in place of that of the estimate; or None.
-    """
-
-    finding: PoseFinding
-    accused: frozenset[Culprit] = frozenset()
-    by: FusedEstimate | None = None
-    T_odom_base: FloatArray | None = None
-    covariance: FloatArray | None = None
 
 
 class BaseCheck:

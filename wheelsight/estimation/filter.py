@@ -28,6 +28,7 @@ from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 from operator import attrgetter
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
@@ -40,14 +41,19 @@ from wheelsight.core.checks import need_number
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.estimates import (
     STEP_BEGIN,
+    UNDECIDED,
     Estimate,
     FrameUpdate,
     FusedEstimate,
     MotionEstimate,
     MotionStep,
+    PoseDecision,
+    PoseEvidence,
+    PoseFinding,
     Reason,
     Status,
     WheelEstimate,
+    decide,
 )
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
@@ -406,27 +412,35 @@ class ErrorStateFilter:
         """Return the estimate after the newest event, with reason, NIS and counts of the current one."""
         now = self.current
         if now is None:
-            return FusedEstimate(-np.inf, Status.INITIALIZING, reason=reason, body="base")
-        if now.status is Status.LOST:
-            return FusedEstimate(now.stamp_s, Status.LOST, None, None, reason, "base", *counts, *now.flags, nis=nis)
+            return FusedEstimate(-np.inf, UNDECIDED.status, reason=reason, body="base")
+        status, flags = now.decision.status, now.decision[1:4]  # slip, degenerate and doubtful
+        if status is Status.LOST:
+            return FusedEstimate(now.stamp_s, status, None, None, reason, "base", *counts, *flags, nis=nis)
         pose = (now.T, now.covariance, reason, "base", *counts)
         errors = now.belief.rest[ERRORS].copy()
-        return FusedEstimate(now.stamp_s, now.status, *pose, *now.flags, *now.twist, nis=nis, wheel_errors=errors)
+        return FusedEstimate(now.stamp_s, status, *pose, *flags, *now.twist, nis=nis, wheel_errors=errors)
+
+
+_TRACKED, _WHEELS_ALONE = PoseEvidence(PoseFinding.TRACKED), PoseEvidence(PoseFinding.WHEELS_ALONE)
+_TOO_UNCERTAIN, _SILENT = PoseEvidence(PoseFinding.TOO_UNCERTAIN), PoseEvidence(PoseFinding.SILENT)
+_SLIP, _DEGENERATE = PoseEvidence(PoseFinding.SLIP), PoseEvidence(PoseFinding.DEGENERATE)
+_UNDECIDED = PoseEvidence(PoseFinding.UNDECIDED)
+_decided = cache(decide)  # evidence of the filter has no poses, so equal findings give equal decisions
 
 
 class CurrentPose(NamedTuple):
-    """Parts of the estimate after a state: pose (4, 4), covariance (6, 6), twist with its covariance, and flags.
+    """Parts of the estimate after a state: pose (4, 4), covariance (6, 6), and twist with its covariance.
 
-    The pose is that of `belief`, which covers all hypotheses. The flags are slip, degenerate and doubtful.
+    The pose is that of `belief`, which covers all hypotheses. `decide` makes the decision from the filter's evidence:
+    the age of vision, the largest standard deviation, silence, and faults.
     """
 
     stamp_s: float
     belief: PoseBelief
-    status: Status
+    decision: PoseDecision
     T: FloatArray
     covariance: FloatArray
     twist: tuple[FloatArray, FloatArray]
-    flags: tuple[bool, bool, bool]
 
     @classmethod
     def of(cls, state: FusionState, settings: FilterParameters) -> CurrentPose:
@@ -435,19 +449,25 @@ class CurrentPose(NamedTuple):
         belief = detection.primary if detection.alternative is None else detection.answer(s)
         T, C, *moving = answered(belief.T, belief.rest, belief.covariance, s.clock_sigma_s)
         stamp_s = -np.inf if state.stamp_s is None else state.stamp_s
-        turns_off = stamp_s - detection.turn_slip_s <= s.coast_after_s
-        slips = detection.fault is Fault.WHEEL_SLIP or turns_off
-        status = Status.TRACKING if stamp_s - state.vision_s <= s.coast_after_s else Status.COASTING
-        if status is Status.TRACKING:
+        evidence = [_WHEELS_ALONE]
+        if stamp_s - state.vision_s <= s.coast_after_s:
+            evidence = [_TRACKED]
             # Whether the covariance is within the limits of a known pose.
             x, y, z = T[:3, 3]
             J = np.array([[1.0, 0, 0, 0, z, -y], [0, 1.0, 0, -z, 0, x], [0, 0, 1.0, y, -x, 0]])
             of_position, of_rotation = np.einsum("ij,jk,ik->i", J, C, J), np.diag(C)[3:]
             most_rad2, most_m2 = s.largest_sigma_rad**2, s.largest_sigma_m**2
-            status = status if (of_rotation < most_rad2).all() and (of_position < most_m2).all() else Status.LOST
-        status = Status.LOST if state.is_lost else status
-        flags = (slips, state.is_degenerate, detection.fault is Fault.UNDECIDED)
-        return cls(stamp_s, belief, status, T, C, (moving[0], moving[1]), flags)
+            if not ((of_rotation < most_rad2).all() and (of_position < most_m2).all()):
+                evidence.append(_TOO_UNCERTAIN)
+        if state.is_lost:
+            evidence.append(_SILENT)
+        if detection.fault is Fault.WHEEL_SLIP or stamp_s - detection.turn_slip_s <= s.coast_after_s:
+            evidence.append(_SLIP)
+        if state.is_degenerate:
+            evidence.append(_DEGENERATE)
+        if detection.fault is Fault.UNDECIDED:
+            evidence.append(_UNDECIDED)
+        return cls(stamp_s, belief, _decided(tuple(evidence)), T, C, (moving[0], moving[1]))
 
 
 def _diverged(before: FusionState, event: FilterEvent, settings: FilterParameters) -> FusionState:
@@ -782,7 +802,7 @@ class OdomFrame:
         fields: dict[str, Any] = {
             "T_map_odom": motions.times(np.ascontiguousarray(answer.T_map_odom), self.T_filter_odom),
             "T_filter_odom": self.T_filter_odom,
-            "T_odom_body": None if T is None else self.T_odom_body(T),
+            "T_odom_body": None if T is None else motions.times(self.T_odom_filter, T),
             "covariance": None if C is None else Ad @ C @ Ad.T,
         }
         if isinstance(answer, WheelEstimate) and answer.before is not None:

@@ -1,7 +1,7 @@
 """ByFusion: localization by wheels, gyroscope and camera with the error-state filter.
 
-The wheels predict the pose and the camera corrects it. `ByFusion._decide` alone decides the status, the flags, the
-covariance and the frames of an `Estimate`, from the filter and the evidence of the checks, by the table `DECISIONS`.
+The wheels predict the pose and the camera corrects it. `ByFusion._decide` passes the evidence of filter, checks and
+loops to `decide`, which alone decides the status, the flags and the covariance of an `Estimate`, and sets its frames.
 
 `FusedCamera` and `BaseSensors` prepare the sensors for the filter. `CameraMap` is the map frame of camera odometry, and
 its pose in odom. `FusedOdom` is the frame `odom`.
@@ -13,7 +13,6 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,13 +23,18 @@ from wheelsight.core.checks import FrameGate, Untimed
 from wheelsight.core.estimates import (
     DEGENERATE_SCALE,
     STEP_BEGIN,
+    UNDECIDED,
     CameraEstimate,
     Estimate,
     FusedEstimate,
     MotionEstimate,
+    PoseDecision,
+    PoseEvidence,
+    PoseFinding,
     Reason,
     Status,
     WheelEstimate,
+    decide,
     with_frame_error,
 )
 from wheelsight.core.geometry import FloatArray, se3
@@ -46,12 +50,10 @@ from wheelsight.estimation.consistency_check import (
     ENOUGH_M,
     BaseCheck,
     KidnapDetection,
-    PoseEvidence,
-    PoseFinding,
     UncertainRestart,
 )
 from wheelsight.estimation.filter import ErrorStateFilter, OdomFrame
-from wheelsight.estimation.loop_updates import InMap, LoopsBeside, begin_in, loops_beside
+from wheelsight.estimation.loop_updates import LoopsBeside, begin_in, loops_beside
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
 from wheelsight.estimation.pose_belief import COAST_AFTER_S, FilterParameters
 from wheelsight.estimation.wheel_localizer import ByWheels, slip_note
@@ -79,33 +81,6 @@ _LEFT_MAP_M = 0.15
 _LONGEST_GAP_S = 0.5
 
 
-class PoseDecision(NamedTuple):
-    """What follows from a finding about a pose that is known in odom.
-
-    Attributes:
-        status: of the estimate; None for that of the sensors that the pose is from.
-        is_doubtful: whether the estimate is marked as doubtful.
-        reason: of an event that has none.
-    """
-
-    status: Status | None = None
-    is_doubtful: bool = False
-    reason: Reason | None = None
-
-
-# In the order in which they apply: the last status counts, and the first reason. Pose and covariance are those of the
-# evidence. Without a finding, the estimate is that of the filter.
-DECISIONS: dict[PoseFinding | InMap, PoseDecision] = {
-    PoseFinding.UNCOMPARED: PoseDecision(),
-    PoseFinding.FLOOR_ELSEWHERE: PoseDecision(),
-    PoseFinding.SENSOR_WRONG: PoseDecision(None, True, Reason.CONTRADICTION),
-    PoseFinding.UNCERTAIN_RESTART: PoseDecision(Status.COASTING, True, Reason.NOT_RECOGNISED),
-    PoseFinding.KIDNAPPED: PoseDecision(Status.COASTING, True, Reason.CONTRADICTION),
-    PoseFinding.CLOCKS_APART: PoseDecision(Status.COASTING),
-    **{in_map: PoseDecision(in_map.value) for in_map in InMap},
-}
-
-
 class ByFusion:
     """Answers wheel readings and frames by the default filter. Dense odometry builds its map where all sensors agree.
 
@@ -114,6 +89,7 @@ class ByFusion:
     Attributes:
         filter: fuses the camera with the wheels.
         odometry: of the camera.
+        keyframes: of the camera.
         mapper: builds the surfel map, if the settings ask for one.
         loops: closes loops while driving, if the settings ask for it.
     """
@@ -136,6 +112,7 @@ class ByFusion:
         self.hears: tuple[type[Event], ...] = (*self._base.hears, RgbdFrame, SkippedFrame)
         self._camera = FusedCamera(calibration, settings, T_base_camera, known, parts)
         self.odometry: CameraOdometry = self._camera.odometry
+        self.keyframes = self.odometry.store
         self.mapper: MapBuilder | None = self._camera.mapper
         begins = None if known is None else begin_in(known, calibration)
         self._map, self._of_frame = CameraMap(T_base_camera, begins), frame_covariance(calibration)
@@ -182,7 +159,7 @@ class ByFusion:
         return self._decide(replace(self.filter.estimate, reason=reason), None), why.note
 
     def _decide(self, fused: FusedEstimate, event: Event | None, *found: PoseEvidence) -> FusedEstimate:
-        """Return the estimate of an event, from the filter's and all evidence, by `DECISIONS`.
+        """Return the estimate of an event, by `decide`, from the filter's estimate and all evidence.
 
         Args:
             fused: estimate of the filter.
@@ -190,49 +167,36 @@ class ByFusion:
             found: evidence beside that of the checks.
         """
         sensors = self._check.evidence(fused)
-        by, T, C = fused, fused.T_odom_body, fused.covariance
+        by = fused if sensors is None else sensors.by or fused
+        decided = PoseDecision(
+            by.status, by.slip, by.degenerate, by.doubtful, fused.reason, by.T_odom_body, by.covariance
+        )
         if sensors is not None:
-            by = sensors.by or fused
-            T = by.T_odom_body if sensors.T_odom_base is None else sensors.T_odom_base
-            C = by.covariance if sensors.covariance is None else sensors.covariance
-        restart = kidnap = None
-        if T is not None and C is not None:
-            restart, kidnap = self._restart.evidence(T, C), self._kidnap.evidence(T, C)
-            C = C if kidnap is None or kidnap.covariance is None else kidnap.covariance
-        status, slip, is_doubtful, reason = by.status, by.slip, by.doubtful, fused.reason
-        for evidence in (sensors, restart, kidnap, *found):
-            if evidence is not None:
-                decision = DECISIONS[evidence.finding]
-                status = status if T is None else decision.status or status
-                is_doubtful, reason = is_doubtful or decision.is_doubtful, reason or decision.reason
-                slip = slip and evidence.finding is not PoseFinding.SENSOR_WRONG
-        T_map_filter, covariance_map = self._map.T_map_odom, None
-        if self.loops is not None:
-            in_map, covariance_map = self.loops.evidence(status, T, C, T_map_filter)
-            status = status if T is None else DECISIONS[in_map].status or status
+            decided = decide([sensors], decided)
+        T, C, T_map_filter = decided.T_odom_body, decided.covariance, self._map.T_map_odom
+        if T is not None and C is not None:  # without a pose, the status of the sensors stays
+            watched = [self._restart.evidence(T, C), self._kidnap.evidence(T, C), *found]
+            decided = decide(watched, decided) if any(watched) else decided
+            if self.loops is not None:
+                in_map = self.loops.evidence(decided.status, T, decided.covariance, T_map_filter)
+                decided = decide([in_map], decided)
         T_keyframe_map, T_keyframe_base = self._map.T_keyframe_map, None
         if T_keyframe_map is not None and T is not None:
             T_keyframe_base = motions.times(T_keyframe_map, motions.times(T_map_filter, T))
         odom = self._odom.answered if T is None else self._odom.frame_at(T, self.filter, event)
-        decided = replace(
+        estimate = replace(
             by,
-            status=status,
-            T_odom_body=T,
-            covariance=C,
-            reason=reason,
-            slip=slip,
-            doubtful=is_doubtful,
-            covariance_map=covariance_map,
+            **decided._asdict(),
             keyframe=None if T_keyframe_base is None else self._map.keyframe,
             T_keyframe_body=T_keyframe_base,
             T_map_odom=T_map_filter,
         )
-        return odom.framed(decided)
+        return odom.framed(estimate)
 
     def _update_wheels(self, reading: WheelReading) -> tuple[Estimate | None, str]:
         wheels, note = self._base.process(reading)
         if self._places is not None and self._is_early(wheels.stamp_s):
-            return Estimate(wheels.stamp_s, Status.INITIALIZING, body=self.body), note
+            return Estimate(wheels.stamp_s, UNDECIDED.status, body=self.body), note
         self._camera.gate.has_wheels = True
         check = self._check
         if check.by_wheels is not None:
@@ -256,7 +220,7 @@ class ByFusion:
             self._places.forget()
             if self._is_early(event.stamp_s):
                 note = event.reason if isinstance(event, SkippedFrame) else ""
-                return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), note
+                return Estimate(event.stamp_s, UNDECIDED.status, body=self.body), note
         if isinstance(event, SkippedFrame):
             return self._miss(event.stamp_s), event.reason
         if self._check.verdict.left_out is Culprit.CAMERA:
@@ -269,7 +233,7 @@ class ByFusion:
         if why_not is not None:
             return self._miss(event.stamp_s), why_not.note
         if not gate.has_wheels and gate.waits_for_wheels(event):
-            return Estimate(event.stamp_s, Status.INITIALIZING, body=self.body), ""
+            return Estimate(event.stamp_s, UNDECIDED.status, body=self.body), ""
         if self._check.by_wheels is not None:
             self._check.add_frame(event)
         fused = self._track(event, expected)
@@ -681,7 +645,7 @@ class FusedOdom:
     def frame_at(self, T_filter_body: FloatArray, fusion: ErrorStateFilter, event: Event | None) -> OdomFrame:
         """Return the frame of an estimate (4, 4) after an event; None for one with an invalid stamp."""
         own, frame = fusion.current, self._frame
-        if own is None or own.status is Status.LOST:
+        if own is None or own.decision.status is Status.LOST:
             return self.answered
         T_own, stamp_s = own.T, own.stamp_s
         known = fusion.remembered(STEP_BEGIN)

@@ -22,7 +22,7 @@ from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.checks import SessionClock, Untimed, check_event, check_images, need_calibration, need_kind
 from wheelsight.core.errors import ConfigError, MapError
-from wheelsight.core.estimates import Estimate, Status, WheelEstimate
+from wheelsight.core.estimates import Estimate, Status
 from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import FloatArray, PinholeCamera
 from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId, KeyframeStore
@@ -163,7 +163,7 @@ class Localizer(Closing, OneCaller):
             check_images(event, self._calibration, of_any_size=self._has_places)
         self.note = ""
         if not isinstance(event, self.hears):
-            what = next(what for kind, what in _KINDS.items() if isinstance(event, kind))
+            what = _KINDS[type(event)]
             if what not in self._unused:
                 self._unused[what] = why_unused(what, self._config, self._choice)
                 self._log.warn(self.warnings)
@@ -178,8 +178,6 @@ class Localizer(Closing, OneCaller):
             timed = event if time_s == event.stamp_s else replace(event, stamp_s=time_s)
             timed = self._images.frame(timed) if isinstance(timed, RgbdFrame) else timed
             estimate, self.note = self._estimator.process(timed)
-        if isinstance(self._estimator, ByWheels) and isinstance(estimate, WheelEstimate):
-            estimate = self._estimator.in_odom(estimate)
         if self._resting is not None and isinstance(event, RgbdFrame):
             self._resting.look()
         recognised = None if self._loops is None else self._loops.recognised
@@ -211,8 +209,7 @@ class Localizer(Closing, OneCaller):
     @property
     def keyframes(self) -> KeyframeStore | None:
         """Keyframes of the camera and their poses; None for wheels alone. Moving one moves what refers to it."""
-        odometry = self.odometry
-        return None if isinstance(odometry, AnyWheelOdometry) else odometry.store
+        return self._estimator.keyframes
 
     @property
     def loops(self) -> LoopsBeside | None:
@@ -276,7 +273,7 @@ def _estimator(
     if has_model:
         return ByPlaces(calibration, settings, places or load_places(settings.places))
     if settings.odometry == ("wheels",):
-        return ByWheels(calibration, settings.wheels)
+        return ByWheels(calibration, settings.wheels, in_odom=True)
     return ByFrames(calibration, settings, known, waits=waits, parts=parts)
 
 

@@ -8,14 +8,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
-from enum import Enum
 from itertools import chain
 
 import numpy as np
 
 from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
-from wheelsight.core.estimates import CameraEstimate, Status
+from wheelsight.core.estimates import CameraEstimate, PoseEvidence, PoseFinding, Status
 from wheelsight.core.geometry import FloatArray, IntArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.geometry.chi_square import quantile
@@ -42,14 +41,6 @@ _APART_M = 200.0
 
 # New keyframes, grouped by the frames at which they were added.
 Kept = list[list[OdometryKeyframe]]
-
-
-class InMap(Enum):
-    """What loops know of the pose in the map. The value is the status of a pose that is known in odom, or None."""
-
-    KNOWN = None
-    UNSURE = Status.COASTING
-    NOT_RECOGNISED = Status.INITIALIZING
 
 
 class LoopsBeside:
@@ -232,8 +223,8 @@ class LoopsBeside:
 
     def evidence(
         self, status: Status, T_odom_body: FloatArray | None, covariance: FloatArray | None, T_map_odom: FloatArray
-    ) -> tuple[InMap, FloatArray | None]:
-        """Return whether the pose in the map is known, and its covariance (6, 6) if loops know that.
+    ) -> PoseEvidence:
+        """Return whether the pose in the map is known, with its covariance (6, 6) if loops know that.
 
         Args:
             status: of the pose in odom.
@@ -254,14 +245,14 @@ class LoopsBeside:
         if not self.is_joined and is_sure:
             self.is_joined, self._is_new = True, False
         if not self.is_joined:
-            return InMap.NOT_RECOGNISED if self._is_new else InMap.UNSURE, None
+            return PoseEvidence(PoseFinding.NOT_RECOGNISED if self._is_new else PoseFinding.PLACE_UNCERTAIN)
         if status is Status.TRACKING and self._map_stays:
             # An existing map does not grow as uncertain as the drive. A given start is accepted as it is until loops
             # make it more certain.
             self._was_sure |= is_sure
             if C is not None and self._was_sure and not _is_within(T, C, _UNSURE_M, _UNSURE_RAD):
-                return InMap.UNSURE, C
-        return InMap.KNOWN, C
+                return PoseEvidence(PoseFinding.PLACE_UNCERTAIN, covariance_map=C)
+        return PoseEvidence(PoseFinding.PLACE_KNOWN, covariance_map=C)
 
     def apart(self, T_map_camera: FloatArray) -> FloatArray:
         """Return T_map_camera (4, 4) at the begin of a new piece of map, for a camera at (4, 4) in the current one."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.checks import Untimed
-from wheelsight.core.estimates import Reason, Status, WheelEstimate
+from wheelsight.core.estimates import PoseFinding, Reason, WheelEstimate, status_of
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.messages import WHEEL_READINGS, Event, WheelReading, YawRate
@@ -24,19 +24,25 @@ class ByWheels:
 
     The gyroscope counts once it agrees with the wheels. If it contradicts them later, the wheels alone continue from
     the last pose at which both agreed.
+
+    Args:
+        calibration: of the wheels.
+        settings: of their odometry.
+        in_odom: whether poses are in `odom`, which does not jump when the estimate of the past changes. Else they are
+            in a frame of their own, as a filter needs them.
     """
 
     body, frame, answers = "base", "odom", WHEEL_READINGS
-    last_matches = last_place = loops = mapper = None
+    last_matches = last_place = loops = mapper = keyframes = None
 
-    def __init__(self, calibration: Calibration, settings: WheelSettings) -> None:
+    def __init__(self, calibration: Calibration, settings: WheelSettings, *, in_odom: bool = False) -> None:
         self.stage_seconds: dict[str, float] = {}
         self.T_odom_map: FloatArray = np.eye(4)
         self._alone: AnyWheelOdometry = odometry_of(calibration, settings.integration)
         self._joined: AnyWheelOdometry | None = None
         self._next: tuple[float, AnyWheelOdometry] | None = None  # backup from when, if the gyroscope agrees until then
         self._last: tuple[float, FloatArray, FloatArray] | None = None  # last estimate
-        self._odom = OdomFrame()
+        self._odom, self._is_in_odom = OdomFrame(), in_odom
         self._odom_base: FloatArray = _STILL  # pose of the base in it
         self._moved: FloatArray = _STILL  # motion of the base by the last event
         self._has_trusted = False
@@ -85,7 +91,7 @@ class ByWheels:
             answer = replace(answer, before=last)
         if T is not None and C is not None and answer.reason is not Reason.CLOCK_BACKWARDS:
             self._last = answer.stamp_s, T, C
-        return answer, note
+        return self._in_odom(answer), note
 
     def refuse(self, event: Event, why: Untimed) -> tuple[WheelEstimate | None, str]:
         """Return the previous pose at a reading with an invalid stamp, and None at a yaw rate."""
@@ -93,11 +99,14 @@ class ByWheels:
             return None, ""
         self._moved = _STILL
         T, C, stamp_s = self.odometry.T_odom_base, self.odometry.covariance, event.stamp_s - self._delay_s
-        return WheelEstimate(stamp_s, Status.FAILING, T, C, why.reason, "base"), why.note
+        status = status_of(PoseFinding.READING_REFUSED)
+        return self._in_odom(WheelEstimate(stamp_s, status, T, C, why.reason, "base")), why.note
 
-    def in_odom(self, answer: WheelEstimate) -> WheelEstimate:
-        """Return the last estimate in `odom`, which does not jump when the estimate of the past changes."""
+    def _in_odom(self, answer: WheelEstimate) -> WheelEstimate:
+        """Return the last estimate in the frame of the poses."""
         T = answer.T_odom_body
+        if not self._is_in_odom:
+            return answer
         if T is not None:
             self._has_trusted |= self.trusts_gyro
             if self._has_trusted:

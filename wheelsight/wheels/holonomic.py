@@ -22,7 +22,7 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import Gyro, HolonomicWheels, least_step
 from wheelsight.core.checks import check_event, need_kind, need_number
 from wheelsight.core.errors import ArgumentError, CalibrationError
-from wheelsight.core.estimates import Reason, Status, WheelEstimate
+from wheelsight.core.estimates import PoseFinding, Reason, WheelEstimate, status_of
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.geometry.chi_square import quantile
@@ -33,6 +33,7 @@ from wheelsight.wheels.odometry import Integration, WheelOdometry
 
 _PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
 _IN_PLANE = np.ix_(_PLANE, _PLANE)
+_DEAD_RECKONED, _REFUSED = status_of(PoseFinding.DEAD_RECKONED), status_of(PoseFinding.READING_REFUSED)
 # Delay of readings, s: a step may last longer than its stamps by as much.
 _STAMP_JITTER_S = 0.05
 # Time over which contradictions of the wheels accumulate, s: a single step is dominated by the floor's roughness.
@@ -189,7 +190,7 @@ class HolonomicOdometry(OneCaller):
             before = None
         else:
             self._answered = stamp_s, T, C
-        status = Status.TRACKING if why is None else Status.FAILING
+        status = _DEAD_RECKONED if why is None else _REFUSED
         return WheelEstimate(stamp_s, status, T, C, why, "base", before=before)
 
     def _advance(self, reading: HolonomicReading, rate_rad_s: float | None) -> Reason | None:

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from wheelsight.core.calibration_parts import Gyro, HolonomicWheels, Wheels, least_step
 from wheelsight.core.checks import check_event, need_kind, need_number
 from wheelsight.core.errors import ArgumentError
-from wheelsight.core.estimates import Reason, Status, WheelEstimate
+from wheelsight.core.estimates import PoseFinding, Reason, WheelEstimate, status_of
 from wheelsight.core.geometry import BoolArray, ByteArray, FloatArray, se3
 from wheelsight.core.messages import OdometryReading, WheelCounts, WheelReading, WheelSpeeds, WheelTicks
 from wheelsight.core.settings import CHOSEN, Settings, setting
@@ -60,6 +60,7 @@ Integration = Literal["arc", "midpoint", "euler"]
 
 _INTEGRATIONS = {"euler": EULER, "midpoint": MIDPOINT, "arc": ARC}
 _REASONS = (None, Reason.CLOCK_BACKWARDS, Reason.GAP, Reason.COUNTER_AMBIGUOUS, Reason.IMPLAUSIBLE_MOTION)
+_DEAD_RECKONED, _REFUSED = status_of(PoseFinding.DEAD_RECKONED), status_of(PoseFinding.READING_REFUSED)
 _WIDE = 2**53  # beyond, floats do not represent a roll-over exactly
 _PLANE = np.array([0, 1, 5])  # vx, vy, ωz of a (6,) perturbation
 
@@ -208,7 +209,7 @@ class WheelOdometry(OneCaller):
             before = None
         else:
             self._answered = stamp_s, T, C
-        status = Status.FAILING if why else Status.TRACKING
+        status = _REFUSED if why else _DEAD_RECKONED
         return WheelEstimate(stamp_s, status, T, C, _REASONS[why], "base", before=before)
 
     def _integrate(self, reading: WheelTicks | WheelSpeeds, rate_rad_s: float) -> int:
