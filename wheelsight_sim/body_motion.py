@@ -1,6 +1,4 @@
-"""How a body moves on its tyres and springs, and the camera with it. Holds what wheels feel of the floor, tyres
-under load, and the mount.
-"""
+"""How a body moves on its tyres and springs, and the camera with it; what wheels feel of the floor."""
 
 from __future__ import annotations
 
@@ -58,12 +56,7 @@ class BodySettings:
 class BodyMotion:
     """The body's motion against the base along one drive.
 
-    Args:
-        truth: T_world_base at a constant rate.
-        robot: whose wheels meet the floor.
-        floor: what they meet.
-        settings: how the body moves.
-        rng: of the drive.
+    `truth` is T_world_base at a constant rate; the wheels meet the floor.
     """
 
     def __init__(
@@ -76,7 +69,11 @@ class BodyMotion:
     ) -> None:
         self._stamps_s = truth.stamps_s
         period_s = float(np.median(np.diff(self._stamps_s)))
-        speed_m_s, turn_rad_s = _speeds(truth, period_s)
+        T = truth.T_frame_body
+        velocity, yaw_rad = np.gradient(T[:, :2, 3], period_s, axis=0), np.unwrap(np.arctan2(T[:, 1, 0], T[:, 0, 0]))
+        forward = np.einsum("ni,ni->n", velocity, np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=-1))
+        speed_m_s = gaussian_filter1d(forward, _SMOOTH_S / period_s)
+        turn_rad_s = gaussian_filter1d(np.gradient(yaw_rad, period_s), _SMOOTH_S / period_s)
         pitch, roll, self._up_m = jolts(truth.T_frame_body, robot, floor)
         pitch -= settings.pitch_rad_s2_m * np.gradient(speed_m_s, period_s)
         roll += settings.roll_rad_s2_m * speed_m_s * turn_rad_s
@@ -99,16 +96,6 @@ class BodyMotion:
         for axis, angle_rad in enumerate(self._angles_rad):
             xi[:, 3 + axis] = np.interp(stamps_s, self._stamps_s, angle_rad)
         return np.asarray(se3.exp(xi))
-
-
-def _speeds(truth: Trajectory, period_s: float) -> tuple[FloatArray, FloatArray]:
-    """Forward speed (N,) in m/s and yaw rate (N,) in rad/s."""
-    T = truth.T_frame_body
-    velocity = np.gradient(T[:, :2, 3], period_s, axis=0)
-    yaw_rad = np.unwrap(np.arctan2(T[:, 1, 0], T[:, 0, 0]))
-    forward = np.einsum("ni,ni->n", velocity, np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=-1))
-    sigma = _SMOOTH_S / period_s
-    return gaussian_filter1d(forward, sigma), gaussian_filter1d(np.gradient(yaw_rad, period_s), sigma)
 
 
 def jolts(
@@ -173,13 +160,6 @@ class LiveBodyMotion:
     """`BodyMotion`, known up to the last `step`.
 
     Speeds are smoothed over the past alone, so that pitch comes 20 ms later than in `BodyMotion`.
-
-    Args:
-        period_s: from one step to the next.
-        robot: whose wheels meet the floor.
-        floor: what they meet.
-        settings: how the body moves.
-        rng: of the drive.
     """
 
     def __init__(
@@ -298,15 +278,10 @@ class FloorSettings:
 class FloorSurface:
     """Of one world, as a grid of heights.
 
-    Args:
-        world: whose areas' borders have thresholds, and on whose floor carpets lie.
-        settings: how high these are.
-        rng: of the world.
+    Borders of the world's areas have thresholds, and carpets lie on its floor.
     """
 
     def __init__(self, world: World, settings: FloorSettings, rng: np.random.Generator) -> None:
-        import mujoco
-
         low, high = np.array(world.size_m[:2], float) - _MARGIN_M, np.array(world.size_m[2:], float) + _MARGIN_M
         self.settings = settings
         self.cell_m = max(_CELL_M, float(np.sqrt(np.prod(high - low) / _MOST_CELLS)))
@@ -316,9 +291,7 @@ class FloorSurface:
         borders, carpets = np.zeros((2, rows, columns), np.uint8)
         cv2.polylines(borders, lines, True, 1)
         # The thin boxes on the floor that look like carpet.
-        model = mujoco.MjModel.from_xml_string(world.mjcf)
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
+        model, data = world.at_rest()
         for g in range(model.ngeom):
             surface = world.surfaces.get(model.mat(model.geom_matid[g]).name) if model.geom_matid[g] >= 0 else None
             top_m = data.geom_xpos[g, 2] + model.geom_size[g, 2]
@@ -382,10 +355,7 @@ class TyreSettings:
 class LoadedRadii:
     """Rolling radii of wheels, from their loads.
 
-    Args:
-        radii_m: (W,) at the loads at rest.
-        loads_n: (W,) these.
-        settings: how soft the tyres are.
+    `radii_m` (W,) are those at the loads at rest, `loads_n` (W,).
     """
 
     def __init__(self, radii_m: FloatArray, loads_n: FloatArray, settings: TyreSettings) -> None:

@@ -1,6 +1,4 @@
-"""Models of simulated depth cameras. `CameraUnit` is one unit of a model with its own errors; `Carriage` gives its true
-pose.
-"""
+"""Simulated depth cameras. `CameraUnit` is one of a model, with its own errors; `Carriage` gives its true pose."""
 
 from __future__ import annotations
 

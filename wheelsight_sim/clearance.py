@@ -1,6 +1,4 @@
-"""Where a wheelchair can drive: footprints of what stands in a world, whether a route keeps clear of them, and a
-picture of both from above.
-"""
+"""Where a wheelchair can drive: what stands in a world, whether a route keeps clear of it, a picture of both."""
 
 from __future__ import annotations
 
@@ -70,9 +68,7 @@ class Collision(NamedTuple):
 
 def footprints(world: World) -> tuple[GeomOutline, ...]:
     """All geoms but planes, in the MJCF's order."""
-    model = mujoco.MjModel.from_xml_string(world.mjcf)
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    model, data = world.at_rest()
     found = []
     for k in range(model.ngeom):
         if model.geom_type[k] == mujoco.mjtGeom.mjGEOM_PLANE:

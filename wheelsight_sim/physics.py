@@ -1,6 +1,4 @@
-"""A drive, stepped by MuJoCo: the driver's commands turn motors, motors turn wheels, wheels grip or slip. Holds the
-way that the robot is to go, and the drive of a holonomic base.
-"""
+"""A drive, stepped by MuJoCo, and the drive of a holonomic base; the way that the robot is to go."""
 
 from __future__ import annotations
 
@@ -24,11 +22,11 @@ from wheelsight_sim.drivers import (
     Driver,
     Path2d,
     StopAndTurn,
-    _speed_profile,
     follow_route,
     laps_of,
     read_manual_velocities,
     smooth_path,
+    speed_profile,
 )
 from wheelsight_sim.readings import GYRO_PERIOD_S, Encoders, Gyroscope, Reckoning, is_during
 from wheelsight_sim.robot import TICK_PERIOD_S, Drive, RobotModel, WheelFaults, WheelSizeSettings
@@ -65,13 +63,7 @@ class Reading:
 class SteppedRobot:
     """A chair with its encoders and gyroscope: `read` once and `advance` once every `TRUTH_PERIOD_S`.
 
-    Args:
-        world, robot, T_world_start: what stands where; it is let settle on its wheels.
-        faults: what goes wrong with the wheels, and when.
-        slip: whether the wheels may slip.
-        seed: of the rider, castors, encoders' phases and gyroscope.
-        floor: what the wheels meet, or None for a level one.
-        doors: which swing in the world, or None.
+    The chair is let settle at `T_world_start`. `seed` is of the rider, castors, encoders' phases and gyroscope.
 
     Attributes:
         chair: what physics moves.
@@ -413,7 +405,7 @@ def _poses(paths: list[Path2d], settings: SimulationSettings) -> tuple[FloatArra
     found: list[tuple[float, float, float]] = []
     yaw, rate, driven_m, target = paths[0].at(0.0)[2], 0.0, 0.0, paths[0].at(0.0)[2]
     for path in paths:
-        speeds, along_m = _speed_profile(path, settings.speed_m_s), 0.0
+        speeds, along_m = speed_profile(path, settings.speed_m_s), 0.0
         turned = round((target - path.at(0.0)[2]) / (2 * math.pi)) * 2 * math.pi
         v_m_s = 0.0
         while along_m < path.length_m - 1e-3:

@@ -1,7 +1,4 @@
-"""`RobotModel` holds the true and the nominal dimensions of the simulated wheelchair, with its outline and motors.
-
-`Drive` is the result of the physics.
-"""
+"""`RobotModel`: true and nominal dimensions, outline and motors of the wheelchair; `Drive` is what physics leaves."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from wheelsight.core.geometry import FloatArray, Int32Array, IntArray, PinholeCa
 from wheelsight_sim.doors import Leaves
 from wheelsight_sim.light_kernels import View as View
 from wheelsight_sim.people import Cylinders
-from wheelsight_sim.view_kernels import Bodies, Boxes, Hits, Image, ModelGeoms, aim, choose, find, gather, put, spread
+from wheelsight_sim.view_kernels import Boxes, Hits, ModelGeoms, aim, choose, find, gather, put, spread
 from wheelsight_sim.world import Surface, World
 
 _KINDS = {0: "plane", 2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box"}
@@ -175,9 +175,8 @@ class Scene:
                 boxes = Boxes(geoms.kind, geoms.size_m, center, self._half_m, geoms.R_world_geom)
                 chosen = choose(boxes, R, origin, bounds, far_m * _FAR_MARGIN)
                 if len(chosen):
-                    hits = targets.cast(geoms, chosen, origin, rays)
-                    image = Image(view.depth_m, view.geom, view.normal_world)
-                    gather(hits, rays, T, tile, origin, far_m, chosen, image)
+                    hits = targets.cast(boxes, geoms.position_world, chosen, origin, rays)
+                    gather(hits, rays, tile, origin, far_m, chosen, view)
 
         if self._pool is None:
             work(0)
@@ -195,35 +194,30 @@ class _Targets:
     def __init__(self) -> None:
         self._models: dict[int, tuple[Any, Any, ModelGeoms]] = {}
 
-    def cast(self, geoms: Geoms, chosen: Int32Array, origin: FloatArray, rays: FloatArray) -> Hits:
+    def cast(
+        self, boxes: Boxes, position_world: FloatArray, chosen: Int32Array, origin: FloatArray, rays: FloatArray
+    ) -> Hits:
         """Which of `chosen` (K,) each ray (N, 3) hits first, or -1; how many ray lengths away; outward normals."""
         import mujoco
 
-        n = len(rays)
-        model, data, places = self._of_size(len(chosen))
-        bodies = Bodies(geoms.kind, geoms.size_m, geoms.position_world, geoms.R_world_geom)
-        put(chosen, bodies, places)
-        hit, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
-        out = hit, distance, normal.reshape(-1)
-        mujoco.mj_multiRay(model, data, origin, rays.reshape(-1), _FIRST_GROUP, True, -1, *out, n, _NO_LIMIT)
-        return Hits(hit, distance, normal)
-
-    def _of_size(self, count: int) -> tuple[Any, Any, ModelGeoms]:
-        import mujoco
-
-        size = _FEWEST_TARGETS
-        while size < count:
+        n, size = len(rays), _FEWEST_TARGETS
+        while size < len(chosen):
             size *= 2
         if size not in self._models:
             spec = mujoco.MjSpec()
             for _ in range(size):
                 spec.worldbody.add_geom(size=[1, 1, 1])
-            model = spec.compile()
-            model.body_bvhadr[:] = _NO_TREE
-            data = mujoco.MjData(model)
-            places = ModelGeoms(model.geom_type, model.geom_size, data.geom_xpos, data.geom_xmat, model.geom_group)
-            self._models[size] = model, data, places
-        return self._models[size]
+            made: Any = spec.compile()
+            made.body_bvhadr[:] = _NO_TREE
+            state = mujoco.MjData(made)
+            geoms = ModelGeoms(made.geom_type, made.geom_size, state.geom_xpos, state.geom_xmat, made.geom_group)
+            self._models[size] = made, state, geoms
+        model, data, places = self._models[size]
+        put(chosen, boxes, position_world, places)
+        hit, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
+        out = hit, distance, normal.reshape(-1)
+        mujoco.mj_multiRay(model, data, origin, rays.reshape(-1), _FIRST_GROUP, True, -1, *out, n, _NO_LIMIT)
+        return Hits(hit, distance, normal)
 
 
 def _nothing(T_world_camera: FloatArray, rays: FloatArray) -> View:

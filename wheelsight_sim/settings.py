@@ -1,6 +1,4 @@
-"""What a simulation is made of: all that must be known to make the same recording again. Realism says how hard it
-is.
-"""
+"""What a simulation is made of: all that must be known to make the same recording again."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""A simulated drive as a recording: events in order of time, rendered as they are asked for. Its camera may fail, or
-be carried along a known way.
-"""
+"""A simulated drive as a recording: events in order of time, rendered as they are asked for."""
 
 from __future__ import annotations
 

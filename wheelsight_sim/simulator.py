@@ -1,6 +1,4 @@
-"""`Simulator` is a simulated `Robot` in a world with people and doors. `LiveWorld` steps that world and lists contacts;
-`SimulatedCamera` renders frames as soon as they are exposed.
-"""
+"""`Simulator`, a simulated `Robot` in a `LiveWorld` with people and doors; `SimulatedCamera` renders its frames."""
 
 from __future__ import annotations
 
@@ -288,11 +286,7 @@ class LiveWorld:
         T_world_start: (4, 4) initial pose of the base.
         contacts: all so far, each at its begin.
 
-    Args:
-        settings: world, seed, day, robot, people, doors.
-        start: x, y, yaw of the base; default the world's own start.
-        world: replaces the world that the settings name.
-        people: how people react to the robot.
+    `start` is x, y, yaw of the base, or None for the world's own; `world` replaces the one that the settings name.
 
     Raises:
         ConfigError: for an invalid world, or a start in contact with something.
@@ -413,11 +407,7 @@ _AFTER_S = 0.005
 class SimulatedCamera:
     """Renders the frames of a drive while it goes on, each as soon as all of its rows are exposed.
 
-    Args:
-        surroundings: the scene.
-        settings: seed, day, robot, camera, frame rate, motion blur, realism, times with a covered lens.
-        longest_s: longest duration of the drive.
-        threads: number of threads that render a frame.
+    The drive lasts `longest_s` at most; `threads` render a frame.
     """
 
     def __init__(

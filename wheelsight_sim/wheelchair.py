@@ -1,6 +1,4 @@
-"""The paper's wheelchair as MJCF, and its way through MuJoCo's time: motors in, pose and wheel angles out. Holds
-what its wheels meet.
-"""
+"""The paper's wheelchair as MJCF, and its way through MuJoCo's time: motors in, pose and wheel angles out."""
 
 from __future__ import annotations
 

@@ -235,11 +235,7 @@ class PlanDoor:
 def choose_door(doorway: Doorway, way: shapely.Geometry, floor: shapely.Geometry, rng: np.random.Generator) -> PlanDoor:
     """A door by seed: closed only off the route, else open to where its leaf blocks no way.
 
-    Args:
-        doorway: the gap.
-        way: what the robot sweeps.
-        floor: that is free.
-        rng: decides.
+    `way` is what the robot sweeps, `floor` what is free.
     """
     gap = shapely.LineString([doorway.left, doorway.right])
     wants_closed = rng.random() < _SHARE_CLOSED

@@ -76,12 +76,12 @@ def free_space_of(plan: RosMap, width_m: float) -> FreeSpace:
     straight_m = _STRAIGHT_CELLS * plan.resolution_m if is_coarse else _STRAIGHT_M
     plan = _resampled(plan)
     grid = _largest_part(_cleaned(plan), plan.resolution_m, width_m)
-    # The outline of connected cells, in cells, with its holes: along the cells' sides.
-    steps = np.diff(np.pad(grid, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    (rows, begins), (_, ends) = np.nonzero(steps == 1), np.nonzero(steps == -1)
-    outline = shapely.union_all(shapely.box(begins, rows, ends, rows + 1))
+    outline = _outline(grid)
     shape = _straightened(outline, straight_m / plan.resolution_m)
-    if not is_coarse and _short_share(shape, _SHORT_M / plan.resolution_m) > _JAGGED_SHARE:
+    rings = [shapely.get_coordinates(ring) for ring in (shape.exterior, *shape.interiors)]
+    sides = np.concatenate([np.hypot(*np.diff(ring, axis=0).T) for ring in rings])
+    short = sides[sides < _SHORT_M / plan.resolution_m]
+    if not is_coarse and float(short.sum() / sides.sum()) > _JAGGED_SHARE:
         shape = _straightened(outline, 2 * straight_m / plan.resolution_m)
     shape = shapely.transform(shape, plan.to_map)
     return FreeSpace(drawn(shape, plan, grid.shape), plan, shape)
@@ -151,19 +151,19 @@ def _distance_m(grid: ByteArray, cell_m: float) -> Float32Array:
     return np.asarray(np.maximum(distance - 0.5, 0) * cell_m, np.float32)
 
 
+def _outline(marked: ByteArray | BoolArray) -> shapely.Geometry:
+    """The outline of marked cells (R, C), in cells, with its holes: along the cells' sides."""
+    steps = np.diff(np.pad(marked.astype(np.int8), ((0, 0), (1, 1))), axis=1)
+    (rows, begins), (_, ends) = np.nonzero(steps == 1), np.nonzero(steps == -1)
+    return shapely.union_all(shapely.box(begins, rows, ends, rows + 1))
+
+
 def _straightened(shape: shapely.Polygon, tolerance: float) -> shapely.Polygon:
     """Without the stairs and jags that cells make; walls keep two sides that do not cross."""
     simple = shapely.simplify(shape, tolerance, preserve_topology=True)
     if simple.geom_type != "Polygon":  # cells that touched at a corner have come apart
         simple = max(simple.geoms, key=lambda part: float(part.area))
     return shapely.remove_repeated_points(simple)
-
-
-def _short_share(shape: shapely.Polygon, short: float) -> float:
-    """How much of a polygon's outline are sides that are shorter than `short`."""
-    rings = [shapely.get_coordinates(ring) for ring in (shape.exterior, *shape.interiors)]
-    lengths = np.concatenate([np.hypot(*np.diff(ring, axis=0).T) for ring in rings])
-    return float(lengths[lengths < short].sum() / lengths.sum())
 
 
 def drawn(shape: shapely.Geometry, plan: RosMap, size: tuple[int, ...], *, is_generous: bool = False) -> ByteArray:
@@ -396,11 +396,9 @@ def read_room_areas(path: Path, plan: RosMap) -> list[Area]:
     areas: list[Area] = []
     for room in rooms:
         # A region (H, W) as polygons in `map`, with straight sides.
-        mask = labels == room
-        steps = np.diff(np.pad(mask.astype(np.int8), ((0, 0), (1, 1))), axis=1)
-        (rows, begins), (_, ends) = np.nonzero(steps == 1), np.nonzero(steps == -1)
-        shape = shapely.union_all(shapely.box(begins, rows, ends, rows + 1))
-        shape = shapely.simplify(shape, _AREAS_STRAIGHT_M / plan.resolution_m, preserve_topology=True)
+        shape = shapely.simplify(
+            _outline(labels == room), _AREAS_STRAIGHT_M / plan.resolution_m, preserve_topology=True
+        )
         polygon = shapely.transform(shape, plan.to_map)
         if polygon.buffer(-_AREAS_NARROWEST_M / 2).is_empty:  # softened edges, and gaps between lines
             continue

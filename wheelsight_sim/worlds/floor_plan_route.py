@@ -104,13 +104,8 @@ def plan_route(
 ) -> Route:
     """A closed tour from room to room, or one way where there is no place to turn.
 
-    Args:
-        space: the floor.
-        doorways: which are passed straight.
-        robot: that is to drive it.
-        seed: which rooms are visited.
-        plan: says where it begins, and how long a lap is about; without a length it is up to USUAL_WAY_M.
-        least_m: how long all of it is at least: a tour is driven again where rooms do not suffice.
+    Doorways are passed straight, and the seed decides which rooms are visited. `plan` says where it begins, and how long
+    a lap is about, else up to USUAL_WAY_M; with rooms too few for `least_m` a tour is driven again.
 
     Raises:
         ConfigError: a start where the robot does not fit, or nowhere to go.
