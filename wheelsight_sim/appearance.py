@@ -15,18 +15,7 @@ import numpy as np
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import Float32Array, FloatArray, Int32Array
 from wheelsight_sim import light_kernels as kernels
-from wheelsight_sim.light_kernels import (
-    Blockers,
-    Lamps,
-    Lighting,
-    Panes,
-    Shadowing,
-    brightest_lamps,
-    drop_hidden,
-    keep,
-    list_blockers,
-    shine_in,
-)
+from wheelsight_sim.light_kernels import Lighting
 from wheelsight_sim.scene import Geoms, Outlines, Scene, View
 from wheelsight_sim.view_kernels import Scenery, Things, paint_outlines, paint_rows
 from wheelsight_sim.world import Surface, SurfaceKind
@@ -110,9 +99,8 @@ def _surface_of(geom: str, material: str, surfaces: Mapping[str, Surface]) -> Su
             fix=f"give it one of {', '.join(sorted(surfaces))}, or add a Surface",
         )
     if surface.kind not in _KINDS:
-        raise ConfigError(
-            f"surface {material!r} has the unknown kind {surface.kind!r}", fix=f"one of {', '.join(_KINDS)}"
-        )
+        problem = f"surface {material!r} has the unknown kind {surface.kind!r}"
+        raise ConfigError(problem, fix=f"one of {', '.join(_KINDS)}")
     shares = (*surface.rgb, *surface.accent_rgb, surface.contrast, surface.shine)
     if not all(0 <= share <= 1 for share in shares):
         raise ConfigError(f"surface {material!r}: reflectances, contrast and shine lie between 0 and 1")
@@ -325,13 +313,13 @@ class Shadows:
         shape = (np.ceil(np.array([rows, columns]) * lighting.grid[2] / _CELL_M).astype(int) + 1).tolist()
         grid = np.array([*lighting.grid[:2], _CELL_M])
         brightest = np.empty((*shape, _CANDIDATES), np.int32)
-        brightest_lamps(lighting.lamps, grid, LAMP_REACH_M, brightest)
+        kernels.brightest_lamps(lighting.lamps, grid, LAMP_REACH_M, brightest)
         # Each cell's brightest lamps of those that walls do not hide from all of it.
-        lamps = Lamps(lighting.lamps, grid, brightest)
+        lamps = kernels.Lamps(lighting.lamps, grid, brightest)
         starts, listed = _listed(lamps, self._boxes, self._still)
-        blockers = Blockers(self._boxes, self._is_round, self._geom, np.empty(0, np.int32), starts, listed)
+        blockers = kernels.Blockers(self._boxes, self._is_round, self._geom, np.empty(0, np.int32), starts, listed)
         seen_lamps = np.empty((*lamps.brightest.shape[:2], _LAMPS), np.int32)
-        drop_hidden(lamps, blockers, seen_lamps)
+        kernels.drop_hidden(lamps, blockers, seen_lamps)
         self._lamps = lamps._replace(brightest=seen_lamps)
         self._starts, self._listed = _listed(self._lamps, self._boxes, self._still)
 
@@ -355,8 +343,8 @@ class Shadows:
                 [middle[:, 0], middle[:, 1], low, high, ahead[0] * ones, ahead[1] * ones, *sides], axis=1
             )
         out = np.empty(view.depth_m.shape, np.float32)
-        blockers = Blockers(boxes, self._is_round, self._geom, self._moving, self._starts, self._listed)
-        keep(view, Shadowing(self._lamps, blockers, self._glows, level * self._strength), out)
+        blockers = kernels.Blockers(boxes, self._is_round, self._geom, self._moving, self._starts, self._listed)
+        kernels.keep(view, kernels.Shadowing(self._lamps, blockers, self._glows, level * self._strength), out)
         return out
 
 
@@ -375,13 +363,13 @@ def _box_of(geoms: Geoms, g: int) -> FloatArray:
     return np.array([x, y, z - half[2], z + half[2], 1.0, 0.0, half[0], half[1]])
 
 
-def _listed(lamps: Lamps, boxes: FloatArray, still: Int32Array) -> tuple[Int32Array, Int32Array]:
+def _listed(lamps: kernels.Lamps, boxes: FloatArray, still: Int32Array) -> tuple[Int32Array, Int32Array]:
     """`starts` and `listed` of `Blockers`."""
     starts = np.empty(lamps.brightest.size + 1, np.int32)
     listed = np.empty(0, np.int32)
-    count = list_blockers(lamps, boxes, still, starts, listed)
+    count = kernels.list_blockers(lamps, boxes, still, starts, listed)
     listed = np.empty(count, np.int32)
-    list_blockers(lamps, boxes, still, starts, listed)
+    kernels.list_blockers(lamps, boxes, still, starts, listed)
     return starts, listed
 
 
@@ -439,12 +427,12 @@ class Sunlight:
             slant = max(abs(float(axes[k, 2] @ self.towards)), 0.05)
             begins = geoms.position_world[g] + grid - self.towards * through_m / slant
             reach_m[k] = scene.reach_m(begins.reshape(-1, 3), -self.towards).reshape(_CELLS) + through_m / slant
-        self._panes = Panes(np.ascontiguousarray(geoms.position_world[panes]), axes, halves, reach_m)
+        self._panes = kernels.Panes(np.ascontiguousarray(geoms.position_world[panes]), axes, halves, reach_m)
 
     def on(self, view: View) -> Float32Array:
         """(H, W) share of full sunlight on what a view shows: the cosine of incidence in patches, 0 elsewhere."""
         out = np.empty(view.depth_m.shape, np.float32)
-        shine_in(view, self._panes, self.towards, out)
+        kernels.shine_in(view, self._panes, self.towards, out)
         return out
 
 

@@ -81,16 +81,10 @@ def footprints(world: World) -> tuple[GeomOutline, ...]:
             polygon = shapely.Point(middle[:2]).buffer(max(half[:2]), _CIRCLE_SEGMENTS)
         else:
             polygon = shapely.MultiPoint(corners[:, :2]).convex_hull
-        found.append(
-            GeomOutline(
-                name=model.geom(k).name,
-                material=model.mat(int(model.geom_matid[k])).name,
-                polygon=polygon,
-                bottom_m=float(corners[:, 2].min()),
-                top_m=float(corners[:, 2].max()),
-                is_solid=bool(model.geom_contype[k] or model.geom_conaffinity[k]),
-            )
-        )
+        bottom_m, top_m = float(corners[:, 2].min()), float(corners[:, 2].max())
+        is_solid = bool(model.geom_contype[k] or model.geom_conaffinity[k])
+        material = model.mat(int(model.geom_matid[k])).name
+        found.append(GeomOutline(model.geom(k).name, material, polygon, bottom_m, top_m, is_solid))
     return tuple(found)
 
 
@@ -154,13 +148,8 @@ def draw_plan(
 ) -> None:
     """Write the top view of a world as a PNG picture.
 
-    Args:
-        world: to draw.
-        path: of the picture; it appears whole or not at all.
-        route: (N, 2) waypoints in metres; None for the world's own.
-        track: (M, 2) metres, where a robot truly drove.
-        mark: a place to point at: where a route runs into something.
-        is_loop: whether the route leads back to its first waypoint; None for as the world has it.
+    Drawn are the `route` (N, 2), or else the world's own, the `track` (M, 2) where a robot truly drove, and a place to
+    point at, the `mark` (x, y); all in metres. The picture appears whole or not at all.
 
     Raises:
         OutputError: the picture cannot be written.

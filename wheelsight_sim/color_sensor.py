@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,7 +18,6 @@ from wheelsight_sim.sensor_kernels import Exposed, develop, flow_kernel, smear
 # The linear model of the EMVA standard 1288 (release 4, section 2): electrons are Poisson distributed about what
 # light and time make of them, reading adds Gaussian noise, a gain turns them into numbers that saturate; then sRGB's
 # curve (IEC 61966-2-1).
-
 
 _LEVELS = np.linspace(0, 1, 16384)
 # The byte of each of these linear levels by sRGB's curve.
@@ -109,12 +109,8 @@ class ColorSensor:
     ) -> ByteArray:
         """The image (H, W, 3) a camera delivers of a view's radiance (H, W, 3).
 
-        Args:
-            radiance: of each pixel, from `Painter.paint`.
-            view: what the radiance belongs to.
-            exposure: time and gain, from `meter`.
-            rng: draws one number; all noise of the frame follows from it.
-            twist_camera: (6,) m/s and rad/s, velocity (v, ω) of the camera in its own frame; motion blur needs it.
+        `rng` draws one number, from which all noise of the frame follows. `twist_camera` (6,) is the velocity (v, ω) of
+        the camera in its own frame, m/s and rad/s; motion blur needs it.
 
         Raises:
             ConfigError: the sensor has motion blur, and no twist was given.
@@ -266,11 +262,6 @@ class Lens:
     nominal: PinholeCamera
 
 
-def ideal_lens(camera: PinholeCamera) -> Lens:
-    """A lens without distortion, known exactly."""
-    return Lens(camera, camera)
-
-
 def lens_of(camera: PinholeCamera, settings: LensSettings, rng: np.random.Generator) -> Lens:
     """The lens of one unit of a camera, and one calibration of it.
 
@@ -283,14 +274,9 @@ def lens_of(camera: PinholeCamera, settings: LensSettings, rng: np.random.Genera
     focal = 1 + settings.focal_sigma * rng.standard_normal()
     centre_px = settings.centre_sigma_px * camera.width / 640 * rng.standard_normal(2)
     bent = 1 + settings.distortion_sigma * rng.standard_normal()
-    true = replace(
-        nominal,
-        fx=camera.fx * focal,
-        fy=camera.fy * focal,
-        cx=camera.cx + centre_px[0],
-        cy=camera.cy + centre_px[1],
-        distortion=(bent * unlike * k1, bent * unlike * k2, *tangential, bent * unlike * k3),
-    )
+    distortion = (bent * unlike * k1, bent * unlike * k2, *tangential, bent * unlike * k3)
+    middle: dict[str, Any] = {"cx": camera.cx + centre_px[0], "cy": camera.cy + centre_px[1]}
+    true = replace(nominal, fx=camera.fx * focal, fy=camera.fy * focal, distortion=distortion, **middle)
     return Lens(true, nominal)
 
 
@@ -322,12 +308,8 @@ def as_delivered(color: ByteArray, settings: PixelSettings) -> ByteArray:
         # OpenCV names the pattern by the pixels of its second row and column.
         color = np.asarray(cv2.cvtColor(mosaic, cv2.COLOR_BayerBG2RGB), np.uint8)
     if settings.jpeg_quality:
-        options = [
-            cv2.IMWRITE_JPEG_QUALITY,
-            settings.jpeg_quality,
-            cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
-            cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420,
-        ]
+        halved = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420]
+        options = [cv2.IMWRITE_JPEG_QUALITY, settings.jpeg_quality, *halved]
         _, data = cv2.imencode(".jpg", color[..., ::-1], options)
         color = np.asarray(cv2.cvtColor(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB), np.uint8)
     return color

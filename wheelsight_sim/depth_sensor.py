@@ -11,19 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
 from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera
+from wheelsight_sim import sensor_kernels as kernels
 from wheelsight_sim.color_sensor import image_flow
 from wheelsight_sim.scene import View
-from wheelsight_sim.sensor_kernels import (
-    Chance,
-    Limits,
-    Pattern,
-    Phase,
-    detectable,
-    lit_by_projector,
-    match_pattern,
-    returned_light,
-    time_light,
-)
 
 # Correlating noise over less than this makes none.
 _WHITE_PX = 0.3
@@ -106,13 +96,13 @@ class StructuredLight:
         native_per_px = self.native_focal_px / camera.fx
         focal_baseline = camera.fx * self.baseline_m
         cells = tuple(int(side * native_per_px / self.block_px) + 1 for side in view.depth_m.shape)
-        chance = Chance(rng.integers(0, 256, (*cells, 3), np.uint8), native_per_px / self.block_px)
+        chance = kernels.Chance(rng.integers(0, 256, (*cells, 3), np.uint8), native_per_px / self.block_px)
         noise = _correlated(rng, view.depth_m.shape, 0.5 * self.block_px / native_per_px)
-        seen = returned_light(view, infrared * (1 - shine))
-        usable = detectable(seen, shine, chance, _limits(self))
-        usable &= lit_by_projector(view.depth_m, view.geom, focal_baseline, self.shadow_px / native_per_px)
+        seen = kernels.returned_light(view, infrared * (1 - shine))
+        usable = kernels.detectable(seen, shine, chance, _limits(self))
+        usable &= kernels.lit_by_projector(view.depth_m, view.geom, focal_baseline, self.shadow_px / native_per_px)
         whole = self.quadratic_per_m * self.native_focal_px * self.baseline_m
-        pattern = Pattern(
+        pattern = kernels.Pattern(
             math.sqrt(max(whole**2 - 1 / (12 * self.steps_per_px**2), 0.0)),
             self.oblique_m,
             focal_baseline,
@@ -120,7 +110,7 @@ class StructuredLight:
             self.steps_per_px,
         )
         shifts_px = np.asarray((self.edge_sigma_px / native_per_px) * ndtri((np.arange(256) + 0.5) / 256))
-        return np.asarray(match_pattern(seen, usable, noise, chance, shifts_px, pattern))
+        return np.asarray(kernels.match_pattern(seen, usable, noise, chance, shifts_px, pattern))
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,17 +153,17 @@ class TimeOfFlight:
         chance = rng.integers(0, 256, (*view.depth_m.shape, 3), np.uint8)
         noise = _correlated(rng, view.depth_m.shape, 0.0)
         scattered = infrared * (1 - shine)
-        seen = returned_light(view, scattered)
-        usable = detectable(seen, shine, Chance(chance, 1.0), _limits(self))
-        phase = Phase(np.array(self.axial), self.reference, self.jump, self.edge_share, self.edge_loss)
-        return np.asarray(time_light(seen, usable, scattered, noise, chance, phase))
+        seen = kernels.returned_light(view, scattered)
+        usable = kernels.detectable(seen, shine, kernels.Chance(chance, 1.0), _limits(self))
+        phase = kernels.Phase(np.array(self.axial), self.reference, self.jump, self.edge_share, self.edge_loss)
+        return np.asarray(kernels.time_light(seen, usable, scattered, noise, chance, phase))
 
 
 DepthSensor = IdealDepth | StructuredLight | TimeOfFlight
 
 
-def _limits(sensor: StructuredLight | TimeOfFlight) -> Limits:
-    return Limits(
+def _limits(sensor: StructuredLight | TimeOfFlight) -> kernels.Limits:
+    return kernels.Limits(
         sensor.near_m,
         sensor.far_m,
         math.cos(math.radians(sensor.grazing_deg)),

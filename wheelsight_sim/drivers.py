@@ -22,7 +22,6 @@ from wheelsight.io.recordings.tables import read_list, read_table
 # and a yaw rate. That these change no faster than a rider can bear is the drivers' own care; `ManualVelocities`
 # leaves it to the motors' controller, which ramps less gently.
 
-
 MAX_SPEED_M_S = 1.2
 MAX_YAW_RATE_RAD_S = 2.0
 COMMAND_PERIOD_S = 0.02
@@ -192,9 +191,8 @@ def read_manual_velocities(path: StrPath) -> ManualVelocities:
     path = Path(path)
     rows, warnings = read_table(path, ("stamp_s", "v_m_s", "yaw_rate_rad_s"))
     if warnings:
-        raise ConfigError(
-            "the last line does not end", path=path, line=len(lines_of(read_list(path))), fix="end it with a new line"
-        )
+        last = len(lines_of(read_list(path)))
+        raise ConfigError("the last line does not end", path=path, line=last, fix="end it with a new line")
     last_s = -math.inf
     for row in rows:
         if row.stamp_s < 0 or row.stamp_s <= last_s:

@@ -23,6 +23,7 @@ _DARK_LIGHT, _DARK_NOISE = 0.004, 3.0
 # Of what comes from a pane, seen from aslant; of infrared light that comes back from it.
 _REFLECTED, _PANE_SHOWS = 0.25, 0.15
 _DEPTH_NOISE_PER_M, _COLOR_NOISE = 1.4e-3, 2.0
+_FRAMES = (RgbdFrame, SkippedFrame)
 _SHARES = ("share", "blobs", "speckle")
 
 
@@ -156,7 +157,7 @@ class CableOut(CameraFault):
 
     def apply(self, events: Iterable[Event]) -> Iterator[Event]:
         """The events without the frames of that time."""
-        return (event for event in events if not (_is_frame(event) and self.acts_at(event.stamp_s)))
+        return (event for event in events if not (isinstance(event, _FRAMES) and self.acts_at(event.stamp_s)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +174,7 @@ class FramesDropped(CameraFault):
         """The events without the frames lost."""
         for event in events:
             is_lost = (
-                isinstance(event, RgbdFrame | SkippedFrame)
+                isinstance(event, _FRAMES)
                 and self.acts_at(event.stamp_s)
                 and np.random.default_rng([self.seed, _STREAM, 3, event.index]).random() < self.share
             )
@@ -200,7 +201,7 @@ class LowRate(CameraFault):
         """The events without the frames between."""
         last = -math.inf
         for event in events:
-            if _is_frame(event) and self.acts_at(event.stamp_s):
+            if isinstance(event, _FRAMES) and self.acts_at(event.stamp_s):
                 # Stamps are rounded to the microsecond: a frame just before its period belongs to it.
                 period = math.floor(event.stamp_s * self.rate_hz + 1e-3)
                 if period == last:
@@ -227,7 +228,7 @@ class LateClock(CameraFault):
         order = count()
         for event in events:
             true_s, stamped = event.stamp_s, event
-            if isinstance(event, RgbdFrame | SkippedFrame) and self.acts_at(true_s):
+            if isinstance(event, _FRAMES) and self.acts_at(true_s):
                 stamped = replace(event, stamp_s=true_s + self.late_s)
             heapq.heappush(waiting, (stamped.stamp_s, next(order), stamped))
             # Nothing that is still to come will be stamped earlier than this.
@@ -251,10 +252,6 @@ class StuckImage(CameraFault):
             if shown is None or not self.acts_at(event.stamp_s):
                 shown = event
             yield replace(event, color=shown.color, depth_m=shown.depth_m)
-
-
-def _is_frame(event: Event) -> bool:
-    return isinstance(event, RgbdFrame | SkippedFrame)
 
 
 def _black(color: ByteArray, rng: np.random.Generator) -> ByteArray:

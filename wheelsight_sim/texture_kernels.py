@@ -11,7 +11,6 @@ from wheelsight.core.compiled import kernel
 # answers the mean over it, or what a mean would leave of it: detail finer than a pixel fades instead of flickering.
 # Colours are three reflectances.
 
-
 _MASK = 0xFFFFFFFF
 _I, _J, _SEED = 0x27D4EB2F, 0x165667B1, 0x1E3779B1
 # What is left of noise then is less than a hundredth of it.

@@ -30,7 +30,6 @@ from wheelsight_sim.texture_kernels import (
 # A tile is a rectangle of pixels, rows `tile`[0] to `tile`[1] and columns `tile`[2] to `tile`[3], the last left out;
 # its N rays are numbered row by row.
 
-
 _PLANE = 0
 _BOX = 6
 _BEHIND = 1e-3
@@ -104,24 +103,23 @@ def aim(rays: Any, T_world_rows: Any, tile: Any, R: Any, out: Any) -> Any:
 
 
 @kernel
-def choose(boxes: Boxes, R: Any, origin: Any, bounds: Any, far_m: float) -> Any:
+def choose(boxes: Boxes, R: Any, origin: Any, bounds: Any) -> Any:
     """Indices of the geoms that rays in a frustum can hit; none that they can is left out.
 
-    The frustum starts at `origin` (3,), is turned by R (3, 3), and reaches from `bounds` (u_min, u_max, v_min,
-    v_max) on the plane z = 1 out to `far_m`.
+    The frustum starts at `origin` (3,), is turned by R (3, 3), and has `bounds` (u_min, u_max, v_min, v_max) on the
+    plane z = 1.
 
     Left out is what lies outside, and what lies behind a box or plane that the frustum's four corners hit: such a body
     is convex, so that every ray between hits it too, and no deeper than the deepest corner.
     """
     kind, size_m, center, half_m, R_world_geom = boxes
     bounded = np.isfinite(bounds[0])
-    # Inward normals (6, 3) in the world and offsets (6,) of the frustum's planes, from its origin.
-    inward, offsets = np.zeros((6, 3)), np.zeros(6)
+    # Inward normals (5, 3) in the world of the frustum's planes, which go through its origin.
+    inward = np.zeros((5, 3))
     if bounded:
         inward[0], inward[1] = (1.0, 0.0, -bounds[0]), (-1.0, 0.0, bounds[1])
         inward[2], inward[3] = (0.0, 1.0, -bounds[2]), (0.0, -1.0, bounds[3])
-        inward[4], inward[5] = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
-        offsets[5] = far_m
+        inward[4] = (0.0, 0.0, 1.0)
     sides = inward @ R.T
     found, nearest = np.empty(len(kind), np.int32), np.empty(len(kind))
     count, limit = 0, np.inf
@@ -136,7 +134,7 @@ def choose(boxes: Boxes, R: Any, origin: Any, bounds: Any, far_m: float) -> Any:
                 along = R[0, 2] * R_geom[0, k] + R[1, 2] * R_geom[1, k] + R[2, 2] * R_geom[2, k]
                 depth += R[k, 2] * aside[k] - abs(along) * half_m[g, k]
             nearest[count] = depth
-            if bounded and not _touches(sides, offsets, aside, half_m[g], R_geom):
+            if bounded and not _touches(sides, aside, half_m[g], R_geom):
                 continue
         found[count] = g
         count += 1
@@ -151,10 +149,10 @@ def choose(boxes: Boxes, R: Any, origin: Any, bounds: Any, far_m: float) -> Any:
 
 
 @kernel
-def _touches(sides: Any, offsets: Any, center: Any, half: Any, R: Any) -> bool:
+def _touches(sides: Any, center: Any, half: Any, R: Any) -> bool:
     for s in range(len(sides)):
         n = sides[s]
-        reach = offsets[s] + _TOLERANCE_M
+        reach = _TOLERANCE_M
         for k in range(3):
             reach += n[k] * center[k] + abs(n[0] * R[0, k] + n[1] * R[1, k] + n[2] * R[2, k]) * half[k]
         if reach < 0:
@@ -214,12 +212,12 @@ def put(chosen: Int32Array, boxes: Boxes, position_world: FloatArray, places: Mo
 
 
 @kernel
-def gather(hits: Hits, rays_world: Any, tile: Any, origin: Any, far_m: float, chosen: Any, view: View) -> None:
+def gather(hits: Hits, rays_world: Any, tile: Any, origin: Any, chosen: Any, view: View) -> None:
     """Write what a tile's rays hit into a view.
 
     `hits` are MuJoCo's answers for `rays_world` (N, 3) from `origin` (3,). A hit surface is carried along its tangent
     plane to where the row's own origin sees it: exact for flat ones; where the ray grazes it, the distance stays as it
-    was. `chosen` (K,) are the indices of what was cast at. Where nothing is hit within `far_m`, the view stays.
+    was. `chosen` (K,) are the indices of what was cast at. Where nothing is hit, the view stays.
     """
     hit, distance, normal = hits
     depth_m, geom, normal_world, T_world_rows, _ = view
@@ -238,7 +236,7 @@ def gather(hits: Hits, rays_world: Any, tile: Any, origin: Any, far_m: float, ch
                 square += ray[k] * ray[k]
             if abs(across) > _GRAZING * np.sqrt(square):
                 z += carried / across
-            if 0 < z <= far_m:
+            if z > 0:
                 depth_m[row, column], geom[row, column] = z, chosen[hit[i]]
                 for k in range(3):
                     normal_world[row, column, k] = n[k]

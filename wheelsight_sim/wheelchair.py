@@ -22,14 +22,10 @@ from wheelsight_sim.world import World
 if TYPE_CHECKING:
     import mujoco
 
-
-# The paper's wheelchair as MJCF, set on a world's floor: what MuJoCo steps through time.
-#
 # Dimensions are those of Trinh et al., section II. The body's frame is the base itself: both driven wheels touch the
 # ground at (0, ±track / 2, 0), whatever their radii. Every wheel meets the floor with a sphere, which has one point
 # of contact, straight below its centre; so radius and track width mean the same to physics as to odometry. The
 # cylinders are only to be seen.
-
 
 PREFIX = "wheelchair/"
 ROLLING = ("left_wheel", "right_wheel", "left_castor", "right_castor")

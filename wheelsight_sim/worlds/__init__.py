@@ -8,7 +8,6 @@ arguments; a mapping at the end of the arguments holds keywords.
 from __future__ import annotations
 
 import math
-from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 from wheelsight.core.areas import Area
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.inputs import read_yaml
-from wheelsight_sim.settings import FloorPlan
+from wheelsight_sim.settings import FloorPlan, refuse_unknown
 from wheelsight_sim.world import World
 from wheelsight_sim.worlds.building import Building, Spot
 from wheelsight_sim.worlds.floor_plan import build_floor_plan
@@ -49,10 +48,7 @@ def build_world(name: str, seed: int = 0, day: int = 0, *, has_leaves: bool = Fa
     """
     if seed < 0:
         raise ConfigError(f"seed is {seed}", fix="a whole number from 0 on")
-    if name not in _NAMES:
-        near = get_close_matches(name, _NAMES, n=1)
-        hint = f"did you mean {near[0]}? " if near else ""
-        raise ConfigError(f"there is no world {name}", fix=f"{hint}known: {', '.join(_NAMES)}")
+    refuse_unknown(name, _NAMES, f"there is no world {name}")
     document = _read_once(Path(__file__).with_name(f"{name}.yaml"), ConfigError)
     building = Building(name, seed, day)
     for step in document["steps"]:

@@ -75,7 +75,17 @@ def free_space_of(plan: RosMap, width_m: float) -> FreeSpace:
     is_coarse = plan.resolution_m > _COARSE * CELL_M
     straight_m = _STRAIGHT_CELLS * plan.resolution_m if is_coarse else _STRAIGHT_M
     plan = _resampled(plan)
-    grid = _largest_part(_cleaned(plan), plan.resolution_m, width_m)
+    grid = _cleaned(plan)
+    # The connected part in which what is so wide can move about most.
+    away_m = _distance_m(grid, plan.resolution_m)
+    _, places, facts, _ = cv2.connectedComponentsWithStats((away_m >= width_m / 2).astype(np.uint8), connectivity=8)
+    if len(facts) < 2:
+        widest_m = 2 * float(away_m.max())
+        problem = f"the widest free place of the plan is {widest_m:.2f} m across, and the robot needs {width_m:.2f} m"
+        raise ConfigError(problem, fix=f"it misses {width_m - widest_m:.2f} m; is the resolution right?")
+    row, column = np.argwhere(places == 1 + int(np.argmax(facts[1:, cv2.CC_STAT_AREA])))[0]
+    _, parts = cv2.connectedComponents(grid, connectivity=4)
+    grid = np.asarray(parts == parts[row, column], np.uint8)
     outline = _outline(grid)
     shape = _straightened(outline, straight_m / plan.resolution_m)
     rings = [shapely.get_coordinates(ring) for ring in (shape.exterior, *shape.interiors)]
@@ -128,20 +138,6 @@ def _cleaned(plan: RosMap) -> ByteArray:
     opened = cv2.morphologyEx(grid, cv2.MORPH_OPEN, _disc(reach))
     # Opening rounds corners of rooms; they grow back, and no more than a stump of a slit does.
     return np.asarray(cv2.dilate(opened, _disc(max(reach // 2, 1))) & grid, np.uint8)
-
-
-def _largest_part(grid: ByteArray, cell_m: float, width_m: float) -> ByteArray:
-    """The connected part of `grid` in which what is `width_m` wide can move about most."""
-    away_m = _distance_m(grid, cell_m)
-    _, places, facts, _ = cv2.connectedComponentsWithStats((away_m >= width_m / 2).astype(np.uint8), connectivity=8)
-    if len(facts) < 2:
-        widest_m = 2 * float(away_m.max())
-        problem = f"the widest free place of the plan is {widest_m:.2f} m across, and the robot needs {width_m:.2f} m"
-        raise ConfigError(problem, fix=f"it misses {width_m - widest_m:.2f} m; is the resolution right?")
-    best = 1 + int(np.argmax(facts[1:, cv2.CC_STAT_AREA]))
-    row, column = np.argwhere(places == best)[0]
-    _, parts = cv2.connectedComponents(grid, connectivity=4)
-    return np.asarray(parts == parts[row, column], np.uint8)
 
 
 def _distance_m(grid: ByteArray, cell_m: float) -> Float32Array:
@@ -426,9 +422,8 @@ def _regions(image: ByteArray, least_px: float, path: Path) -> Int32Array:
     values, counts = np.unique(colours, return_counts=True)
     values = values[counts >= least_px]
     if len(values) > _MOST_COLOURS:
-        raise AreaError(
-            f"has {len(values)} colours that are large enough for rooms", path=path, fix="one colour a room"
-        )
+        problem = f"has {len(values)} colours that are large enough for rooms"
+        raise AreaError(problem, path=path, fix="one colour a room")
     for value in values:
         _, found = cv2.connectedComponents((colours == value).astype(np.uint8), connectivity=4)
         labels = np.where(found > 0, found + labels.max(), labels).astype(np.int32)

@@ -104,8 +104,8 @@ def plan_route(
 ) -> Route:
     """A closed tour from room to room, or one way where there is no place to turn.
 
-    Doorways are passed straight, and the seed decides which rooms are visited. `plan` says where it begins, and how long
-    a lap is about, else up to USUAL_WAY_M; with rooms too few for `least_m` a tour is driven again.
+    Doorways are passed straight, and the seed decides which rooms are visited. `plan` says where it begins, and about
+    how long a lap is, else up to USUAL_WAY_M; with rooms too few for `least_m` a tour is driven again.
 
     Raises:
         ConfigError: a start where the robot does not fit, or nowhere to go.
@@ -141,10 +141,8 @@ def _starts(
         around = body.outlines(x_m, y_m, yaw_rad, _SWEPT_MARGIN_M)
         if not ground.is_open[row, column] or not shapely.covers(ground.space.shape, shapely.polygons(around[0])):
             where = f"x = {start[0]:g}, y = {start[1]:g} m"
-            raise ConfigError(
-                f"--start {where} is too near to a wall, or off the floor",
-                fix="the plan.png of a drive without it shows the floor",
-            )
+            problem = f"--start {where} is too near to a wall, or off the floor"
+            raise ConfigError(problem, fix="the plan.png of a drive without it shows the floor")
         return [(row, column)]
     roomiest_m = float((ground.away_m * ground.is_open).max())
     goals = _goals(ground, min(body.turning_m, roomiest_m))
@@ -203,9 +201,10 @@ class _Planner:
             legs = [self._waypoints(ways.way(found[a][1], stops[b])) for a, b in pairwise([*order, order[0]])]
             lap = np.concatenate([leg[:-1] for leg in legs])
             # Where a doorway's lane ends at a stop, leaving it begins where coming to it ended.
-            while len(lap) > 2 and len(
-                same := np.flatnonzero(np.hypot(*(np.roll(lap, -1, axis=0) - lap).T) <= _SAME_M)
-            ):
+            while len(lap) > 2:
+                same = np.flatnonzero(np.hypot(*(np.roll(lap, -1, axis=0) - lap).T) <= _SAME_M)
+                if not len(same):
+                    break
                 lap = np.delete(lap, same[-1], axis=0)
             lap = lap if len(lap) > 2 else np.insert(lap, 1, lap.mean(axis=0), axis=0)
             route = Route(self._headed(lap), is_loop=True)
