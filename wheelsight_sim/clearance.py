@@ -269,20 +269,23 @@ def _draw_areas(axes: Axes, world: World, crowd: shapely.Geometry) -> None:
         axes.add_collection(edges)
         halo = [withStroke(linewidth=4, foreground="white")]
         size = 15 if len(area.name) < 3 else 11
-        x, y = _free_place(
-            area.polygon, crowd, len(area.name) * 0.65 * size * metres_per_point, size * metres_per_point
+        # Where in the polygon the name covers the least, as near to its middle as may be.
+        width_m, height_m = len(area.name) * 0.65 * size * metres_per_point, size * metres_per_point
+        low, high = area.polygon.min(0), area.polygon.max(0)
+        x, y = (grid.ravel() for grid in np.meshgrid(*np.linspace(low, high, 25).T))
+        words = shapely.box(x - width_m / 2, y - height_m / 2, x + width_m / 2, y + height_m / 2)
+        is_inside = shapely.contains_properly(shapely.Polygon(area.polygon), words)
+        room_m = np.minimum(shapely.distance(words, crowd), 0.5 * height_m)
+        away_m = np.hypot(x - (low[0] + high[0]) / 2, y - (low[1] + high[1]) / 2)
+        best = int(np.argmax(np.where(is_inside, 0.0, -1e3) + 10 * room_m - 0.2 * away_m))
+        label = axes.text(
+            float(x[best]),
+            float(y[best]),
+            area.name,
+            color=tint,
+            fontsize=size,
+            weight="bold",
+            ha="center",
+            va="center",
         )
-        label = axes.text(x, y, area.name, color=tint, fontsize=size, weight="bold", ha="center", va="center")
         label.set(zorder=8, path_effects=halo)
-
-
-def _free_place(polygon: FloatArray, crowd: shapely.Geometry, width_m: float, height_m: float) -> tuple[float, float]:
-    """Where in a polygon words of that size cover the least, as near to its middle as may be."""
-    low, high = polygon.min(0), polygon.max(0)
-    x, y = (grid.ravel() for grid in np.meshgrid(*np.linspace(low, high, 25).T))
-    words = shapely.box(x - width_m / 2, y - height_m / 2, x + width_m / 2, y + height_m / 2)
-    is_inside = shapely.contains_properly(shapely.Polygon(polygon), words)
-    room_m = np.minimum(shapely.distance(words, crowd), 0.5 * height_m)
-    away_m = np.hypot(x - (low[0] + high[0]) / 2, y - (low[1] + high[1]) / 2)
-    best = int(np.argmax(np.where(is_inside, 0.0, -1e3) + 10 * room_m - 0.2 * away_m))
-    return float(x[best]), float(y[best])

@@ -266,7 +266,18 @@ def refuse_walls(settings: SimulationSettings, world: World, driver: Driver, pic
     """Raise ConfigError if the path hits an obstacle, and draw it if `picture` is given."""
     from wheelsight_sim.clearance import draw_plan, find_collision
 
-    way = route_of(settings, world) if settings.velocities is None else _foreseen_way(driver, world)
+    way = route_of(settings, world)
+    if settings.velocities is not None:
+        # The path of the given velocities without lag, in steps of 5 cm or more.
+        (x, y), towards = world.route[0], world.route[1] - world.route[0]
+        T = se2.from_parts(x, y, np.arctan2(towards[1], towards[0]))
+        places, stamp_s = [world.route[0]], 0.0
+        while (command := driver.command(stamp_s, np.eye(4))) is not None:
+            T = T @ se2.exp(COMMAND_PERIOD_S * np.array([command.v_m_s, 0.0, command.yaw_rate_rad_s]))
+            stamp_s += COMMAND_PERIOD_S
+            if np.hypot(*(T[:2, 2] - places[-1])) >= 0.05:
+                places.append(T[:2, 2].copy())
+        way = np.array([*places, T[:2, 2] + 1e-6])
     is_loop = world.is_loop and settings.velocities is None
     collision = find_collision(world, way, settings.robot.width_m / 2 + _MARGIN_M, is_loop=is_loop)
     if collision is None:
@@ -276,20 +287,6 @@ def refuse_walls(settings: SimulationSettings, world: World, driver: Driver, pic
     if picture is not None:
         draw_plan(world, picture, route=way, mark=collision.place, is_loop=is_loop)
     raise ConfigError(problem, path=settings.velocities, fix=None if picture is None else f"see {picture}")
-
-
-def _foreseen_way(driver: Driver, world: World) -> FloatArray:
-    """(N, 2) path of given velocities without lag, in steps of 5 cm or more."""
-    (x, y), towards = world.route[0], world.route[1] - world.route[0]
-    T = se2.from_parts(x, y, np.arctan2(towards[1], towards[0]))
-    way = [world.route[0]]
-    stamp_s = 0.0
-    while (command := driver.command(stamp_s, np.eye(4))) is not None:
-        T = T @ se2.exp(COMMAND_PERIOD_S * np.array([command.v_m_s, 0.0, command.yaw_rate_rad_s]))
-        stamp_s += COMMAND_PERIOD_S
-        if np.hypot(*(T[:2, 2] - way[-1])) >= 0.05:
-            way.append(T[:2, 2].copy())
-    return np.array([*way, T[:2, 2] + 1e-6])
 
 
 def expected_s(settings: SimulationSettings, world: World) -> float | None:

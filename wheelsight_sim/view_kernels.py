@@ -134,7 +134,14 @@ def choose(boxes: Boxes, R: Any, origin: Any, bounds: Any) -> Any:
                 along = R[0, 2] * R_geom[0, k] + R[1, 2] * R_geom[1, k] + R[2, 2] * R_geom[2, k]
                 depth += R[k, 2] * aside[k] - abs(along) * half_m[g, k]
             nearest[count] = depth
-            if bounded and not _touches(sides, aside, half_m[g], R_geom):
+            reach = np.inf
+            for s in range(len(sides) if bounded else 0):
+                n, inside = sides[s], _TOLERANCE_M
+                for k in range(3):
+                    along = abs(n[0] * R_geom[0, k] + n[1] * R_geom[1, k] + n[2] * R_geom[2, k])
+                    inside += n[k] * aside[k] + along * half_m[g, k]
+                reach = min(reach, inside)
+            if reach < 0:
                 continue
         found[count] = g
         count += 1
@@ -146,18 +153,6 @@ def choose(boxes: Boxes, R: Any, origin: Any, bounds: Any) -> Any:
             found[kept] = found[i]
             kept += 1
     return found[:kept]
-
-
-@kernel
-def _touches(sides: Any, center: Any, half: Any, R: Any) -> bool:
-    for s in range(len(sides)):
-        n = sides[s]
-        reach = _TOLERANCE_M
-        for k in range(3):
-            reach += n[k] * center[k] + abs(n[0] * R[0, k] + n[1] * R[1, k] + n[2] * R[2, k]) * half[k]
-        if reach < 0:
-            return False
-    return True
 
 
 @kernel

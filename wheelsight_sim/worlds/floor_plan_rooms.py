@@ -75,7 +75,17 @@ def free_space_of(plan: RosMap, width_m: float) -> FreeSpace:
     is_coarse = plan.resolution_m > _COARSE * CELL_M
     straight_m = _STRAIGHT_CELLS * plan.resolution_m if is_coarse else _STRAIGHT_M
     plan = _resampled(plan)
-    grid = _cleaned(plan)
+    # Free cells, without specks, shadows and slits.
+    grid = (plan.occupancy == FREE).astype(np.uint8)
+    count, labels, facts, _ = cv2.connectedComponentsWithStats(1 - grid, connectivity=8)
+    has_wall = np.bincount(labels.ravel(), weights=(plan.occupancy > FREE).ravel(), minlength=count) > 0
+    small = facts[:, cv2.CC_STAT_AREA] < np.where(has_wall, _SPECK_M2, _SHADOW_M2) / plan.resolution_m**2
+    small[0] = False
+    grid[small[labels]] = 1
+    reach = max(round(_SLIT_M / plan.resolution_m), 1)
+    opened = cv2.morphologyEx(grid, cv2.MORPH_OPEN, _disc(reach))
+    # Opening rounds corners of rooms; they grow back, and no more than a stump of a slit does.
+    grid = np.asarray(cv2.dilate(opened, _disc(max(reach // 2, 1))) & grid, np.uint8)
     # The connected part in which what is so wide can move about most.
     away_m = _distance_m(grid, plan.resolution_m)
     _, places, facts, _ = cv2.connectedComponentsWithStats((away_m >= width_m / 2).astype(np.uint8), connectivity=8)
@@ -122,22 +132,6 @@ def _resampled(plan: RosMap) -> RosMap:
     share_free = (blocks == FREE).mean(axis=(1, 3))
     merged = np.where(blocks.max(axis=(1, 3)) > FREE, blocks.max(axis=(1, 3)), np.where(share_free > 0.5, FREE, -1))
     return RosMap(merged.astype(np.int8), plan.resolution_m * times, origin)
-
-
-def _cleaned(plan: RosMap) -> ByteArray:
-    """(R, C) uint8 free cells, without specks, shadows and slits."""
-    cell_m2 = plan.resolution_m**2
-    grid = (plan.occupancy == FREE).astype(np.uint8)
-    count, labels, facts, _ = cv2.connectedComponentsWithStats(1 - grid, connectivity=8)
-    has_wall = np.bincount(labels.ravel(), weights=(plan.occupancy > FREE).ravel(), minlength=count) > 0
-    limit = np.where(has_wall, _SPECK_M2, _SHADOW_M2) / cell_m2
-    small = facts[:, cv2.CC_STAT_AREA] < limit
-    small[0] = False
-    grid[small[labels]] = 1
-    reach = max(round(_SLIT_M / plan.resolution_m), 1)
-    opened = cv2.morphologyEx(grid, cv2.MORPH_OPEN, _disc(reach))
-    # Opening rounds corners of rooms; they grow back, and no more than a stump of a slit does.
-    return np.asarray(cv2.dilate(opened, _disc(max(reach // 2, 1))) & grid, np.uint8)
 
 
 def _distance_m(grid: ByteArray, cell_m: float) -> Float32Array:
@@ -331,12 +325,7 @@ def _doorway_at(
     cells = space.cells_at(both)
     if (away_m[cells[:, 0], cells[:, 1]] < width_m / 2 + _OPENS_BY_M / 2).any():
         return None
-    return _in_wall(space, middle, across, width_m)
-
-
-def _in_wall(space: FreeSpace, middle: FloatArray, across: FloatArray, width_m: float) -> Doorway | None:
-    """The doorway of that width, with the thickness of the wall on both of its sides; None where there is no wall."""
-    onward = np.array([-across[1], across[0]])
+    # The thickness of the wall, which must be on both sides of the doorway.
     depths_m = np.arange(-_THICKEST_M, _THICKEST_M + 0.01, space.cell_m / 2)
     out_m = np.arange(width_m / 2 + space.cell_m, width_m / 2 + _JAMB_M, space.cell_m)
     sides = np.concatenate([out_m, -out_m])
