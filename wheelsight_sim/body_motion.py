@@ -18,7 +18,7 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight_sim.robot import RobotModel
 from wheelsight_sim.world import World
 
-_CASTOR_X_M, _CASTOR_Y_M = 0.45, 0.17
+CASTOR_X_M, CASTOR_Y_M = 0.45, 0.17
 _SMOOTH_S = 0.02
 
 
@@ -103,13 +103,11 @@ def jolts(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Pitch, roll (N,) in radians and rise (N,) in metres of a stiff body whose wheels stand on the floor as it is."""
     half_m = robot.track_width_m / 2
-    contacts = np.array(
-        [[0, half_m, 0], [0, -half_m, 0], [_CASTOR_X_M, _CASTOR_Y_M, 0], [_CASTOR_X_M, -_CASTOR_Y_M, 0]]
-    )
+    contacts = np.array([[0, half_m, 0], [0, -half_m, 0], [CASTOR_X_M, CASTOR_Y_M, 0], [CASTOR_X_M, -CASTOR_Y_M, 0]])
     places = se3.apply(T_world_base, contacts)[..., :2]
     left, right, front_left, front_right = np.moveaxis(floor.height_m(places), -1, 0)
     back_m, front_m = 0.5 * (left + right), 0.5 * (front_left + front_right)
-    return (back_m - front_m) / _CASTOR_X_M, (left - right) / (2 * half_m), back_m
+    return (back_m - front_m) / CASTOR_X_M, (left - right) / (2 * half_m), back_m
 
 
 def sprung(goal: FloatArray, settings: BodySettings, period_s: float) -> FloatArray:

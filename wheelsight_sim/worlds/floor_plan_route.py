@@ -19,7 +19,7 @@ from shapely.ops import substring
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, IntArray
 from wheelsight_sim.drivers import Path2d, laps_of, smooth_path
-from wheelsight_sim.robot import RobotModel
+from wheelsight_sim.robot import TAIL_M, RobotModel
 from wheelsight_sim.settings import FloorPlan
 from wheelsight_sim.worlds.floor_plan_rooms import Doorway, FreeSpace, drawn
 
@@ -27,7 +27,6 @@ _ASKED_MARGIN_M = 0.107  # beside the chair: what `refuse_walls` asks for, and w
 SIDE_MARGIN_M = 0.11  # planned with
 USUAL_WAY_M = 100.0
 _SWEPT_MARGIN_M = 0.05  # a driver strays by centimetres
-_TAIL_M = 0.30  # of the chair, behind its axle
 _GOALS_APART_M = (2.0, 5.0)
 _MOST_GOALS = 14
 _SMOOTHED_M = (0.3, 0.15, 0.05)
@@ -82,7 +81,7 @@ class Body:
     @classmethod
     def of(cls, robot: RobotModel) -> Body:
         """The wheelchair's."""
-        return cls(robot.length_m - _TAIL_M, _TAIL_M, robot.width_m / 2)
+        return cls(robot.length_m - TAIL_M, TAIL_M, robot.width_m / 2)
 
     @property
     def turning_m(self) -> float:
