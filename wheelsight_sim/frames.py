@@ -87,8 +87,8 @@ class FrameMaker:
         try:
             eye = self._idle_eyes.pop()
         except IndexError:
-            seen, threads = self._surroundings, self._threads
-            scene = Scene(seen.world, seen.people, threads=threads, doors=seen.doors)
+            around, threads = self._surroundings, self._threads
+            scene = Scene(around.world, around.people, threads=threads, doors=around.doors)
             eye = _Eye(scene, self._settings, self.unit, self._duration_s, self._has_robot, threads)
         try:
             taken_s, unit = float(self.times.taken_s[index]), self.unit
