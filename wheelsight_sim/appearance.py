@@ -15,9 +15,9 @@ import numpy as np
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import Float32Array, FloatArray, Int32Array
 from wheelsight_sim import light_kernels as kernels
+from wheelsight_sim import view_kernels
 from wheelsight_sim.light_kernels import Lighting
 from wheelsight_sim.scene import Geoms, Outlines, Scene, View
-from wheelsight_sim.view_kernels import Scenery, Things, paint_outlines, paint_rows
 from wheelsight_sim.world import Surface, SurfaceKind
 
 # Textures are computed where a ray hits, from integer hashes, in metres on the face hit, and averaged over the pixel's
@@ -72,12 +72,12 @@ class Painter:
         """
         geoms = geoms or self._geoms
         out = np.empty((*view.depth_m.shape, 3), np.float32)
-        things = Things(geoms.kind, geoms.size_m, geoms.position_world, geoms.R_world_geom, *self._painted)
-        arguments = view, Scenery(things, self.lighting), out
-        self._in_parts(paint_rows, len(out), *arguments)
+        things = view_kernels.Things(geoms.kind, geoms.size_m, geoms.position_world, geoms.R_world_geom, *self._painted)
+        arguments = view, view_kernels.Scenery(things, self.lighting), out
+        self._in_parts(view_kernels.paint_rows, len(out), *arguments)
         if outlines is not None:
             samples = outlines.pixels, outlines.samples
-            self._in_parts(paint_outlines, len(outlines.pixels), *samples, *arguments)
+            self._in_parts(view_kernels.paint_outlines, len(outlines.pixels), *samples, *arguments)
         return out
 
     def _in_parts(self, kernel: Callable[..., None], count: int, *arguments: object) -> None:
