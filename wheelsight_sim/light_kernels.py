@@ -109,6 +109,7 @@ def light_row(v: int, view: View, light: Lighting, out: Any) -> None:
     Light changes slowly: along a flat face it is computed for each fourth pixel, and between them interpolated.
     """
     geom, normal_world = view.geom, view.normal_world
+    tints, sun, grid, flux, clearance, _, _ = light
     width = geom.shape[1]
     R = nine(view.T_world_camera[v])
     last = -1
@@ -117,9 +118,9 @@ def light_row(v: int, view: View, light: Lighting, out: Any) -> None:
         if g < 0 or (u % _STRIDE_PX and u != width - 1 and _is_between(v, u, geom, normal_world)):
             continue
         n = (float(normal_world[v, u, 0]), float(normal_world[v, u, 1]), float(normal_world[v, u, 2]))
-        shade, lamp, window = light_at(point(v, u, R, view), n, light)
+        shade, lamp, window = light_at(point(v, u, R, view), n, sun, grid, flux, clearance)
         for c in range(3):
-            out[v, u, c] = tinted(c, shade, lamp, window, light.tints)
+            out[v, u, c] = tinted(c, shade, lamp, window, tints)
         # What was left out since the last one lies between the two.
         for between in range(last + 1, u):
             k = (between - last) / (u - last)
@@ -148,9 +149,8 @@ def _is_between(v: int, u: int, geom: Any, normal_world: Any) -> Any:
 
 
 @kernel(error_model="numpy")
-def light_at(p: Any, n: Any, light: Lighting) -> Any:
+def light_at(p: Any, n: Any, sun: Any, grid: Any, flux: Any, clearance: Any) -> Any:
     """Shade 0 to 1 of the light from all round, light of lamps, and of windows, at p with normal n (Lambert)."""
-    _, sun, grid, flux, clearance, _, _ = light
     a, b = (p[0] - grid[0]) / grid[2], (p[1] - grid[1]) / grid[2]
     c = p[2] / grid[4]
     a, b, c = _inside(a, flux.shape[2]), _inside(b, flux.shape[1]), _inside(c, flux.shape[0])

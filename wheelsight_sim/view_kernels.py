@@ -134,13 +134,14 @@ def choose(boxes: Boxes, R: Any, origin: Any, bounds: Any) -> Any:
                 along = R[0, 2] * R_geom[0, k] + R[1, 2] * R_geom[1, k] + R[2, 2] * R_geom[2, k]
                 depth += R[k, 2] * aside[k] - abs(along) * half_m[g, k]
             nearest[count] = depth
-            reach = np.inf
+            reach = 0.0
             for s in range(len(sides) if bounded else 0):
-                n, inside = sides[s], _TOLERANCE_M
+                n, reach = sides[s], _TOLERANCE_M
                 for k in range(3):
                     along = abs(n[0] * R_geom[0, k] + n[1] * R_geom[1, k] + n[2] * R_geom[2, k])
-                    inside += n[k] * aside[k] + along * half_m[g, k]
-                reach = min(reach, inside)
+                    reach += n[k] * aside[k] + along * half_m[g, k]
+                if reach < 0:
+                    break
             if reach < 0:
                 continue
         found[count] = g
@@ -482,10 +483,10 @@ def paint_outlines(
 @kernel(error_model="numpy")
 def radiance_of(g: int, p: Any, n: Any, step_u: Any, step_v: Any, scenery: Scenery) -> tuple[Any, Any, Any]:
     """What a geom sends from p with normal n, over a pixel whose edges there are two steps."""
-    tints = scenery.light.tints
+    tints, sun, grid, flux, clearance, _, _ = scenery.light
     r, e, b = albedo_on_geom(g, p, n, step_u, step_v, scenery.things)
     glow = glow_of(g, p, n, step_u, step_v, scenery)
-    shade, lamp, window = light_at(p, n, scenery.light)
+    shade, lamp, window = light_at(p, n, sun, grid, flux, clearance)
     return (
         r * tinted(0, shade, lamp, window, tints) + glow * tints[1, 0],
         e * tinted(1, shade, lamp, window, tints) + glow * tints[1, 1],
