@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wheelsight._version import __version__
+from wheelsight import __version__
 from wheelsight.app.report import figures as joined_figures
 from wheelsight.app.report import html, sections
 from wheelsight.app.report.page import finished, settings, shown_findings

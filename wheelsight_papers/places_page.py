@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from wheelsight._version import __version__
+from wheelsight import __version__
 from wheelsight.app.report import drawing, html
 from wheelsight.app.report import plotly as go
 from wheelsight.app.report.drawing import BLUE, GREY, VERMILLION

@@ -8,7 +8,6 @@ from itertools import pairwise, product
 from pathlib import Path
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 import shapely
 from matplotlib.axes import Axes
@@ -29,10 +28,6 @@ from wheelsight_sim.world import Surface, World
 LOWEST_M = 0.05  # what is lower, a wheelchair rolls over
 HIGHEST_M = 1.0  # what is higher, it passes under
 _CIRCLE_SEGMENTS = 16  # in a quarter
-_SPHERE, _CYLINDER, _ELLIPSOID = (
-    int(kind)
-    for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_ELLIPSOID)
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,15 +63,19 @@ class Collision(NamedTuple):
 
 def footprints(world: World) -> tuple[GeomOutline, ...]:
     """All geoms but planes, in the MJCF's order."""
+    import mujoco
+
     model, data = world.at_rest()
+    kinds = mujoco.mjtGeom
+    rounds = [int(kind) for kind in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_CYLINDER, kinds.mjGEOM_ELLIPSOID)]
     found = []
     for k in range(model.ngeom):
-        if model.geom_type[k] == mujoco.mjtGeom.mjGEOM_PLANE:
+        if model.geom_type[k] == kinds.mjGEOM_PLANE:
             continue
         R, middle = data.geom_xmat[k].reshape(3, 3), data.geom_xpos[k]
         centre, half = model.geom_aabb[k, :3], model.geom_aabb[k, 3:]
         corners = middle + (centre + half * np.array(list(product((-1, 1), repeat=3)))) @ R.T
-        is_upright_round = int(model.geom_type[k]) in (_SPHERE, _CYLINDER, _ELLIPSOID) and abs(R[2, 2]) > 0.999
+        is_upright_round = int(model.geom_type[k]) in rounds and abs(R[2, 2]) > 0.999
         if is_upright_round:
             polygon = shapely.Point(middle[:2]).buffer(max(half[:2]), _CIRCLE_SEGMENTS)
         else:

@@ -21,7 +21,6 @@ from wheelsight.core.threads import Closing, OneCaller, one_at_a_time
 from wheelsight.core.trajectory import Trajectory
 from wheelsight_sim.body_motion import LiveBodyMotion, mounted
 from wheelsight_sim.cameras import Carriage, camera_model, unit_of
-from wheelsight_sim.clearance import footprints
 from wheelsight_sim.doors import LiveDoors
 from wheelsight_sim.drivers import COMMAND_PERIOD_S
 from wheelsight_sim.faults import Covered
@@ -291,6 +290,8 @@ class LiveWorld:
         world: World | None = None,
         people: LivePeopleSettings | None = None,
     ) -> None:
+        from wheelsight_sim.clearance import footprints
+
         self.world = world or world_of(settings, start)
         x_min, y_min, x_max, y_max = self.world.size_m
         if start and not (np.isfinite(start[2]) and x_min <= start[0] <= x_max and y_min <= start[1] <= y_max):

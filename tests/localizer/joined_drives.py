@@ -259,7 +259,8 @@ def joined(
     """A localizer by wheels and this eye, which stands for odometry of that kind, and its map."""
     kept = MapOfFrames()
     dense = Eye if kind == "dense" else type("Dense", (), {})
-    monkeypatch.setattr("wheelsight.estimation.camera_localizer.DenseOdometry", dense)
+    for module in ("camera_localizer", "fusion_localizer"):
+        monkeypatch.setattr(f"wheelsight.estimation.{module}.DenseOdometry", dense)
     camera = (eye, kept if kind == "dense" else None)
     monkeypatch.setattr("wheelsight.estimation.camera_localizer.camera_odometry", lambda *_: camera)
     return Localizer(calibration, load_config(overrides={"odometry": f"wheels,{kind}"} | settings)), kept

@@ -44,7 +44,8 @@ class Forest:
 def made() -> Iterator[Callable[..., Localizer]]:
     """Makes a localizer by wheels, a camera that sees the truth but where it is blind, and places."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("wheelsight.estimation.camera_localizer.DenseOdometry", Eye)
+        for module in ("camera_localizer", "fusion_localizer"):
+            patch.setattr(f"wheelsight.estimation.{module}.DenseOdometry", Eye)
         yield partial(make, patch)
 
 

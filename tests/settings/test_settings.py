@@ -11,6 +11,7 @@ from typing import Annotated, Any, get_args, get_origin
 import numpy as np
 import pytest
 from changed_settings import all_leaves, bounds, sections
+from sources import PACKAGES, ROOT
 from stand_ins import CAMERA, MemoryRecording
 
 import wheelsight
@@ -139,7 +140,7 @@ def test_all_of_them_are_in_the_config_of_a_run(tmp_path: Path) -> None:
 def test_no_setting_is_dead() -> None:
     """Each is read somewhere."""
     read: set[str] = set()
-    for path in PACKAGE.rglob("*.py"):
+    for path in (path for name in PACKAGES for path in (ROOT / name).rglob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         read |= {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Load)}
     left = [name for name, _, _ in LEAVES if name.rsplit(".")[-1] not in read]
