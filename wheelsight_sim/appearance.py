@@ -1,13 +1,11 @@
-"""Colours of a view: textures under a building's lamps and windows, with shadows and sunlight, as radiance before
-any camera.
-"""
+"""Colours of a view: textures under lamps and windows, with shadows and sunlight, as radiance before any camera."""
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import get_args
 
@@ -15,31 +13,15 @@ import cv2
 import numpy as np
 
 from wheelsight.core.errors import ConfigError
-from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, Int32Array
+from wheelsight.core.geometry import Float32Array, FloatArray, Int32Array
 from wheelsight_sim import light_kernels as kernels
-from wheelsight_sim.light_kernels import (
-    Blockers,
-    Lamps,
-    Light,
-    Panes,
-    Shadowing,
-    brightest_lamps,
-    drop_hidden,
-    keep,
-    list_blockers,
-    shine_in,
-)
+from wheelsight_sim import view_kernels
+from wheelsight_sim.light_kernels import Lighting
 from wheelsight_sim.scene import Geoms, Outlines, Scene, View
-from wheelsight_sim.view_kernels import Scenery, Things, paint_outlines, paint_rows
 from wheelsight_sim.world import Surface, SurfaceKind
 
-# Colours of a view: procedural textures on every geom under a building's lamps, as radiance before any camera.
-#
-# Textures are computed where a ray hits, from integer hashes (no images), in metres on the face hit, and averaged
-# over the pixel's footprint; at the outlines of what is seen, so is the view. Light has no shadows: what is round
-# about, a grid of lamps in the ceiling, windows on one side.
-
-
+# Textures are computed where a ray hits, from integer hashes, in metres on the face hit, and averaged over the pixel's
+# footprint; at the outlines of what is seen, so is the view.
 _KINDS: tuple[str, ...] = get_args(SurfaceKind)
 # Textures that continue on a neighbouring geom of the same material; others restart on each geom.
 _CONTINUED = ("plain", "plaster", "carpet", "tiles", "ceiling")
@@ -48,12 +30,7 @@ _CONTINUED = ("plain", "plaster", "carpet", "tiles", "ceiling")
 class Painter:
     """Paints views of one scene.
 
-    Args:
-        geoms: the scene's geoms as it starts.
-        surfaces: how each of their materials looks.
-        seed: of textures and lighting; the same seed gives the same bytes with any number of threads.
-        light_seed: of the lighting, where that is another.
-        threads: how many a picture is painted by.
+    Equal seeds give equal bytes with any number of threads; `light_seed` is of the lighting, where that is another.
 
     Raises:
         ConfigError: a geom's material is in no surface, or a surface is impossible.
@@ -72,7 +49,7 @@ class Painter:
             _surface_of(name, material, surfaces) for name, material in zip(geoms.names, geoms.materials, strict=True)
         ]
         self._geoms = geoms
-        self.lighting = Lighting.of(geoms, looks, seed if light_seed is None else light_seed)
+        self.lighting = lighting_of(geoms, looks, seed if light_seed is None else light_seed)
         origin = np.zeros((len(looks), 3))
         painted = np.zeros((len(looks), 2), np.int64)
         colours = np.array([[look.rgb, look.accent_rgb] for look in looks], float).reshape(-1, 6)
@@ -95,14 +72,12 @@ class Painter:
         """
         geoms = geoms or self._geoms
         out = np.empty((*view.depth_m.shape, 3), np.float32)
-        light = self.lighting
-        things = Things(geoms.kind, geoms.size_m, geoms.position_world, geoms.R_world_geom, *self._painted)
-        rays = Light(light.tints, light.sun, light.grid, light.flux, light.clearance)
-        arguments = view, Scenery(things, rays, light.lattice), out
-        self._in_parts(paint_rows, len(out), *arguments)
+        things = view_kernels.Things(geoms.kind, geoms.size_m, geoms.position_world, geoms.R_world_geom, *self._painted)
+        arguments = view, view_kernels.Scenery(things, self.lighting), out
+        self._in_parts(view_kernels.paint_rows, len(out), *arguments)
         if outlines is not None:
             samples = outlines.pixels, outlines.samples
-            self._in_parts(paint_outlines, len(outlines.pixels), *samples, *arguments)
+            self._in_parts(view_kernels.paint_outlines, len(outlines.pixels), *samples, *arguments)
         return out
 
     def _in_parts(self, kernel: Callable[..., None], count: int, *arguments: object) -> None:
@@ -124,9 +99,8 @@ def _surface_of(geom: str, material: str, surfaces: Mapping[str, Surface]) -> Su
             fix=f"give it one of {', '.join(sorted(surfaces))}, or add a Surface",
         )
     if surface.kind not in _KINDS:
-        raise ConfigError(
-            f"surface {material!r} has the unknown kind {surface.kind!r}", fix=f"one of {', '.join(_KINDS)}"
-        )
+        problem = f"surface {material!r} has the unknown kind {surface.kind!r}"
+        raise ConfigError(problem, fix=f"one of {', '.join(_KINDS)}")
     shares = (*surface.rgb, *surface.accent_rgb, surface.contrast, surface.shine)
     if not all(0 <= share <= 1 for share in shares):
         raise ConfigError(f"surface {material!r}: reflectances, contrast and shine lie between 0 and 1")
@@ -151,81 +125,57 @@ _ON_FLOOR_M, _LOWEST_M, _TALL_M = 0.3, 0.1, 1.8
 _PLANE, _BOX = 0, 6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Lighting:
-    """What the painter's kernels need to know of the light.
+def lighting_of(geoms: Geoms, looks: Sequence[Surface], seed: int) -> Lighting:
+    """Level, colour temperature, the windows' side and the lamps' ages by a seed; lamps where the scene has them.
 
-    Attributes:
-        tints: (3, 3) rows: light from all round, of lamps, of windows; columns: red, green, blue.
-        sun: (3,) unit vector towards the windows.
-        grid: (6,) x and y of the tables' first cell, size of a cell in `flux` and in `clearance`, distance between
-            the layers of `flux`, height of the ceiling, metres.
-        flux: (Z, Y, X, 4) vector towards the lamps, as long as they are bright, and the sum of their brightness.
-        clearance: (2, Y, X) metres to what stands on the floor, and to what stands there and is tall.
-        lattice: (5,) lamps in ceilings of panels: pitch, half lengths in x and y, glow, seed of their ages.
-        lamps: (L, 6) all lamps: position, power, half lengths in x and y.
+    Those are what glows, and a lattice in ceilings of panels.
     """
+    rng = np.random.default_rng([seed & 0xFFFFFFFF, zlib.crc32(b"light")])
+    level, warmth = rng.uniform(0.75, 1.25), rng.uniform(-1.0, 1.0)
+    # Lamps of about 3000 K to 5500 K, seen by a camera balanced between them; skylight is bluer.
+    lamp, sky = np.array([1 + 0.08 * warmth, 1.0, 1 - 0.11 * warmth]), np.array([0.94, 1.0, 1.08])
+    strengths = rng.uniform([0.38, 0.55, 0.05], [0.5, 0.75, 0.22])
+    azimuth = rng.uniform(0, 2 * np.pi)
+    tints = level * strengths[:, None] * np.array([0.5 * (lamp + 1), lamp, sky])
+    sun = np.array([np.cos(azimuth), np.sin(azimuth), 0.25]) / np.hypot(1, 0.25)
 
-    tints: FloatArray
-    sun: FloatArray
-    grid: FloatArray
-    flux: Float32Array
-    clearance: Float32Array
-    lattice: FloatArray
-    lamps: FloatArray
-
-    @classmethod
-    def of(cls, geoms: Geoms, looks: Sequence[Surface], seed: int) -> Lighting:
-        """Level, colour temperature, the windows' side and the lamps' ages by a seed; lamps where the scene has them.
-
-        Those are what glows, and a lattice in ceilings of panels.
-        """
-        rng = np.random.default_rng([seed & 0xFFFFFFFF, zlib.crc32(b"light")])
-        level, warmth = rng.uniform(0.75, 1.25), rng.uniform(-1.0, 1.0)
-        # Lamps of about 3000 K to 5500 K, seen by a camera balanced between them; skylight is bluer.
-        lamp, sky = np.array([1 + 0.08 * warmth, 1.0, 1 - 0.11 * warmth]), np.array([0.94, 1.0, 1.08])
-        strengths = rng.uniform([0.38, 0.55, 0.05], [0.5, 0.75, 0.22])
-        azimuth = rng.uniform(0, 2 * np.pi)
-        tints = level * strengths[:, None] * np.array([0.5 * (lamp + 1), lamp, sky])
-        sun = np.array([np.cos(azimuth), np.sin(azimuth), 0.25]) / np.hypot(1, 0.25)
-
-        ceilings = [g for g, look in enumerate(looks) if look.kind == "ceiling"]
-        heights = [_underside_m(geoms, g) for g in ceilings]
-        panel_m = looks[ceilings[0]].scale_m if ceilings else 1.0
-        half = max(0.5 * panel_m - _LAMP_RIM_M, 0.2 * panel_m)
-        lattice = np.array([_PANELS_TO_NEXT_LAMP * panel_m, half, half, _LAMP_GLOW, float(rng.integers(2**31))])
-        low, high = _extent(geoms)
-        ceiling_m = min(heights, default=_USUAL_CEILING_M)
-        found = []
-        for g, look in enumerate(looks):
-            if look.glow > 0:
-                sides = _half_m(geoms, g)[:2]
-                power = look.glow / _LAMP_GLOW * float(4 * sides[0] * sides[1]) / 0.3
-                found.append([*geoms.position_world[g], power, *sides])
-        lamps = np.concatenate(
-            [np.array(found, float).reshape(-1, 6), *(_in_ceiling(geoms, g, lattice, low, high) for g in ceilings)]
-        )
-        grid = np.array([*low, _FLUX_CELL_M, _CLEARANCE_CELL_M, ceiling_m / (_LAYERS - 1), ceiling_m])
-        # The table of light (Z, Y, X, 4); a lamp's light falls with the square of distance, and ends within its reach.
-        columns, rows = (np.ceil((high - grid[:2]) / grid[2]).astype(int) + 1).clip(2)
-        x, y = grid[0] + grid[2] * np.arange(columns), grid[1] + grid[2] * np.arange(rows)
-        z = grid[4] * np.arange(_LAYERS)
-        flux = np.zeros((_LAYERS, rows, columns, 4))
-        for lamp in lamps:
-            i0, i1 = np.searchsorted(x, [lamp[0] - LAMP_REACH_M, lamp[0] + LAMP_REACH_M])
-            j0, j1 = np.searchsorted(y, [lamp[1] - LAMP_REACH_M, lamp[1] + LAMP_REACH_M])
-            dx, dy = (lamp[0] - x[i0:i1])[None, None, :], (lamp[1] - y[j0:j1])[None, :, None]
-            dz = np.maximum(lamp[2] - z, _NEAREST_LAMP_M)[:, None, None]
-            square = dx**2 + dy**2 + dz**2
-            window = np.maximum(1 - (dx**2 + dy**2) / LAMP_REACH_M**2, 0) ** 2
-            # A lamp in the ceiling sends most straight down; that much of it, times the square of distance, arrives.
-            power = lamp[3] * window * dz / (0.3 + square) ** 1.5
-            for axis, d in enumerate((dx, dy, dz)):
-                flux[:, j0:j1, i0:i1, axis] += power * d / np.sqrt(square)
-            flux[:, j0:j1, i0:i1, 3] += power
-        return cls(
-            tints, sun, grid, np.ascontiguousarray(flux, np.float32), _clearance(geoms, grid, high), lattice, lamps
-        )
+    ceilings = [g for g, look in enumerate(looks) if look.kind == "ceiling"]
+    heights = [_underside_m(geoms, g) for g in ceilings]
+    panel_m = looks[ceilings[0]].scale_m if ceilings else 1.0
+    half = max(0.5 * panel_m - _LAMP_RIM_M, 0.2 * panel_m)
+    lattice = np.array([_PANELS_TO_NEXT_LAMP * panel_m, half, half, _LAMP_GLOW, float(rng.integers(2**31))])
+    low, high = _extent(geoms)
+    ceiling_m = min(heights, default=_USUAL_CEILING_M)
+    found = []
+    for g, look in enumerate(looks):
+        if look.glow > 0:
+            sides = _half_m(geoms, g)[:2]
+            power = look.glow / _LAMP_GLOW * float(4 * sides[0] * sides[1]) / 0.3
+            found.append([*geoms.position_world[g], power, *sides])
+    lamps = np.concatenate(
+        [np.array(found, float).reshape(-1, 6), *(_in_ceiling(geoms, g, lattice, low, high) for g in ceilings)]
+    )
+    grid = np.array([*low, _FLUX_CELL_M, _CLEARANCE_CELL_M, ceiling_m / (_LAYERS - 1), ceiling_m])
+    # The table of light (Z, Y, X, 4); a lamp's light falls with the square of distance, and ends within its reach.
+    columns, rows = (np.ceil((high - grid[:2]) / grid[2]).astype(int) + 1).clip(2)
+    x, y = grid[0] + grid[2] * np.arange(columns), grid[1] + grid[2] * np.arange(rows)
+    z = grid[4] * np.arange(_LAYERS)
+    flux = np.zeros((_LAYERS, rows, columns, 4))
+    for lamp in lamps:
+        i0, i1 = np.searchsorted(x, [lamp[0] - LAMP_REACH_M, lamp[0] + LAMP_REACH_M])
+        j0, j1 = np.searchsorted(y, [lamp[1] - LAMP_REACH_M, lamp[1] + LAMP_REACH_M])
+        dx, dy = (lamp[0] - x[i0:i1])[None, None, :], (lamp[1] - y[j0:j1])[None, :, None]
+        dz = np.maximum(lamp[2] - z, _NEAREST_LAMP_M)[:, None, None]
+        square = dx**2 + dy**2 + dz**2
+        window = np.maximum(1 - (dx**2 + dy**2) / LAMP_REACH_M**2, 0) ** 2
+        # A lamp in the ceiling sends most straight down; that much of it, times the square of distance, arrives.
+        power = lamp[3] * window * dz / (0.3 + square) ** 1.5
+        for axis, d in enumerate((dx, dy, dz)):
+            flux[:, j0:j1, i0:i1, axis] += power * d / np.sqrt(square)
+        flux[:, j0:j1, i0:i1, 3] += power
+    return Lighting(
+        tints, sun, grid, np.ascontiguousarray(flux, np.float32), _clearance(geoms, grid, high), lattice, lamps
+    )
 
 
 def _underside_m(geoms: Geoms, g: int) -> float:
@@ -333,12 +283,6 @@ class Shadows:
 
     The brightest lamps that are seen from somewhere near a place stand for all. Walls throw no shadow: what they hide
     of a lamp counts as if it was not there, as `Lighting` knows no walls either.
-
-    Args:
-        settings: how dark.
-        scene: what stands there, and which of it moves.
-        lighting: of the scene.
-        has_robot: whether it throws a shadow.
     """
 
     def __init__(self, settings: ShadowSettings, scene: Scene, lighting: Lighting, *, has_robot: bool) -> None:
@@ -347,7 +291,13 @@ class Shadows:
         looks = [scene.surfaces[material] for material in geoms.materials]
         self._glows = np.array([look.glow > 0 for look in looks])
         count = len(_ROBOT_M) if has_robot else 0
-        is_moving, blocks = np.isin(np.arange(len(looks)), scene.moving), _blocks(geoms, looks)
+        # What hides light: no planes, lamps or ceilings, nothing flat, and no panes.
+        half = np.where(geoms.kind[:, None] == _BOX, geoms.size_m, geoms.size_m[:, :1])
+        blocks = (geoms.kind != _PLANE) & (2 * half.min(axis=1) > _THINNEST_M)
+        blocks &= ~np.array([look.glow > 0 or look.kind == "ceiling" for look in looks])
+        blocks &= ~np.array([name.startswith(_PANE) for name in geoms.names])
+        blocks &= np.array([_box_of(geoms, g)[3] for g in range(len(looks))]) > _SHADOWS_LOWEST_M
+        is_moving = np.isin(np.arange(len(looks)), scene.moving)
         self._geom = np.concatenate([np.flatnonzero(blocks), np.full(count, -1)]).astype(np.int32)
         self._robot = slice(len(self._geom) - count, len(self._geom))
         self._boxes = np.zeros((len(self._geom), 8))
@@ -363,13 +313,13 @@ class Shadows:
         shape = (np.ceil(np.array([rows, columns]) * lighting.grid[2] / _CELL_M).astype(int) + 1).tolist()
         grid = np.array([*lighting.grid[:2], _CELL_M])
         brightest = np.empty((*shape, _CANDIDATES), np.int32)
-        brightest_lamps(lighting.lamps, grid, LAMP_REACH_M, brightest)
+        kernels.brightest_lamps(lighting.lamps, grid, LAMP_REACH_M, brightest)
         # Each cell's brightest lamps of those that walls do not hide from all of it.
-        lamps = Lamps(lighting.lamps, grid, brightest)
+        lamps = kernels.Lamps(lighting.lamps, grid, brightest)
         starts, listed = _listed(lamps, self._boxes, self._still)
-        blockers = Blockers(self._boxes, self._is_round, self._geom, np.empty(0, np.int32), starts, listed)
+        blockers = kernels.Blockers(self._boxes, self._is_round, self._geom, np.empty(0, np.int32), starts, listed)
         seen_lamps = np.empty((*lamps.brightest.shape[:2], _LAMPS), np.int32)
-        drop_hidden(lamps, blockers, seen_lamps)
+        kernels.drop_hidden(lamps, blockers, seen_lamps)
         self._lamps = lamps._replace(brightest=seen_lamps)
         self._starts, self._listed = _listed(self._lamps, self._boxes, self._still)
 
@@ -393,19 +343,9 @@ class Shadows:
                 [middle[:, 0], middle[:, 1], low, high, ahead[0] * ones, ahead[1] * ones, *sides], axis=1
             )
         out = np.empty(view.depth_m.shape, np.float32)
-        blockers = Blockers(boxes, self._is_round, self._geom, self._moving, self._starts, self._listed)
-        keep(view, Shadowing(self._lamps, blockers, self._glows, level * self._strength), out)
+        blockers = kernels.Blockers(boxes, self._is_round, self._geom, self._moving, self._starts, self._listed)
+        kernels.keep(view, kernels.Shadowing(self._lamps, blockers, self._glows, level * self._strength), out)
         return out
-
-
-def _blocks(geoms: Geoms, looks: list[Surface]) -> BoolArray:
-    """(G,) which geoms hide light: no planes, lamps or ceilings, nothing flat, and no panes."""
-    half = np.where(geoms.kind[:, None] == _BOX, geoms.size_m, geoms.size_m[:, :1])
-    is_thick = 2 * half.min(axis=1) > _THINNEST_M
-    is_other = np.array([look.glow > 0 or look.kind == "ceiling" for look in looks])
-    is_pane = np.array([name.startswith("pane") for name in geoms.names])
-    boxes = np.array([_box_of(geoms, g) for g in range(len(looks))])
-    return np.asarray((geoms.kind != _PLANE) & is_thick & ~is_other & ~is_pane & (boxes[:, 3] > _SHADOWS_LOWEST_M))
 
 
 def _box_of(geoms: Geoms, g: int) -> FloatArray:
@@ -423,13 +363,13 @@ def _box_of(geoms: Geoms, g: int) -> FloatArray:
     return np.array([x, y, z - half[2], z + half[2], 1.0, 0.0, half[0], half[1]])
 
 
-def _listed(lamps: Lamps, boxes: FloatArray, still: Int32Array) -> tuple[Int32Array, Int32Array]:
+def _listed(lamps: kernels.Lamps, boxes: FloatArray, still: Int32Array) -> tuple[Int32Array, Int32Array]:
     """`starts` and `listed` of `Blockers`."""
     starts = np.empty(lamps.brightest.size + 1, np.int32)
     listed = np.empty(0, np.int32)
-    count = list_blockers(lamps, boxes, still, starts, listed)
+    count = kernels.list_blockers(lamps, boxes, still, starts, listed)
     listed = np.empty(count, np.int32)
-    list_blockers(lamps, boxes, still, starts, listed)
+    kernels.list_blockers(lamps, boxes, still, starts, listed)
     return starts, listed
 
 
@@ -461,11 +401,8 @@ class SunlightSettings:
 class Sunlight:
     """The sun of one drive. What stands in its way throws a shadow; people do not.
 
-    Args:
-        settings: how it shines.
-        scene: with its windows, which are the boxes whose names begin with "pane".
-        towards: (3,) vector to where the windows' light comes from; its height is replaced.
-        rng: of the drive.
+    The windows are the boxes whose names begin with "pane". `towards` (3,) leads to where their light comes from; its
+    height is replaced.
     """
 
     def __init__(self, settings: SunlightSettings, scene: Scene, towards: FloatArray, rng: np.random.Generator) -> None:
@@ -490,12 +427,12 @@ class Sunlight:
             slant = max(abs(float(axes[k, 2] @ self.towards)), 0.05)
             begins = geoms.position_world[g] + grid - self.towards * through_m / slant
             reach_m[k] = scene.reach_m(begins.reshape(-1, 3), -self.towards).reshape(_CELLS) + through_m / slant
-        self._panes = Panes(np.ascontiguousarray(geoms.position_world[panes]), axes, halves, reach_m)
+        self._panes = kernels.Panes(np.ascontiguousarray(geoms.position_world[panes]), axes, halves, reach_m)
 
     def on(self, view: View) -> Float32Array:
         """(H, W) share of full sunlight on what a view shows: the cosine of incidence in patches, 0 elsewhere."""
         out = np.empty(view.depth_m.shape, np.float32)
-        shine_in(view, self._panes, self.towards, out)
+        kernels.shine_in(view, self._panes, self.towards, out)
         return out
 
 
@@ -532,4 +469,4 @@ class Lights:
         level = self.level_at(stamp_s)
         tints[1] *= level
         tints[0] *= 0.5 * (1 + level)  # half of the light from all round is that of lamps
-        return replace(lighting, tints=tints)
+        return lighting._replace(tints=tints)

@@ -1,6 +1,4 @@
-"""How a body moves on its tyres and springs, and the camera with it. Holds what wheels feel of the floor, tyres
-under load, and the mount.
-"""
+"""How a body moves on its tyres and springs, and the camera with it; what wheels feel of the floor."""
 
 from __future__ import annotations
 
@@ -20,7 +18,7 @@ from wheelsight.core.trajectory import Trajectory
 from wheelsight_sim.robot import RobotModel
 from wheelsight_sim.world import World
 
-_CASTOR_X_M, _CASTOR_Y_M = 0.45, 0.17
+CASTOR_X_M, CASTOR_Y_M = 0.45, 0.17
 _SMOOTH_S = 0.02
 
 
@@ -58,12 +56,7 @@ class BodySettings:
 class BodyMotion:
     """The body's motion against the base along one drive.
 
-    Args:
-        truth: T_world_base at a constant rate.
-        robot: whose wheels meet the floor.
-        floor: what they meet.
-        settings: how the body moves.
-        rng: of the drive.
+    `truth` is T_world_base at a constant rate; the wheels meet the floor.
     """
 
     def __init__(
@@ -76,7 +69,11 @@ class BodyMotion:
     ) -> None:
         self._stamps_s = truth.stamps_s
         period_s = float(np.median(np.diff(self._stamps_s)))
-        speed_m_s, turn_rad_s = _speeds(truth, period_s)
+        T = truth.T_frame_body
+        velocity, yaw_rad = np.gradient(T[:, :2, 3], period_s, axis=0), np.unwrap(np.arctan2(T[:, 1, 0], T[:, 0, 0]))
+        forward = np.einsum("ni,ni->n", velocity, np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=-1))
+        speed_m_s = gaussian_filter1d(forward, _SMOOTH_S / period_s)
+        turn_rad_s = gaussian_filter1d(np.gradient(yaw_rad, period_s), _SMOOTH_S / period_s)
         pitch, roll, self._up_m = jolts(truth.T_frame_body, robot, floor)
         pitch -= settings.pitch_rad_s2_m * np.gradient(speed_m_s, period_s)
         roll += settings.roll_rad_s2_m * speed_m_s * turn_rad_s
@@ -101,28 +98,16 @@ class BodyMotion:
         return np.asarray(se3.exp(xi))
 
 
-def _speeds(truth: Trajectory, period_s: float) -> tuple[FloatArray, FloatArray]:
-    """Forward speed (N,) in m/s and yaw rate (N,) in rad/s."""
-    T = truth.T_frame_body
-    velocity = np.gradient(T[:, :2, 3], period_s, axis=0)
-    yaw_rad = np.unwrap(np.arctan2(T[:, 1, 0], T[:, 0, 0]))
-    forward = np.einsum("ni,ni->n", velocity, np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=-1))
-    sigma = _SMOOTH_S / period_s
-    return gaussian_filter1d(forward, sigma), gaussian_filter1d(np.gradient(yaw_rad, period_s), sigma)
-
-
 def jolts(
     T_world_base: FloatArray, robot: RobotModel, floor: FloorSurface
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Pitch, roll (N,) in radians and rise (N,) in metres of a stiff body whose wheels stand on the floor as it is."""
     half_m = robot.track_width_m / 2
-    contacts = np.array(
-        [[0, half_m, 0], [0, -half_m, 0], [_CASTOR_X_M, _CASTOR_Y_M, 0], [_CASTOR_X_M, -_CASTOR_Y_M, 0]]
-    )
+    contacts = np.array([[0, half_m, 0], [0, -half_m, 0], [CASTOR_X_M, CASTOR_Y_M, 0], [CASTOR_X_M, -CASTOR_Y_M, 0]])
     places = se3.apply(T_world_base, contacts)[..., :2]
     left, right, front_left, front_right = np.moveaxis(floor.height_m(places), -1, 0)
     back_m, front_m = 0.5 * (left + right), 0.5 * (front_left + front_right)
-    return (back_m - front_m) / _CASTOR_X_M, (left - right) / (2 * half_m), back_m
+    return (back_m - front_m) / CASTOR_X_M, (left - right) / (2 * half_m), back_m
 
 
 def sprung(goal: FloatArray, settings: BodySettings, period_s: float) -> FloatArray:
@@ -173,13 +158,6 @@ class LiveBodyMotion:
     """`BodyMotion`, known up to the last `step`.
 
     Speeds are smoothed over the past alone, so that pitch comes 20 ms later than in `BodyMotion`.
-
-    Args:
-        period_s: from one step to the next.
-        robot: whose wheels meet the floor.
-        floor: what they meet.
-        settings: how the body moves.
-        rng: of the drive.
     """
 
     def __init__(
@@ -298,15 +276,10 @@ class FloorSettings:
 class FloorSurface:
     """Of one world, as a grid of heights.
 
-    Args:
-        world: whose areas' borders have thresholds, and on whose floor carpets lie.
-        settings: how high these are.
-        rng: of the world.
+    Borders of the world's areas have thresholds, and carpets lie on its floor.
     """
 
     def __init__(self, world: World, settings: FloorSettings, rng: np.random.Generator) -> None:
-        import mujoco
-
         low, high = np.array(world.size_m[:2], float) - _MARGIN_M, np.array(world.size_m[2:], float) + _MARGIN_M
         self.settings = settings
         self.cell_m = max(_CELL_M, float(np.sqrt(np.prod(high - low) / _MOST_CELLS)))
@@ -316,9 +289,7 @@ class FloorSurface:
         borders, carpets = np.zeros((2, rows, columns), np.uint8)
         cv2.polylines(borders, lines, True, 1)
         # The thin boxes on the floor that look like carpet.
-        model = mujoco.MjModel.from_xml_string(world.mjcf)
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
+        model, data = world.at_rest()
         for g in range(model.ngeom):
             surface = world.surfaces.get(model.mat(model.geom_matid[g]).name) if model.geom_matid[g] >= 0 else None
             top_m = data.geom_xpos[g, 2] + model.geom_size[g, 2]
@@ -382,10 +353,7 @@ class TyreSettings:
 class LoadedRadii:
     """Rolling radii of wheels, from their loads.
 
-    Args:
-        radii_m: (W,) at the loads at rest.
-        loads_n: (W,) these.
-        settings: how soft the tyres are.
+    `radii_m` (W,) are those at the loads at rest, `loads_n` (W,).
     """
 
     def __init__(self, radii_m: FloatArray, loads_n: FloatArray, settings: TyreSettings) -> None:

@@ -1,6 +1,4 @@
-"""Models of simulated depth cameras. `CameraUnit` is one unit of a model with its own errors; `Carriage` gives its true
-pose.
-"""
+"""Simulated depth cameras. `CameraUnit` is one of a model, with its own errors; `Carriage` gives its true pose."""
 
 from __future__ import annotations
 
@@ -16,23 +14,12 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, PinholeCamera, se3
 from wheelsight.core.inputs import read_yaml
 from wheelsight.core.trajectory import Trajectory
+from wheelsight_sim import depth_sensor
 from wheelsight_sim.body_motion import BodyMotion, LiveBodyMotion, mounted
-from wheelsight_sim.color_sensor import Lens, as_delivered, ideal_lens, lens_of
-from wheelsight_sim.depth_sensor import (
-    DepthDistortion,
-    DepthSensor,
-    DisparityDistortion,
-    DisparityDistortionSettings,
-    IdealDepth,
-    PhaseDistortion,
-    PhaseDistortionSettings,
-    Registration,
-    StructuredLight,
-    TimeOfFlight,
-)
+from wheelsight_sim.color_sensor import Lens, as_delivered, lens_of
 from wheelsight_sim.robot import RobotModel
 from wheelsight_sim.scene import View
-from wheelsight_sim.settings import Realism, stream
+from wheelsight_sim.settings import Realism, refuse_unknown, stream
 from wheelsight_sim.world import World
 
 _LARGEST_PX = 4096
@@ -57,13 +44,13 @@ class CameraModel:
     camera: PinholeCamera
     rate_hz: float
     rolling_shutter_s: float
-    depth: DepthSensor
+    depth: depth_sensor.DepthSensor
     depth_noise: DepthNoise
 
     @property
     def is_exact(self) -> bool:
         """Whether it has no errors at all: what remains of an error is then not the camera's."""
-        return isinstance(self.depth, IdealDepth)
+        return isinstance(self.depth, depth_sensor.IdealDepth)
 
     def resized(self, width: int, height: int) -> CameraModel:
         """The same camera with other pixels over the same field of view.
@@ -95,13 +82,16 @@ def camera_model(name: str, size: tuple[int, int] | None = None) -> CameraModel:
     Raises:
         ConfigError: a name that is none, listing those there are, or an impossible size.
     """
-    if name not in _models():
-        raise ConfigError(f"camera {name!r} is not known", fix=f"choose from {', '.join(camera_names())}")
+    refuse_unknown(name, camera_names(), f"camera {name!r} is not known")
     model = _models()[name]
     return model if size is None else model.resized(*size)
 
 
-_SENSORS: dict[str, DepthSensor] = {"ideal": IdealDepth(), "kinect-v1": StructuredLight(), "kinect-v2": TimeOfFlight()}
+_SENSORS: dict[str, depth_sensor.DepthSensor] = {
+    "ideal": depth_sensor.IdealDepth(),
+    "kinect-v1": depth_sensor.StructuredLight(),
+    "kinect-v2": depth_sensor.TimeOfFlight(),
+}
 
 
 @cache
@@ -131,25 +121,25 @@ class CameraUnit:
     model: CameraModel
     lens: Lens
     realism: Realism | None
-    registration: Registration | None
+    registration: depth_sensor.Registration | None
     seed: int
 
-    def distortion(self, scattered: FloatArray) -> DepthDistortion | None:
+    def distortion(self, scattered: FloatArray) -> depth_sensor.DepthDistortion | None:
         """Of depth, among geoms that scatter the shares (G,) of infrared light; None where there is none."""
         if self.realism is None:
             return None
         rng = stream(self.seed, "depth distortion")
-        if isinstance(self.model.depth, StructuredLight):
-            return DisparityDistortion(DisparityDistortionSettings(), self.lens.true, rng)
-        if isinstance(self.model.depth, TimeOfFlight):
-            return PhaseDistortion(PhaseDistortionSettings(), self.lens.true, scattered, rng)
+        if isinstance(self.model.depth, depth_sensor.StructuredLight):
+            return depth_sensor.DisparityDistortion(depth_sensor.DisparityDistortionSettings(), self.lens.true, rng)
+        if isinstance(self.model.depth, depth_sensor.TimeOfFlight):
+            return depth_sensor.PhaseDistortion(depth_sensor.PhaseDistortionSettings(), self.lens.true, scattered, rng)
         return None
 
     def seen_by_depth(
         self,
         view: View,
         sun: Float32Array | None,
-        distortion: DepthDistortion | None,
+        distortion: depth_sensor.DepthDistortion | None,
         twist: FloatArray,
         stamp_s: float,
     ) -> View:
@@ -172,9 +162,9 @@ class CameraUnit:
 def unit_of(model: CameraModel, realism: Realism | None, seed: int) -> CameraUnit:
     """The unit of a camera that a seed gives. A model without noise has no errors of its own either."""
     if realism is None or model.is_exact:
-        return CameraUnit(model, ideal_lens(model.camera), None, None, seed)
+        return CameraUnit(model, Lens(model.camera, model.camera), None, None, seed)
     lens = lens_of(model.camera, realism.lens, stream(seed, "lens"))
-    registration = Registration(realism.registration, model.camera.width, stream(seed, "registration"))
+    registration = depth_sensor.Registration(realism.registration, model.camera.width, stream(seed, "registration"))
     return CameraUnit(model, lens, realism, registration, seed)
 
 

@@ -1,6 +1,4 @@
-"""Where a wheelchair can drive: footprints of what stands in a world, whether a route keeps clear of them, and a
-picture of both from above.
-"""
+"""Where a wheelchair can drive: what stands in a world, whether a route keeps clear of it, a picture of both."""
 
 from __future__ import annotations
 
@@ -67,10 +65,8 @@ def footprints(world: World) -> tuple[GeomOutline, ...]:
     """All geoms but planes, in the MJCF's order."""
     import mujoco
 
+    model, data = world.at_rest()
     kinds = mujoco.mjtGeom
-    model = mujoco.MjModel.from_xml_string(world.mjcf)
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
     rounds = [int(kind) for kind in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_CYLINDER, kinds.mjGEOM_ELLIPSOID)]
     found = []
     for k in range(model.ngeom):
@@ -84,16 +80,10 @@ def footprints(world: World) -> tuple[GeomOutline, ...]:
             polygon = shapely.Point(middle[:2]).buffer(max(half[:2]), _CIRCLE_SEGMENTS)
         else:
             polygon = shapely.MultiPoint(corners[:, :2]).convex_hull
-        found.append(
-            GeomOutline(
-                name=model.geom(k).name,
-                material=model.mat(int(model.geom_matid[k])).name,
-                polygon=polygon,
-                bottom_m=float(corners[:, 2].min()),
-                top_m=float(corners[:, 2].max()),
-                is_solid=bool(model.geom_contype[k] or model.geom_conaffinity[k]),
-            )
-        )
+        bottom_m, top_m = float(corners[:, 2].min()), float(corners[:, 2].max())
+        is_solid = bool(model.geom_contype[k] or model.geom_conaffinity[k])
+        material = model.mat(int(model.geom_matid[k])).name
+        found.append(GeomOutline(model.geom(k).name, material, polygon, bottom_m, top_m, is_solid))
     return tuple(found)
 
 
@@ -157,13 +147,8 @@ def draw_plan(
 ) -> None:
     """Write the top view of a world as a PNG picture.
 
-    Args:
-        world: to draw.
-        path: of the picture; it appears whole or not at all.
-        route: (N, 2) waypoints in metres; None for the world's own.
-        track: (M, 2) metres, where a robot truly drove.
-        mark: a place to point at: where a route runs into something.
-        is_loop: whether the route leads back to its first waypoint; None for as the world has it.
+    Drawn are the `route` (N, 2), or else the world's own, the `track` (M, 2) where a robot truly drove, and a place to
+    point at, the `mark` (x, y); all in metres. The picture appears whole or not at all.
 
     Raises:
         OutputError: the picture cannot be written.
@@ -283,20 +268,23 @@ def _draw_areas(axes: Axes, world: World, crowd: shapely.Geometry) -> None:
         axes.add_collection(edges)
         halo = [withStroke(linewidth=4, foreground="white")]
         size = 15 if len(area.name) < 3 else 11
-        x, y = _free_place(
-            area.polygon, crowd, len(area.name) * 0.65 * size * metres_per_point, size * metres_per_point
+        # Where in the polygon the name covers the least, as near to its middle as may be.
+        width_m, height_m = len(area.name) * 0.65 * size * metres_per_point, size * metres_per_point
+        low, high = area.polygon.min(0), area.polygon.max(0)
+        x, y = (grid.ravel() for grid in np.meshgrid(*np.linspace(low, high, 25).T))
+        words = shapely.box(x - width_m / 2, y - height_m / 2, x + width_m / 2, y + height_m / 2)
+        is_inside = shapely.contains_properly(shapely.Polygon(area.polygon), words)
+        room_m = np.minimum(shapely.distance(words, crowd), 0.5 * height_m)
+        away_m = np.hypot(x - (low[0] + high[0]) / 2, y - (low[1] + high[1]) / 2)
+        best = int(np.argmax(np.where(is_inside, 0.0, -1e3) + 10 * room_m - 0.2 * away_m))
+        label = axes.text(
+            float(x[best]),
+            float(y[best]),
+            area.name,
+            color=tint,
+            fontsize=size,
+            weight="bold",
+            ha="center",
+            va="center",
         )
-        label = axes.text(x, y, area.name, color=tint, fontsize=size, weight="bold", ha="center", va="center")
         label.set(zorder=8, path_effects=halo)
-
-
-def _free_place(polygon: FloatArray, crowd: shapely.Geometry, width_m: float, height_m: float) -> tuple[float, float]:
-    """Where in a polygon words of that size cover the least, as near to its middle as may be."""
-    low, high = polygon.min(0), polygon.max(0)
-    x, y = (grid.ravel() for grid in np.meshgrid(*np.linspace(low, high, 25).T))
-    words = shapely.box(x - width_m / 2, y - height_m / 2, x + width_m / 2, y + height_m / 2)
-    is_inside = shapely.contains_properly(shapely.Polygon(polygon), words)
-    room_m = np.minimum(shapely.distance(words, crowd), 0.5 * height_m)
-    away_m = np.hypot(x - (low[0] + high[0]) / 2, y - (low[1] + high[1]) / 2)
-    best = int(np.argmax(np.where(is_inside, 0.0, -1e3) + 10 * room_m - 0.2 * away_m))
-    return float(x[best]), float(y[best])

@@ -1,11 +1,9 @@
-"""A colour camera: radiance becomes bytes by way of lens, exposure, electrons, noise and gamma. Holds automatic
-exposure, the true lens, and JPEG.
-"""
+"""A colour camera: radiance becomes bytes by way of lens, exposure, electrons, noise, gamma and JPEG."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,15 +15,18 @@ from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, Pinhol
 from wheelsight_sim.scene import View
 from wheelsight_sim.sensor_kernels import Exposed, develop, flow_kernel, smear
 
-# A colour camera's sensor: radiance to bytes by way of lens, exposure, electrons, noise and gamma.
-#
 # The linear model of the EMVA standard 1288 (release 4, section 2): electrons are Poisson distributed about what
 # light and time make of them, reading adds Gaussian noise, a gain turns them into numbers that saturate; then sRGB's
 # curve (IEC 61966-2-1).
 
-
-_NORMALS = 4096
-_LEVELS = 16384
+_LEVELS = np.linspace(0, 1, 16384)
+# The byte of each of these linear levels by sRGB's curve.
+_SRGB_BYTES: ByteArray = np.round(
+    255 * np.where(_LEVELS <= 0.0031308, 12.92 * _LEVELS, 1.055 * _LEVELS ** (1 / 2.4) - 0.055)
+).astype(np.uint8)
+# Equally likely values of a normal distribution, of mean 0 and, once divided, variance 1 exactly.
+_QUANTILES = ndtri((np.arange(4096) + 0.5) / 4096)
+_NORMALS = np.asarray(_QUANTILES / _QUANTILES.std(), np.float32)
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 # Lamps seen directly count in metering as if they were this bright.
 _METERED_AT_MOST = 1.5
@@ -108,12 +109,8 @@ class ColorSensor:
     ) -> ByteArray:
         """The image (H, W, 3) a camera delivers of a view's radiance (H, W, 3).
 
-        Args:
-            radiance: of each pixel, from `Painter.paint`.
-            view: what the radiance belongs to.
-            exposure: time and gain, from `meter`.
-            rng: draws one number; all noise of the frame follows from it.
-            twist_camera: (6,) m/s and rad/s, velocity (v, ω) of the camera in its own frame; motion blur needs it.
+        `rng` draws one number, from which all noise of the frame follows. `twist_camera` (6,) is the velocity (v, ω) of
+        the camera in its own frame, m/s and rad/s; motion blur needs it.
 
         Raises:
             ConfigError: the sensor has motion blur, and no twist was given.
@@ -134,8 +131,8 @@ class ColorSensor:
             image,
             np.asarray(1 - self.vignetting * (1 - cosine_squared**2), np.float32),
             Exposed(electrons, self.full_well, self.read_noise, gain),
-            _normal_quantiles(),
-            _srgb_bytes(),
+            _NORMALS,
+            _SRGB_BYTES,
             int(rng.integers(2**31)),
             out,
         )
@@ -151,21 +148,6 @@ def image_flow(view: View, twist_camera: ArrayLike) -> Float32Array:
     out = np.empty((*view.depth_m.shape, 2), np.float32)
     flow_kernel(view.depth_m, view.rays, twist, out)
     return out
-
-
-@cache
-def _normal_quantiles() -> Float32Array:
-    """Equally likely values of a normal distribution of mean 0 and variance 1, exactly."""
-    values = ndtri((np.arange(_NORMALS) + 0.5) / _NORMALS)
-    return np.asarray(values / values.std(), np.float32)
-
-
-@cache
-def _srgb_bytes() -> ByteArray:
-    """The byte of each linear level 0 to 1 in equal steps, by sRGB's curve."""
-    x = np.linspace(0, 1, _LEVELS)
-    curve = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
-    return np.round(255 * curve).astype(np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,18 +262,10 @@ class Lens:
     nominal: PinholeCamera
 
 
-def ideal_lens(camera: PinholeCamera) -> Lens:
-    """A lens without distortion, known exactly."""
-    return Lens(camera, camera)
-
-
 def lens_of(camera: PinholeCamera, settings: LensSettings, rng: np.random.Generator) -> Lens:
     """The lens of one unit of a camera, and one calibration of it.
 
-    Args:
-        camera: without distortion, in the size wanted.
-        settings: how lenses are.
-        rng: of the unit.
+    `camera` has no distortion, and the size wanted.
     """
     k1, k2, p1, p2, k3 = settings.distortion
     unlike = 1 + settings.unlike_sigma * rng.standard_normal()
@@ -300,14 +274,9 @@ def lens_of(camera: PinholeCamera, settings: LensSettings, rng: np.random.Genera
     focal = 1 + settings.focal_sigma * rng.standard_normal()
     centre_px = settings.centre_sigma_px * camera.width / 640 * rng.standard_normal(2)
     bent = 1 + settings.distortion_sigma * rng.standard_normal()
-    true = replace(
-        nominal,
-        fx=camera.fx * focal,
-        fy=camera.fy * focal,
-        cx=camera.cx + centre_px[0],
-        cy=camera.cy + centre_px[1],
-        distortion=(bent * unlike * k1, bent * unlike * k2, *tangential, bent * unlike * k3),
-    )
+    distortion = (bent * unlike * k1, bent * unlike * k2, *tangential, bent * unlike * k3)
+    middle: dict[str, Any] = {"cx": camera.cx + centre_px[0], "cy": camera.cy + centre_px[1]}
+    true = replace(nominal, fx=camera.fx * focal, fy=camera.fy * focal, distortion=distortion, **middle)
     return Lens(true, nominal)
 
 
@@ -339,12 +308,8 @@ def as_delivered(color: ByteArray, settings: PixelSettings) -> ByteArray:
         # OpenCV names the pattern by the pixels of its second row and column.
         color = np.asarray(cv2.cvtColor(mosaic, cv2.COLOR_BayerBG2RGB), np.uint8)
     if settings.jpeg_quality:
-        options = [
-            cv2.IMWRITE_JPEG_QUALITY,
-            settings.jpeg_quality,
-            cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
-            cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420,
-        ]
+        halved = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420]
+        options = [cv2.IMWRITE_JPEG_QUALITY, settings.jpeg_quality, *halved]
         _, data = cv2.imencode(".jpg", color[..., ::-1], options)
         color = np.asarray(cv2.cvtColor(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB), np.uint8)
     return color

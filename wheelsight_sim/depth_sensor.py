@@ -1,6 +1,4 @@
-"""Depth cameras as they are: what each makes of the depth that its rays truly meet. Holds distortion, multipath, and
-registration to colour.
-"""
+"""Depth cameras: what each makes of the depth that its rays meet; distortion, multipath, registration to colour."""
 
 from __future__ import annotations
 
@@ -12,21 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
-from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, PinholeCamera
+from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera
+from wheelsight_sim import sensor_kernels as kernels
 from wheelsight_sim.color_sensor import image_flow
 from wheelsight_sim.scene import View
-from wheelsight_sim.sensor_kernels import (
-    Chance,
-    Limits,
-    Pattern,
-    Phase,
-    Seen,
-    detectable,
-    lit_by_projector,
-    match_pattern,
-    returned_light,
-    time_light,
-)
 
 # Correlating noise over less than this makes none.
 _WHITE_PX = 0.3
@@ -109,13 +96,13 @@ class StructuredLight:
         native_per_px = self.native_focal_px / camera.fx
         focal_baseline = camera.fx * self.baseline_m
         cells = tuple(int(side * native_per_px / self.block_px) + 1 for side in view.depth_m.shape)
-        chance = Chance(rng.integers(0, 256, (*cells, 3), np.uint8), native_per_px / self.block_px)
+        chance = kernels.Chance(rng.integers(0, 256, (*cells, 3), np.uint8), native_per_px / self.block_px)
         noise = _correlated(rng, view.depth_m.shape, 0.5 * self.block_px / native_per_px)
-        seen = _light(view, infrared * (1 - shine))
-        usable = detectable(seen, shine, chance, _limits(self))
-        usable &= lit_by_projector(view.depth_m, view.geom, focal_baseline, self.shadow_px / native_per_px)
+        seen = kernels.returned_light(view, infrared * (1 - shine))
+        usable = kernels.detectable(seen, shine, chance, _limits(self))
+        usable &= kernels.lit_by_projector(view.depth_m, view.geom, focal_baseline, self.shadow_px / native_per_px)
         whole = self.quadratic_per_m * self.native_focal_px * self.baseline_m
-        pattern = Pattern(
+        pattern = kernels.Pattern(
             math.sqrt(max(whole**2 - 1 / (12 * self.steps_per_px**2), 0.0)),
             self.oblique_m,
             focal_baseline,
@@ -123,7 +110,7 @@ class StructuredLight:
             self.steps_per_px,
         )
         shifts_px = np.asarray((self.edge_sigma_px / native_per_px) * ndtri((np.arange(256) + 0.5) / 256))
-        return np.asarray(match_pattern(seen, usable, noise, chance, shifts_px, pattern))
+        return np.asarray(kernels.match_pattern(seen, usable, noise, chance, shifts_px, pattern))
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,23 +153,17 @@ class TimeOfFlight:
         chance = rng.integers(0, 256, (*view.depth_m.shape, 3), np.uint8)
         noise = _correlated(rng, view.depth_m.shape, 0.0)
         scattered = infrared * (1 - shine)
-        seen = _light(view, scattered)
-        usable = detectable(seen, shine, Chance(chance, 1.0), _limits(self))
-        phase = Phase(np.array(self.axial), self.reference, self.jump, self.edge_share, self.edge_loss)
-        return np.asarray(time_light(seen, usable, scattered, noise, chance, phase))
+        seen = kernels.returned_light(view, scattered)
+        usable = kernels.detectable(seen, shine, kernels.Chance(chance, 1.0), _limits(self))
+        phase = kernels.Phase(np.array(self.axial), self.reference, self.jump, self.edge_share, self.edge_loss)
+        return np.asarray(kernels.time_light(seen, usable, scattered, noise, chance, phase))
 
 
 DepthSensor = IdealDepth | StructuredLight | TimeOfFlight
 
 
-def _light(view: View, scattered: FloatArray) -> Seen:
-    R_world_rows = np.ascontiguousarray(view.T_world_camera[:, :3, :3])
-    cosine, light = returned_light(view.depth_m, view.geom, view.normal_world, R_world_rows, view.rays, scattered)
-    return Seen(view.depth_m, view.geom, cosine, light)
-
-
-def _limits(sensor: StructuredLight | TimeOfFlight) -> Limits:
-    return Limits(
+def _limits(sensor: StructuredLight | TimeOfFlight) -> kernels.Limits:
+    return kernels.Limits(
         sensor.near_m,
         sensor.far_m,
         math.cos(math.radians(sensor.grazing_deg)),
@@ -326,10 +307,7 @@ def multipath_m(view: View, scattered: FloatArray, grid: tuple[int, int]) -> Flo
     light of the lamp directly, and from every other patch, on which the lamp shines too, by their form factor. A
     pixel's distance is the mean of the ways, weighted by their light. Patches do not hide one another.
 
-    Args:
-        view: what is seen.
-        scattered: (G,) share of the light that each geom scatters at the sensor's wavelength.
-        grid: columns and rows of patches.
+    `scattered` (G,) is the share of the light that each geom scatters; `grid` the columns and rows of patches.
     """
     h, w = view.depth_m.shape
     rows = ((np.arange(grid[1]) + 0.5) * h / grid[1]).astype(int)
@@ -403,10 +381,7 @@ class RegistrationSettings:
 class Registration:
     """Of one unit, from its seed.
 
-    Args:
-        settings: how drivers register.
-        width: of the images, pixels.
-        rng: of the unit.
+    `width` is that of the images, pixels.
     """
 
     def __init__(self, settings: RegistrationSettings, width: int, rng: np.random.Generator) -> None:
@@ -430,15 +405,28 @@ class Registration:
         offset and from where its point moves meanwhile, and depth grows by the camera's motion. A pixel that would
         look beside the image shows nothing.
 
-        Args:
-            view: of the colour image.
-            twist_camera: (6,) m/s and rad/s, velocity (v, ω) of the camera in its own frame.
-            stamp_s: when colour was taken.
+        `twist_camera` (6,) is the velocity (v, ω) of the camera in its own frame, m/s and rad/s.
         """
         late_s = self.late_s(stamp_s)
-        at, is_inside = self._sources(view, twist_camera, late_s)
-        # (H, W) where a block of the pattern lies on two depths.
+        h, w = view.depth_m.shape
+        with np.errstate(divide="ignore"):
+            inverse = np.where(view.depth_m > 0, 1 / view.depth_m, np.float32(0))
+        # What comes to a pixel later is now where it comes from.
+        moved_px = image_flow(view, twist_camera) * np.float32(-late_s)
+        along, down = np.arange(w), np.arange(h)[:, None]
+        offset_px, parallax_px_m = self.offset_px, self.parallax_px_m
+        columns = along + self.scale * (along - w / 2) + offset_px[0] + parallax_px_m[0] * inverse + moved_px[..., 0]
+        rows = down + self.scale * (down - h / 2) + offset_px[1] + parallax_px_m[1] * inverse + moved_px[..., 1]
+        column, row = np.rint(columns).astype(np.int64), np.rint(rows).astype(np.int64)
+        is_inside = (column >= 0) & (column < w) & (row >= 0) & (row < h)
+        at = np.where(is_inside, row * w + column, 0)
+        # The pixels of the colour image that the depth camera sees.
         s = self._settings
+        left, top, right, bottom = (round(self._scale * px) for px in s.border_px)
+        is_in_sight = np.zeros((h, w), bool)
+        is_in_sight[top : h - bottom, left : w - right] = True
+        is_inside &= is_in_sight
+        # (H, W) where a block of the pattern lies on two depths.
         near_m = cv2.erode(np.where(view.depth_m > 0, view.depth_m, np.float32(_FAR_M)), _CROSS)
         far_m = cv2.dilate(view.depth_m, _CROSS)
         step_px = _FOCAL_BASELINE_PX_M * (1 / np.maximum(near_m, 0.1) - 1 / np.maximum(far_m, 0.1))
@@ -446,36 +434,10 @@ class Registration:
         shape = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (across, across))
         is_inside &= ~np.asarray(cv2.dilate((step_px > s.step_px).astype(np.uint8), shape), bool).ravel()[at]
         depth_m = np.where(is_inside, view.depth_m.ravel()[at], np.float32(0))
-        v, w = np.split(np.asarray(twist_camera, float), 2)
-        nearer = 1 + late_s * (w[0] * view.rays[..., 1] - w[1] * view.rays[..., 0]) * -1
+        v, turn = np.split(np.asarray(twist_camera, float), 2)
+        nearer = 1 + late_s * (turn[0] * view.rays[..., 1] - turn[1] * view.rays[..., 0]) * -1
         depth_m = np.where(depth_m > 0, np.maximum(depth_m * nearer - late_s * v[2], 1e-3), 0)
         geom = np.where(is_inside & (depth_m > 0), view.geom.ravel()[at], np.int32(-1))
         normal = view.normal_world.reshape(-1, 3)[at]
         normal[geom < 0] = 0
         return View(depth_m.astype(np.float32), geom, normal, view.T_world_camera, view.rays)
-
-    def _sources(self, view: View, twist_camera: ArrayLike, late_s: float) -> tuple[NDArray[np.int64], BoolArray]:
-        """Which pixel of the view (H, W), as an index of the flat image, each one shows; and whether it is in it."""
-        h, w = view.depth_m.shape
-        with np.errstate(divide="ignore"):
-            inverse = np.where(view.depth_m > 0, 1 / view.depth_m, np.float32(0))
-        # What comes to a pixel later is now where it comes from.
-        moved_px = image_flow(view, twist_camera) * np.float32(-late_s)
-        along, down = np.arange(w), np.arange(h)[:, None]
-        columns = (
-            along
-            + self.scale * (along - w / 2)
-            + self.offset_px[0]
-            + self.parallax_px_m[0] * inverse
-            + moved_px[..., 0]
-        )
-        rows = (
-            down + self.scale * (down - h / 2) + self.offset_px[1] + self.parallax_px_m[1] * inverse + moved_px[..., 1]
-        )
-        column, row = np.rint(columns).astype(np.int64), np.rint(rows).astype(np.int64)
-        is_inside = (column >= 0) & (column < w) & (row >= 0) & (row < h)
-        # The pixels of the colour image that the depth camera sees.
-        left, top, right, bottom = (round(self._scale * px) for px in self._settings.border_px)
-        is_in_sight = np.zeros((h, w), bool)
-        is_in_sight[top : h - bottom, left : w - right] = True
-        return np.where(is_inside, row * w + column, 0), is_inside & is_in_sight

@@ -56,11 +56,7 @@ class Swing:
 
 
 class Leaves:
-    """Swinging leaves of doors; subclasses give their angles.
-
-    Args:
-        boards: the leaves.
-    """
+    """Swinging leaves of doors; subclasses give their angles."""
 
     def __init__(self, boards: list[DoorPanel]) -> None:
         self._boards = boards
@@ -70,9 +66,14 @@ class Leaves:
         """The swinging leaves."""
         return tuple(board.leaf for board in self._boards)
 
+    def shares_at(self, stamp_s: float) -> list[float]:
+        """How far each leaf is from where the world has it, 0, to its other end, 1."""
+        raise NotImplementedError
+
     def turns_at(self, stamp_s: float) -> FloatArray:
         """(N,) how far each leaf is turned from where the world has it, radians, anticlockwise."""
-        raise NotImplementedError
+        shares = zip(self.shares_at(stamp_s), self._boards, strict=True)
+        return np.array([share * board.leaf.turn_rad for share, board in shares])
 
     def poses_at(self, stamp_s: float) -> tuple[FloatArray, FloatArray]:
         """Middles (N, 3) of the leaves at a time, metres, and their yaws (N,), radians."""
@@ -101,14 +102,7 @@ class Doors(Leaves):
     While robot or people are within reach of a leaf, it rests at its position in the world, which is out of the way:
     open where the route leads through. A swing has minimum jerk (Flash & Hogan, J. Neuroscience 5, 1985).
 
-    Args:
-        world: has the leaves.
-        drive: the finished drive.
-        count: number of swinging leaves; the seed chooses them.
-        seed: of the choice and the times.
-        robot: gives the outline to avoid.
-        passersby: people to avoid.
-        settings: of the motion.
+    The seed chooses which `count` leaves swing, and when.
 
     Raises:
         ConfigError: the world has fewer leaves with room to swing.
@@ -141,10 +135,16 @@ class Doors(Leaves):
             self.starts.append(start)
             self.swings.append(swings)
 
-    def turns_at(self, stamp_s: float) -> FloatArray:
-        """(N,) how far each leaf is turned from where the world has it, radians, anticlockwise."""
-        shares = [_share(start, swings, stamp_s) for start, swings in zip(self.starts, self.swings, strict=True)]
-        return np.array([share * board.leaf.turn_rad for share, board in zip(shares, self._boards, strict=True)])
+    def shares_at(self, stamp_s: float) -> list[float]:
+        """How far each leaf is from where the world has it, 0, to its other end, 1."""
+        shares = list(self.starts)
+        for k, swings in enumerate(self.swings):
+            for swing in swings:
+                if stamp_s < swing.begin_s:
+                    break
+                done = min((stamp_s - swing.begin_s) / (swing.end_s - swing.begin_s), 1.0)
+                shares[k] += (swing.to_share - shares[k]) * done**3 * (10 - 15 * done + 6 * done**2)
+        return shares
 
     def to_csv(self) -> str:
         """The swings of each leaf, with angles relative to truth/world.xml."""
@@ -217,15 +217,11 @@ def swinging(world: World, count: int, seed: int) -> list[DoorPanel]:
 
 def _boards(world: World) -> list[DoorPanel]:
     """The world's leaves, but for those that would swing into something."""
-    import mujoco
-
     from wheelsight_sim.clearance import footprints
 
     if not world.leaves:
         return []
-    model = mujoco.MjModel.from_xml_string(world.mjcf)
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    model, data = world.at_rest()
     things = footprints(world)
     boards = []
     for leaf in world.leaves:
@@ -234,11 +230,8 @@ def _boards(world: World) -> list[DoorPanel]:
         yaw_rad = math.atan2(R[1, 0], R[0, 0])
         board = DoorPanel(leaf, data.geom_xpos[g].copy(), model.geom_size[g].copy(), yaw_rad)
         top_m = board.middle_m[2] + board.half_m[2] - _OVER_FLOOR_M
-        others = [
-            thing.polygon
-            for thing in things
-            if thing.name != leaf.geom and thing.top_m > _OVER_FLOOR_M and thing.bottom_m < top_m
-        ]
+        near = [thing for thing in things if thing.top_m > _OVER_FLOOR_M and thing.bottom_m < top_m]
+        others = [thing.polygon for thing in near if thing.name != leaf.geom]
         if shapely.disjoint(board.swept(_AT_HINGE_M, _AT_END_M), others).all():
             boards.append(board)
     return boards
@@ -282,17 +275,6 @@ def _swings(
     return start, tuple(swings)
 
 
-def _share(start: float, swings: tuple[Swing, ...], stamp_s: float) -> float:
-    """Position of a leaf from 0 to 1 at a time."""
-    share = start
-    for swing in swings:
-        if stamp_s < swing.begin_s:
-            break
-        done = min((stamp_s - swing.begin_s) / (swing.end_s - swing.begin_s), 1.0)
-        share += (swing.to_share - share) * done**3 * (10 - 15 * done + 6 * done**2)
-    return share
-
-
 _LIVE_DOORS_STREAM = 0xD01
 _LOOKS_AGAIN_S = 1.0
 
@@ -317,12 +299,7 @@ class LiveDoors(Leaves):
 
     A leaf stops when robot or people come within reach, and later returns to its position in the world.
 
-    Args:
-        world: has the leaves.
-        outline: of the robot at its start.
-        count: number of swinging leaves; the seed chooses them.
-        seed: of the choice and the times.
-        settings: of the motion.
+    The seed chooses which `count` leaves swing, and when; `outline` is the robot's at its start.
 
     Raises:
         ConfigError: the world has fewer leaves with room to swing.
@@ -359,10 +336,9 @@ class LiveDoors(Leaves):
                     self._moves[i] = _Move(stamp_s, takes_s, stamp_s + takes_s, share, 1.0 if share == 0.0 else 0.0)
                     self._next_s[i] = stamp_s + takes_s + float(self._rng.uniform(*self._settings.rests_s))
 
-    def turns_at(self, stamp_s: float) -> FloatArray:
-        """(N,) how far each leaf is turned from where the world has it, radians, anticlockwise."""
-        shares = [move.share_at(stamp_s) for move in self._moves]
-        return np.array([share * board.leaf.turn_rad for share, board in zip(shares, self._boards, strict=True)])
+    def shares_at(self, stamp_s: float) -> list[float]:
+        """How far each leaf is from where the world has it, 0, to its other end, 1."""
+        return [move.share_at(stamp_s) for move in self._moves]
 
     def places_at(self, stamp_s: float) -> list[shapely.Polygon]:
         """What each leaf covers of the floor."""

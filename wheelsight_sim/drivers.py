@@ -18,12 +18,9 @@ from wheelsight.core.geometry import FloatArray, se2, se3
 from wheelsight.core.inputs import lines_of
 from wheelsight.io.recordings.tables import read_list, read_table
 
-# Who drives: along a route with rounded corners, with a stop at each corner, or by speeds from a file.
-#
 # A driver sees the true pose, as a person with eyes does (or goes by the wheels alone), and asks for a forward speed
 # and a yaw rate. That these change no faster than a rider can bear is the drivers' own care; `ManualVelocities`
 # leaves it to the motors' controller, which ramps less gently.
-
 
 MAX_SPEED_M_S = 1.2
 MAX_YAW_RATE_RAD_S = 2.0
@@ -70,7 +67,7 @@ class RouteFollower:
 
     def __init__(self, paths: list[Path2d], speed_m_s: float) -> None:
         self._paths = paths
-        self._speeds = [_speed_profile(path, speed_m_s) for path in paths]
+        self._speeds = [speed_profile(path, speed_m_s) for path in paths]
         self._part = 0
         self._along_m = 0.0
         self._ramp = _Ramp()
@@ -128,25 +125,22 @@ class StopAndTurn:
         """The next command, or None once the last waypoint's turn is done."""
         x_m, y_m, yaw_rad = _plane(T_world_base)
         if self._is_driving:
-            return self._drive(x_m, y_m, yaw_rad)
+            leg_yaw = self._yaws_rad[self._leg]
+            away = self._goals[self._leg] - (x_m, y_m)
+            left_m = float(away @ (math.cos(leg_yaw), math.sin(leg_yaw)))
+            off_m = float(away @ (math.sin(leg_yaw), -math.cos(leg_yaw)))
+            off_rad = float(se2.wrap_angle(yaw_rad - leg_yaw))
+            if left_m < _ARRIVED_M and self._ramp.v_m_s < 0.02:
+                self._leg, self._is_driving = self._leg + 1, False
+                return self._ramp.towards(0.0, 0.0)
+            v_m_s = min(self._speed_m_s, _braking_speed(left_m, _ACCELERATION_M_S2))
+            return self._ramp.towards(v_m_s, v_m_s * (-_PULL_PER_M * off_m - _PULL_PER_RAD * off_rad))
         error_rad = float(se2.wrap_angle(self._yaws_rad[self._leg] - yaw_rad))
         if abs(error_rad) < _ALIGNED_RAD and abs(self._ramp.yaw_rate_rad_s) < 0.02:
             if self._leg == len(self._goals):
                 return None
             self._is_driving = True
         return self._ramp.towards(0.0, _turning_rate(error_rad))
-
-    def _drive(self, x_m: float, y_m: float, yaw_rad: float) -> Command:
-        leg_yaw = self._yaws_rad[self._leg]
-        away = self._goals[self._leg] - (x_m, y_m)
-        left_m = float(away @ (math.cos(leg_yaw), math.sin(leg_yaw)))
-        off_m = float(away @ (math.sin(leg_yaw), -math.cos(leg_yaw)))
-        off_rad = float(se2.wrap_angle(yaw_rad - leg_yaw))
-        if left_m < _ARRIVED_M and self._ramp.v_m_s < 0.02:
-            self._leg, self._is_driving = self._leg + 1, False
-            return self._ramp.towards(0.0, 0.0)
-        v_m_s = min(self._speed_m_s, _braking_speed(left_m, _ACCELERATION_M_S2))
-        return self._ramp.towards(v_m_s, v_m_s * (-_PULL_PER_M * off_m - _PULL_PER_RAD * off_rad))
 
 
 class ManualVelocities:
@@ -197,9 +191,8 @@ def read_manual_velocities(path: StrPath) -> ManualVelocities:
     path = Path(path)
     rows, warnings = read_table(path, ("stamp_s", "v_m_s", "yaw_rate_rad_s"))
     if warnings:
-        raise ConfigError(
-            "the last line does not end", path=path, line=len(lines_of(read_list(path))), fix="end it with a new line"
-        )
+        last = len(lines_of(read_list(path)))
+        raise ConfigError("the last line does not end", path=path, line=last, fix="end it with a new line")
     last_s = -math.inf
     for row in rows:
         if row.stamp_s < 0 or row.stamp_s <= last_s:
@@ -231,7 +224,7 @@ class _Ramp:
         return Command(self.v_m_s, self.yaw_rate_rad_s)
 
 
-def _speed_profile(path: Path2d, speed_m_s: float) -> FloatArray:
+def speed_profile(path: Path2d, speed_m_s: float) -> FloatArray:
     """The fastest speeds (N,) along the path within its bends' yaw rate, from and to a stand, at bearable rates."""
     bends = np.abs(path.bends_per_m)
     fastest = np.minimum(speed_m_s, _CORNER_YAW_RATE_RAD_S / np.maximum(bends, 1e-9))
@@ -344,26 +337,23 @@ def smooth_path(points: FloatArray) -> list[Path2d]:
     yaws = np.arctan2(*np.diff(points, axis=0).T[::-1])
     turns = np.abs((np.diff(yaws) + np.pi) % (2 * np.pi) - np.pi)
     cuts = [0, *(np.flatnonzero(turns > _SHARPEST_ROUNDED_RAD) + 1).tolist(), len(points) - 1]
-    return [_rounded(points[first : last + 1]) for first, last in pairwise(cuts)]
-
-
-def _rounded(points: FloatArray) -> Path2d:
-    """Legs and arcs, sampled."""
-    pieces = [points[:1]]
-    for before, corner, after in zip(points, points[1:], points[2:], strict=False):
-        pieces.append(_arc(before, corner, after))
-    corners = np.concatenate([*pieces, points[-1:]])
-    keep = np.concatenate([[True], np.hypot(*np.diff(corners, axis=0).T) > 1e-6])
-    corners = corners[keep]
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
-    samples = np.linspace(0, along[-1], max(int(np.ceil(along[-1] / _SPACING_M)), 2) + 1)
-    xy = np.stack([np.interp(samples, along, column) for column in corners.T], axis=-1)
-    directions = np.unwrap(np.arctan2(*np.diff(xy, axis=0).T[::-1]))
-    yaws = np.concatenate([directions[:1], (directions[1:] + directions[:-1]) / 2, directions[-1:]])
-    bends = np.gradient(yaws, samples)
-    width = max(int(_EASED_M / (samples[1] - samples[0])), 1)
-    eased = np.convolve(np.pad(bends, width, mode="edge"), np.ones(width) / width, mode="same")[width:-width]
-    return Path2d(xy, samples, yaws, eased)
+    paths = []
+    for first, last in pairwise(cuts):
+        # Legs and arcs, sampled.
+        part = points[first : last + 1]
+        arcs = [_arc(*corner) for corner in zip(part, part[1:], part[2:], strict=False)]
+        corners = np.concatenate([part[:1], *arcs, part[-1:]])
+        corners = corners[np.concatenate([[True], np.hypot(*np.diff(corners, axis=0).T) > 1e-6])]
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
+        samples = np.linspace(0, along[-1], max(int(np.ceil(along[-1] / _SPACING_M)), 2) + 1)
+        xy = np.stack([np.interp(samples, along, column) for column in corners.T], axis=-1)
+        directions = np.unwrap(np.arctan2(*np.diff(xy, axis=0).T[::-1]))
+        yaws = np.concatenate([directions[:1], (directions[1:] + directions[:-1]) / 2, directions[-1:]])
+        bends = np.gradient(yaws, samples)
+        width = max(int(_EASED_M / (samples[1] - samples[0])), 1)
+        eased = np.convolve(np.pad(bends, width, mode="edge"), np.ones(width) / width, mode="same")[width:-width]
+        paths.append(Path2d(xy, samples, yaws, eased))
+    return paths
 
 
 def _arc(before: FloatArray, corner: FloatArray, after: FloatArray) -> FloatArray:

@@ -15,26 +15,36 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import ByteArray, Float32Array
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelTicks
 
-# A fault maps events to events: it changes frames, drops them or changes their stamps; wheel readings pass unchanged.
-# Randomness depends on the fault's seed and the frame's index alone, so that a fault has the same effect on a frame
-# wherever a stream begins. `events_with` composes several faults.
-
-
 _STREAM = 0xCA3
 _BLACK_LEVEL, _BLACK_NOISE = 2.0, 1.5
 _GAMMA = 2.2
+# Of light in a room; a Kinect's colour camera shows little but noise then, in levels.
+_DARK_LIGHT, _DARK_NOISE = 0.004, 3.0
+# Of what comes from a pane, seen from aslant; of infrared light that comes back from it.
+_REFLECTED, _PANE_SHOWS = 0.25, 0.15
+_DEPTH_NOISE_PER_M, _COLOR_NOISE = 1.4e-3, 2.0
+_FRAMES = (RgbdFrame, SkippedFrame)
+_SHARES = ("share", "blobs", "speckle")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraFault:
-    """A fault of what is taken from `begin_s` on and before `end_s`. Raises ConfigError for a time that is none."""
+    """A fault of what is taken from `begin_s` on and before `end_s`: it changes frames, drops them or their stamps.
+
+    What is random depends on `seed` and the frame's index alone, so that a fault has the same effect on a frame
+    wherever a stream begins. Raises ConfigError for a time or a share that is none.
+    """
 
     begin_s: float = 0.0
     end_s: float = math.inf
+    seed: int = 0
 
     def __post_init__(self) -> None:
         if not self.begin_s < self.end_s:
             raise ConfigError(f"a fault from {self.begin_s} to {self.end_s} s never acts", fix="give growing times")
+        for name in _SHARES:
+            if not 0 <= getattr(self, name, 0.0) <= 1:
+                raise ConfigError(f"{name} is {getattr(self, name)}", fix="a share from 0 to 1")
 
     def acts_at(self, stamp_s: float) -> bool:
         """Whether the fault acts at a time."""
@@ -42,6 +52,14 @@ class CameraFault:
 
     def apply(self, events: Iterable[Event]) -> Iterator[Event]:
         """The events with this fault, in order of time."""
+        for event in events:
+            if isinstance(event, RgbdFrame) and self.acts_at(event.stamp_s):
+                yield self.changed(event, np.random.default_rng([self.seed, _STREAM, event.index]))
+            else:
+                yield event
+
+    def changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        """A frame with this fault, where it changes frames one by one; `rng` is the frame's own."""
         raise NotImplementedError
 
 
@@ -53,37 +71,16 @@ def events_with(faults: Iterable[CameraFault], events: Iterable[Event]) -> Itera
 
 
 @dataclass(frozen=True, kw_only=True)
-class _ImageFault(CameraFault):
-    """Changes images one by one.
-
-    Attributes:
-        seed: of what is random about it.
-    """
-
-    seed: int = 0
-
-    def apply(self, events: Iterable[Event]) -> Iterator[Event]:
-        """The events, images changed where the fault acts."""
-        for event in events:
-            if isinstance(event, RgbdFrame) and self.acts_at(event.stamp_s):
-                yield self._changed(event, np.random.default_rng([self.seed, _STREAM, event.index]))
-            else:
-                yield event
-
-    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
-        raise NotImplementedError
-
-
-@dataclass(frozen=True, kw_only=True)
-class LightsOff(_ImageFault):
+class LightsOff(CameraFault):
     """The light goes out: colour is black but for the sensor's noise; depth, which brings its own light, goes on."""
 
-    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+    def changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        """The frame, dark."""
         return replace(frame, color=_black(frame.color, rng))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Covered(_ImageFault):
+class Covered(CameraFault):
     """Something lies on the camera: colour is black, and depth is empty or shows the cover.
 
     Attributes:
@@ -92,13 +89,14 @@ class Covered(_ImageFault):
 
     cover_m: float = 0.0
 
-    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+    def changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        """The frame, with the cover."""
         depth_m = np.full_like(frame.depth_m, self.cover_m)
         return replace(frame, color=_black(frame.color, rng), depth_m=depth_m)
 
 
 @dataclass(frozen=True, kw_only=True)
-class DepthHoles(_ImageFault):
+class DepthHoles(CameraFault):
     """Depth is missing in blobs that come and go, as on glass and in sunlight, and in single pixels everywhere.
 
     Attributes:
@@ -113,12 +111,8 @@ class DepthHoles(_ImageFault):
     blob_share: float = 0.15
     holds_frames: int = 15
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_share("blobs", self.blobs)
-        _check_share("speckle", self.speckle)
-
-    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+    def changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        """The frame, with holes in its depth."""
         lasting = np.random.default_rng([self.seed, _STREAM, 1, frame.index // self.holds_frames])
         # Where smoothed noise is highest: that share of the image exactly.
         shape = frame.depth_m.shape
@@ -131,7 +125,7 @@ class DepthHoles(_ImageFault):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExposureSteps(_ImageFault):
+class ExposureSteps(CameraFault):
     """The exposure jumps: light times a gain drawn at regular times, clipped where it exceeds what a byte holds.
 
     Attributes:
@@ -150,7 +144,8 @@ class ExposureSteps(_ImageFault):
         rng = np.random.default_rng([self.seed, _STREAM, 2, step])
         return math.exp2(rng.uniform(-self.stops, self.stops))
 
-    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+    def changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        """The frame, brighter or darker."""
         # Bytes stand for light to the power of 1/2.2, so that a gain of light is its power of bytes.
         gain = self.gain_at(frame.stamp_s) ** (1 / _GAMMA)
         return replace(frame, color=_bytes(frame.color * np.float32(gain)))
@@ -162,7 +157,7 @@ class CableOut(CameraFault):
 
     def apply(self, events: Iterable[Event]) -> Iterator[Event]:
         """The events without the frames of that time."""
-        return (event for event in events if not (_is_frame(event) and self.acts_at(event.stamp_s)))
+        return (event for event in events if not (isinstance(event, _FRAMES) and self.acts_at(event.stamp_s)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,21 +166,15 @@ class FramesDropped(CameraFault):
 
     Attributes:
         share: of the frames, 0 to 1.
-        seed: of the chance.
     """
 
     share: float = 0.2
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_share("share", self.share)
 
     def apply(self, events: Iterable[Event]) -> Iterator[Event]:
         """The events without the frames lost."""
         for event in events:
             is_lost = (
-                isinstance(event, RgbdFrame | SkippedFrame)
+                isinstance(event, _FRAMES)
                 and self.acts_at(event.stamp_s)
                 and np.random.default_rng([self.seed, _STREAM, 3, event.index]).random() < self.share
             )
@@ -212,7 +201,7 @@ class LowRate(CameraFault):
         """The events without the frames between."""
         last = -math.inf
         for event in events:
-            if _is_frame(event) and self.acts_at(event.stamp_s):
+            if isinstance(event, _FRAMES) and self.acts_at(event.stamp_s):
                 # Stamps are rounded to the microsecond: a frame just before its period belongs to it.
                 period = math.floor(event.stamp_s * self.rate_hz + 1e-3)
                 if period == last:
@@ -239,7 +228,7 @@ class LateClock(CameraFault):
         order = count()
         for event in events:
             true_s, stamped = event.stamp_s, event
-            if isinstance(event, RgbdFrame | SkippedFrame) and self.acts_at(true_s):
+            if isinstance(event, _FRAMES) and self.acts_at(true_s):
                 stamped = replace(event, stamp_s=true_s + self.late_s)
             heapq.heappush(waiting, (stamped.stamp_s, next(order), stamped))
             # Nothing that is still to come will be stamped earlier than this.
@@ -265,10 +254,6 @@ class StuckImage(CameraFault):
             yield replace(event, color=shown.color, depth_m=shown.depth_m)
 
 
-def _is_frame(event: Event) -> bool:
-    return isinstance(event, RgbdFrame | SkippedFrame)
-
-
 def _black(color: ByteArray, rng: np.random.Generator) -> ByteArray:
     return _bytes(_BLACK_LEVEL + _BLACK_NOISE * rng.standard_normal(color.shape, np.float32))
 
@@ -277,28 +262,11 @@ def _bytes(levels: Float32Array) -> ByteArray:
     return np.asarray(np.clip(np.rint(levels), 0, 255), np.uint8)
 
 
-def _check_share(name: str, value: float) -> None:
-    if not 0 <= value <= 1:
-        raise ConfigError(f"{name} is {value}", fix="a share from 0 to 1")
-
-
-# What a place does to a camera, and a person to a robot: glass, mirrors, sun, the dark, a view that stands, silence.
-#
-# These faults are put on images as they come, so that they know no walls: glass and mirror fill a part of the view for
-# as long as they act, whatever the camera's way. What they show is worse than a real pane, whose mirror image is a room
-# that stands still.
-
-
-# Of light in a room; a Kinect's colour camera shows little but noise then, in levels.
-_DARK_LIGHT, _DARK_NOISE = 0.004, 3.0
-# Of what comes from a pane, seen from aslant; of infrared light that comes back from it.
-_REFLECTED, _PANE_SHOWS = 0.25, 0.15
-_DEPTH_NOISE_PER_M, _COLOR_NOISE = 1.4e-3, 2.0
-
-
 @dataclass(frozen=True, kw_only=True)
-class _PartOfView(_ImageFault):
-    """Changes the right part of each image.
+class GlassWall(CameraFault):
+    """A pane: colour shows what is behind, and a reflection; most depth is missing, the rest is of what is behind.
+
+    It fills the right part of the view, whatever the camera's way: worse than a real pane, which stands still.
 
     Attributes:
         share: of the view's width.
@@ -306,20 +274,14 @@ class _PartOfView(_ImageFault):
 
     share: float = 0.4
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_share("share", self.share)
-
-    def _columns(self, width: int) -> slice:
+    def columns(self, frame: RgbdFrame) -> slice:
+        """Where the pane is in an image."""
+        width = frame.color.shape[1]
         return slice(width - round(self.share * width), width)
 
-
-@dataclass(frozen=True, kw_only=True)
-class GlassWall(_PartOfView):
-    """A pane: colour shows what is behind, and a reflection; most depth is missing, the rest is of what is behind."""
-
-    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
-        columns = self._columns(frame.color.shape[1])
+    def changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        """The frame, with the pane before it."""
+        columns = self.columns(frame)
         color, depth_m = frame.color.astype(np.float32), frame.depth_m.copy()
         color[:, columns] += _REFLECTED * (frame.color[:, ::-1][:, columns] - color[:, columns])
         is_missing = rng.random(depth_m[:, columns].shape) > _PANE_SHOWS
@@ -328,18 +290,19 @@ class GlassWall(_PartOfView):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mirror(_PartOfView):
+class Mirror(GlassWall):
     """Colour and depth of the view's other side, turned left to right: what moves there moves the other way."""
 
-    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
-        columns = self._columns(frame.color.shape[1])
+    def changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        """The frame, with the mirror in it."""
+        columns = self.columns(frame)
         color, depth_m = frame.color.copy(), frame.depth_m.copy()
         color[:, columns], depth_m[:, columns] = frame.color[:, ::-1][:, columns], frame.depth_m[:, ::-1][:, columns]
         return replace(frame, color=color, depth_m=depth_m)
 
 
 @dataclass(frozen=True, kw_only=True)
-class DirectSun(_ImageFault):
+class DirectSun(CameraFault):
     """The sun shines in: a patch is white and without depth, and the exposure, ruled by it, darkens the rest.
 
     Attributes:
@@ -352,7 +315,8 @@ class DirectSun(_ImageFault):
     darkens: float = 3.0
     period_s: float = 3.0
 
-    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+    def changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        """The frame, with the sun in it."""
         shape = frame.depth_m.shape
         rows, columns = np.ogrid[: shape[0], : shape[1]]
         x = shape[1] * ((frame.stamp_s - self.begin_s) / self.period_s % 1.0)
@@ -363,23 +327,18 @@ class DirectSun(_ImageFault):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DarkRoom(_ImageFault):
+class DarkRoom(CameraFault):
     """Hardly any light: colour is a few levels and the sensor's noise; depth, which brings its own light, goes on."""
 
-    def _changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+    def changed(self, frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
+        """The frame, dark."""
         color = frame.color * np.float32(_DARK_LIGHT ** (1 / _GAMMA))
         return replace(frame, color=_bytes(color + _DARK_NOISE * rng.standard_normal(color.shape, np.float32)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class StillView(CameraFault):
-    """The view stands still though the robot moves, as in an elevator; each image is new, with a noise of its own.
-
-    Attributes:
-        seed: of the noise.
-    """
-
-    seed: int = 0
+    """The view stands still though the robot moves, as in an elevator; each image is new, with a noise of its own."""
 
     def apply(self, events: Iterable[Event]) -> Iterator[Event]:
         """The events; frames of that time show what the first of them showed."""
@@ -393,9 +352,8 @@ class StillView(CameraFault):
             # The same view with other noise: a Kinect's of depth, some levels of colour.
             noisy = shown.color + _COLOR_NOISE * rng.standard_normal(shown.color.shape, np.float32)
             off_m = _DEPTH_NOISE_PER_M * shown.depth_m**2 * rng.standard_normal(shown.depth_m.shape, np.float32)
-            color = _bytes(noisy)
             depth_m = np.asarray(np.where(shown.depth_m > 0, np.maximum(shown.depth_m + off_m, 0.05), 0), np.float32)
-            yield replace(event, color=color, depth_m=depth_m)
+            yield replace(event, color=_bytes(noisy), depth_m=depth_m)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,4 @@
-"""Frames of a camera that is carried through a world, each by itself. Renderer renders those of a recorded drive
-when they are asked for.
-"""
+"""Frames of a camera that is carried through a world, each by itself; `Renderer` makes those of a recorded drive."""
 
 from __future__ import annotations
 
@@ -50,15 +48,7 @@ class FrameMaker:
         carriage: how the camera moves. It may be replaced as time goes on, if it knows the times that are asked for and
             those of the frames before, as far back as exposure is metered; what was metered once is kept.
 
-    Args:
-        surroundings: what there is to see.
-        settings: seed, day, images a second, motion blur.
-        unit: the camera.
-        carriage: how it moves.
-        times: when frames are taken.
-        duration_s: within which lamps are switched.
-        has_robot: whether there is one that throws a shadow.
-        threads: how many work at one frame.
+    Lamps are switched within `duration_s`; `threads` work at one frame.
     """
 
     def __init__(
@@ -97,11 +87,22 @@ class FrameMaker:
         try:
             eye = self._idle_eyes.pop()
         except IndexError:
-            seen, threads = self._surroundings, self._threads
-            scene = Scene(seen.world, seen.people, threads=threads, doors=seen.doors)
+            around, threads = self._surroundings, self._threads
+            scene = Scene(around.world, around.people, threads=threads, doors=around.doors)
             eye = _Eye(scene, self._settings, self.unit, self._duration_s, self._has_robot, threads)
         try:
-            return self._frame(index, eye)
+            taken_s, unit = float(self.times.taken_s[index]), self.unit
+            depth_rng, color_rng = np.random.default_rng([self._settings.day_seed, _STREAM, index]).spawn(2)
+            exposure, balance = self._exposure(index, eye)
+            view = eye.look(unit.lens.true, self.row_poses(taken_s), taken_s)
+            twist = self.carriage.twist_camera(taken_s)
+            radiance, sun = eye.radiance(view, taken_s, self._T_world_base(taken_s), has_outlines=True)
+            seen = unit.seen_by_depth(view, sun, eye.distortion, twist, taken_s)
+            depth_m = unit.model.depth.measure(seen, unit.lens.true, eye.infrared, eye.shine, depth_rng)
+            if balance is not None:
+                radiance *= balance.astype(np.float32)
+            color = unit.delivered(self._sensor.expose(radiance, view, exposure, color_rng, twist))
+            return RgbdFrame(float(self.times.told_s[index]), color, depth_m, index)
         finally:
             self._idle_eyes.append(eye)
 
@@ -109,20 +110,6 @@ class FrameMaker:
         """What was metered for frames that are no longer asked for."""
         for old in [known for known in self._metered if known <= index - _METERED_FRAMES]:
             del self._metered[old]
-
-    def _frame(self, index: int, eye: _Eye) -> RgbdFrame:
-        taken_s, unit = float(self.times.taken_s[index]), self.unit
-        depth_rng, color_rng = np.random.default_rng([self._settings.day_seed, _STREAM, index]).spawn(2)
-        exposure, balance = self._exposure(index, eye)
-        view = eye.look(unit.lens.true, self.row_poses(taken_s), taken_s)
-        twist = self.carriage.twist_camera(taken_s)
-        radiance, sun = eye.radiance(view, taken_s, self._T_world_base(taken_s), has_outlines=True)
-        seen = unit.seen_by_depth(view, sun, eye.distortion, twist, taken_s)
-        depth_m = self.unit.model.depth.measure(seen, unit.lens.true, eye.infrared, eye.shine, depth_rng)
-        if balance is not None:
-            radiance *= balance.astype(np.float32)
-        color = unit.delivered(self._sensor.expose(radiance, view, exposure, color_rng, twist))
-        return RgbdFrame(float(self.times.told_s[index]), color, depth_m, index)
 
     def _exposure(self, index: int, eye: _Eye) -> tuple[ExposureSetting, FloatArray | None]:
         """What the camera's control sets for a frame, after what it metered in this one and the ones before.
@@ -226,12 +213,7 @@ class Renderer(FrameMaker):
     Every frame has random numbers of its own, from the seed and its index, and depends on no other: rendered alone, in
     another order or by several threads, it is the same to the last bit.
 
-    Args:
-        world: what there is to see.
-        drive: along whose truth the camera moves.
-        settings: seed, day, robot, images a second, passers-by, doors, motion blur, realism.
-        camera: the model, in the size wanted.
-        carriage: how the camera moves, or None for one on the robot.
+    `carriage` says how the camera moves; None for one on the robot.
 
     Raises:
         ConfigError: the drive is too short for a single frame, or the world has fewer doors.

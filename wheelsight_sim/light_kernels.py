@@ -1,6 +1,4 @@
-"""Compiled lighting: what lamps, windows and all round about send to a point, what shadows hide, and where the sun
-shines in.
-"""
+"""Compiled lighting: what lamps, windows and all round about send to a point, and what shadows hide."""
 
 from __future__ import annotations
 
@@ -37,14 +35,27 @@ class View(NamedTuple):
     rays: FloatArray
 
 
-class Light(NamedTuple):
-    """`Lighting`'s arrays but for its lattice."""
+class Lighting(NamedTuple):
+    """The light of a building.
+
+    Attributes:
+        tints: (3, 3) rows: light from all round, of lamps, of windows; columns: red, green, blue.
+        sun: (3,) unit vector towards the windows.
+        grid: (6,) x and y of the tables' first cell, size of a cell in `flux` and in `clearance`, distance between
+            the layers of `flux`, height of the ceiling, metres.
+        flux: (Z, Y, X, 4) vector towards the lamps, as long as they are bright, and the sum of their brightness.
+        clearance: (2, Y, X) metres to what stands on the floor, and to what stands there and is tall.
+        lattice: (5,) lamps in ceilings of panels: pitch, half lengths in x and y, glow, seed of their ages.
+        lamps: (L, 6) all lamps: position, power, half lengths in x and y.
+    """
 
     tints: FloatArray
     sun: FloatArray
     grid: FloatArray
     flux: Float32Array
     clearance: Float32Array
+    lattice: FloatArray
+    lamps: FloatArray
 
 
 @kernel(error_model="numpy")
@@ -92,13 +103,13 @@ def point(v: int, u: int, R: Any, view: View) -> Any:
 
 
 @kernel(error_model="numpy")
-def light_row(v: int, view: View, light: Light, out: Any) -> None:
+def light_row(v: int, view: View, light: Lighting, out: Any) -> None:
     """Irradiance over π into row v of `out` (H, W, 3); `view` and `light` as for `paint_rows`.
 
     Light changes slowly: along a flat face it is computed for each fourth pixel, and between them interpolated.
     """
     geom, normal_world = view.geom, view.normal_world
-    tints, sun, grid, flux, clearance = light
+    tints, sun, grid, flux, clearance, _, _ = light
     width = geom.shape[1]
     R = nine(view.T_world_camera[v])
     last = -1
@@ -139,12 +150,7 @@ def _is_between(v: int, u: int, geom: Any, normal_world: Any) -> Any:
 
 @kernel(error_model="numpy")
 def light_at(p: Any, n: Any, sun: Any, grid: Any, flux: Any, clearance: Any) -> Any:
-    """Shade 0 to 1 of the light from all round, light of lamps, and of windows, at p with normal n, by Lambert's law.
-
-    `grid` is x and y of the tables' first cell, the sizes of a cell in flux and in clearance, flux's layers' distance;
-    `flux` (Z, Y, X, 4) is the vector towards the lamps, as long as they are bright, and their sum whatever side they
-    are on; `clearance` (2, Y, X) the distance to what stands on the floor, and to what is tall too, metres.
-    """
+    """Shade 0 to 1 of the light from all round, light of lamps, and of windows, at p with normal n (Lambert)."""
     a, b = (p[0] - grid[0]) / grid[2], (p[1] - grid[1]) / grid[2]
     c = p[2] / grid[4]
     a, b, c = _inside(a, flux.shape[2]), _inside(b, flux.shape[1]), _inside(c, flux.shape[0])
@@ -187,8 +193,6 @@ def _shade(p: Any, n: Any, grid: Any, clearance: Any) -> Any:
     return shade - 0.2 / (1 + (max(grid[5] - p[2], 0.0) / _SEAM_M) ** 2)
 
 
-# Compiled shadows: how much of the light of the lamps round about things hide from the points of a view.
-#
 # A lamp is a level rectangle, and what stands in its light an upright box. From a point, the rays to all places of
 # the lamp make a pencil. A box hides a share of it: as much as its slab across each axis covers where the pencil is
 # within the box's heights, and no more than it covers in plan. Edges of boxes that lie along the lamp's are exact so,
@@ -442,24 +446,16 @@ def drop_hidden(lamps: Lamps, blockers: Blockers, out: Any) -> None:
                 lamp = lamps.brightest[row, column, k]
                 if lamp < 0 or kept == out.shape[2]:
                     break
-                if _is_seen(row, column, k, lamps, blockers):
-                    out[row, column, kept] = lamp
-                    kept += 1
-
-
-@kernel
-def _is_seen(row: int, column: int, k: int, lamps: Lamps, blockers: Blockers) -> bool:
-    columns, count = lamps.brightest.shape[1:]
-    place = lamps.lamps[lamps.brightest[row, column, k]]
-    for i in range(18):
-        x = lamps.grid[0] + (column + 0.5 * (i % 3)) * lamps.grid[2]
-        y = lamps.grid[1] + (row + 0.5 * (i // 3 % 3)) * lamps.grid[2]
-        p = (x, y, 0.05 + 1.5 * (i // 9))
-        d = _towards(p, place)
-        entry = (row * columns + column) * count + k
-        if d[2] > _LEAST_RISE_M and _hidden(p, d, (place[4], place[5]), -1, entry, blockers)[0] < 1:
-            return True
-    return False
+                place, entry = lamps.lamps[lamp], (row * columns + column) * count + k
+                for i in range(18):
+                    x = lamps.grid[0] + (column + 0.5 * (i % 3)) * lamps.grid[2]
+                    y = lamps.grid[1] + (row + 0.5 * (i // 3 % 3)) * lamps.grid[2]
+                    p = (x, y, 0.05 + 1.5 * (i // 9))
+                    d = _towards(p, place)
+                    if d[2] > _LEAST_RISE_M and _hidden(p, d, (place[4], place[5]), -1, entry, blockers)[0] < 1:
+                        out[row, column, kept] = lamp
+                        kept += 1
+                        break
 
 
 @kernel

@@ -1,6 +1,4 @@
-"""Walking people. `WalkableGrid` is their grid; `Passersby` walk along a finished drive, and `LivePassersby` react
-to a commanded robot.
-"""
+"""People who walk: `Passersby` along a finished drive; `LivePassersby` react to a commanded robot."""
 
 from __future__ import annotations
 
@@ -54,7 +52,21 @@ class WalkableGrid:
     """
 
     def __init__(self, world: World) -> None:
-        line, ahead = _line(np.asarray(world.route, float), world.is_loop)
+        # Points (N, 2) every 10 cm along the route with rounded corners, and its directions (N, 2).
+        points, is_loop = np.asarray(world.route, float), world.is_loop
+        if is_loop:
+            points = np.concatenate([points, points[:1]])
+        else:
+            # Longer at both ends: people come from farther than where the robot begins.
+            first, last = points[0] - points[1], points[-1] - points[-2]
+            ends = points[0] + _BEYOND_M * first / np.hypot(*first), points[-1] + _BEYOND_M * last / np.hypot(*last)
+            points = np.concatenate([ends[0][None], points, ends[1][None]])
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+        samples = np.linspace(0, along[-1], max(int(along[-1] / CELL_M), 4), endpoint=not is_loop)
+        line = np.stack([np.interp(samples, along, column) for column in points.T], axis=-1)
+        line = gaussian_filter1d(line, _CORNER_M / CELL_M, axis=0, mode="wrap" if is_loop else "nearest")
+        ahead = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0) if is_loop else np.gradient(line, axis=0)
+        ahead = ahead / np.hypot(*ahead.T)[:, None]
         low, high = line.min(axis=0) - _WIDEST_M, line.max(axis=0) + _WIDEST_M
         self.corner_m = np.floor(low / CELL_M) * CELL_M
         columns, rows = (np.ceil((high - self.corner_m) / CELL_M).astype(int) + 1).tolist()
@@ -63,11 +75,11 @@ class WalkableGrid:
         apart = xy_m - line[nearest]
         self.along_m = CELL_M * nearest.astype(float)
         self.left_m = ahead[nearest, 0] * apart[..., 1] - ahead[nearest, 1] * apart[..., 0]
-        self.lap_m = CELL_M * len(line) if world.is_loop else 1e9
+        self.lap_m = CELL_M * len(line) if is_loop else 1e9
         is_free = away_m <= _WIDEST_M
         is_free[is_free] = _free(world, xy_m[is_free])
         pieces, _ = label(is_free)
-        extra = 0 if world.is_loop else round(_BEYOND_M / CELL_M)
+        extra = 0 if is_loop else round(_BEYOND_M / CELL_M)
         on_route = np.round((line[extra : len(line) - extra] - self.corner_m) / CELL_M).astype(int)
         reached = np.unique(pieces[on_route[:, 1], on_route[:, 0]])
         self.is_free = np.isin(pieces, reached[reached > 0]).astype(np.uint8)
@@ -76,24 +88,10 @@ class WalkableGrid:
         """Centres (..., 2) of cells (..., 2) of row and column."""
         return np.asarray(self.corner_m + CELL_M * cells[..., ::-1])
 
-
-def _line(points: FloatArray, is_loop: bool) -> tuple[FloatArray, FloatArray]:
-    """Points (N, 2) every 10 cm along a route with rounded corners, and its directions (N, 2).
-
-    Routes with two ends are made longer at both: people come from farther than where the robot begins.
-    """
-    if is_loop:
-        points = np.concatenate([points, points[:1]])
-    else:
-        first, last = points[0] - points[1], points[-1] - points[-2]
-        ends = points[0] + _BEYOND_M * first / np.hypot(*first), points[-1] + _BEYOND_M * last / np.hypot(*last)
-        points = np.concatenate([ends[0][None], points, ends[1][None]])
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-    samples = np.linspace(0, along[-1], max(int(along[-1] / CELL_M), 4), endpoint=not is_loop)
-    line = np.stack([np.interp(samples, along, column) for column in points.T], axis=-1)
-    line = gaussian_filter1d(line, _CORNER_M / CELL_M, axis=0, mode="wrap" if is_loop else "nearest")
-    ahead = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0) if is_loop else np.gradient(line, axis=0)
-    return line, ahead / np.hypot(*ahead.T)[:, None]
+    def keep_clear(self, clear: ByteArray, T_world_base: FloatArray, outline_m: FloatArray, distance_m: float) -> None:
+        """Set cells of `clear` (R, C) to 0 that are nearer to the outline of a robot at a pose (4, 4)."""
+        R, xy_m = np.ascontiguousarray(T_world_base[:2, :2]), np.ascontiguousarray(T_world_base[:2, 3])
+        kernels.keep_clear(clear, CELL_M, self.corner_m, xy_m, R, outline_m, distance_m)
 
 
 def _free(world: World, xy_m: FloatArray) -> BoolArray:
@@ -101,9 +99,7 @@ def _free(world: World, xy_m: FloatArray) -> BoolArray:
     import mujoco
     import shapely
 
-    model = mujoco.MjModel.from_xml_string(world.mjcf)
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    model, data = world.at_rest()
     corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
     footprints = []
     for g in np.flatnonzero((model.geom_contype != 0) & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)):
@@ -125,10 +121,7 @@ class Walkers:
     Attributes:
         cells: (count, 2) row and column where they stand.
 
-    Args:
-        ground: where they walk.
-        cells: (count, 2) where they begin.
-        rng: of who they are.
+    `rng` decides who they are.
     """
 
     def __init__(self, ground: WalkableGrid, cells: NDArray[np.int64], rng: np.random.Generator) -> None:
@@ -172,11 +165,7 @@ class Walkers:
 
 
 class Cylinders:
-    """Upright cylinders the size of people; subclasses give their positions.
-
-    Args:
-        xy_m: (N, 2) initial positions.
-    """
+    """Upright cylinders the size of people; subclasses give their positions."""
 
     def __init__(self, xy_m: FloatArray) -> None:
         self._begin_m = xy_m
@@ -248,13 +237,6 @@ class Passersby(Cylinders):
     that they step aside, wait or turn back in time. Their axes stay at least 0.6 m from the robot's outline and 0.3 m
     from obstacles, and they avoid each other if possible.
 
-    Args:
-        world: has the route and the obstacles.
-        drive: the finished drive; they walk from its first pose to its last.
-        count: number of people.
-        seed: of their starts, speeds and turns.
-        robot: gives the outline to avoid.
-
     Raises:
         ConfigError: a negative count, or a world without room for people.
     """
@@ -269,14 +251,12 @@ class Passersby(Cylinders):
             times_s = np.arange(math.ceil(drive.duration_s / STEP_S) + 1) * STEP_S + self._start_s
             T = drive.truth.at(times_s.clip(None, drive.truth.stamps_s[-1]))
             ground = WalkableGrid(world)
-            safe = _safe_cells(ground, T, outline_m(robot), world.name)
+            safe = _SafeCells(ground, T, outline_m(robot), world.name)
             # (N, count, 2) positions, a step apart.
             xy_robot_m = T[0, :2, 3]
             rng = np.random.default_rng((seed, _STREAM))
             walkers = Walkers(ground, starts(ground, safe.at(0), xy_robot_m, count, rng), rng)
-            cells = [walkers.cells]
-            for k in range(1, len(safe)):
-                cells.append(walkers.step([[safe.at(k)]] * count))
+            cells = [walkers.cells, *(walkers.step([[safe.at(k)]] * count) for k in range(1, len(safe)))]
             self._xy_m = ground.xy_of(np.array(cells))
         super().__init__(self._xy_m[0])
 
@@ -289,38 +269,31 @@ class Passersby(Cylinders):
 
 
 class _SafeCells:
-    """The safe cells (R, C) of each step, stored as the small difference to the free ones."""
+    """Cells (R, C) from which the robot at poses (N, 4, 4), a step apart, can be avoided until the last of them.
 
-    def __init__(self, is_free: ByteArray) -> None:
-        self._is_free, self._packed = is_free, list[bytes]()
+    Those of each step are stored as the small difference to the free ones.
+    """
+
+    def __init__(self, ground: WalkableGrid, T_world_robot: FloatArray, reach_m: FloatArray, world: str) -> None:
+        self._is_free, self._packed = ground.is_free, list[bytes]()
+        reach = np.zeros((2 * reach_cells() + 1,) * 2, np.uint8)
+        reach[tuple((steps_within_reach() + reach_cells()).T)] = 1
+        safe = ground.is_free
+        for T in T_world_robot[::-1]:
+            near_safe = cv2.dilate(safe, reach, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+            safe = np.where(near_safe, ground.is_free, np.uint8(0))
+            ground.keep_clear(safe, T, reach_m, CLEARANCE_M + _MARGIN_M)
+            self._packed.append(zlib.compress(np.packbits(safe ^ self._is_free).tobytes(), 1))
+        if not safe.any():
+            raise ConfigError(f"world {world} leaves no room for passers-by beside the robot", fix="--passers-by 0")
 
     def __len__(self) -> int:
         return len(self._packed)
-
-    def put_before(self, safe: ByteArray) -> None:
-        """Add a step before the existing ones."""
-        self._packed.append(zlib.compress(np.packbits(safe ^ self._is_free).tobytes(), 1))
 
     def at(self, step: int) -> ByteArray:
         """(R, C) uint8."""
         bits = np.frombuffer(zlib.decompress(self._packed[-1 - step]), np.uint8)
         return np.unpackbits(bits, count=self._is_free.size).reshape(self._is_free.shape) ^ self._is_free
-
-
-def _safe_cells(ground: WalkableGrid, T_world_robot: FloatArray, reach_m: FloatArray, world: str) -> _SafeCells:
-    """Cells from which the robot at poses (N, 4, 4), a step apart, can be avoided until the last of them."""
-    reach = np.zeros((2 * reach_cells() + 1,) * 2, np.uint8)
-    reach[tuple((steps_within_reach() + reach_cells()).T)] = 1
-    cells, safe = _SafeCells(ground.is_free), ground.is_free
-    for T in T_world_robot[::-1]:
-        near_safe = cv2.dilate(safe, reach, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-        safe = np.where(near_safe, ground.is_free, np.uint8(0))
-        R, xy_m = np.ascontiguousarray(T[:2, :2]), np.ascontiguousarray(T[:2, 3])
-        kernels.keep_clear(safe, CELL_M, ground.corner_m, xy_m, R, reach_m, CLEARANCE_M + _MARGIN_M)
-        cells.put_before(safe)
-    if not safe.any():
-        raise ConfigError(f"world {world} leaves no room for passers-by beside the robot", fix="--passers-by 0")
-    return cells
 
 
 _LIVE_PASSERSBY_STREAM = 0x11FE
@@ -348,13 +321,7 @@ class LivePassersby(Cylinders):
     Each step avoids the robot's present pose and the one a step later at constant velocity. A robot may still hit
     people without room to avoid it, and careless ones walk into it.
 
-    Args:
-        world: has the route and the obstacles.
-        T_world_base: (4, 4) initial pose of the robot.
-        count: number of people.
-        seed: of the people.
-        robot: gives the outline to avoid.
-        settings: their reaction to the robot.
+    `T_world_base` (4, 4) is the initial pose of the robot.
 
     Raises:
         ConfigError: a world without room for people.
@@ -413,6 +380,5 @@ class LivePassersby(Cylinders):
         """(R, C) free cells that are not so near to the robot at any of the poses."""
         clear = self._ground.is_free.copy()
         for T in poses:
-            R, xy_m = np.ascontiguousarray(T[:2, :2]), np.ascontiguousarray(T[:2, 3])
-            kernels.keep_clear(clear, CELL_M, self._ground.corner_m, xy_m, R, self._outline_m, distance_m)
+            self._ground.keep_clear(clear, T, self._outline_m, distance_m)
         return clear

@@ -1,6 +1,4 @@
-"""A drive, stepped by MuJoCo: the driver's commands turn motors, motors turn wheels, wheels grip or slip. Holds the
-way that the robot is to go, and the drive of a holonomic base.
-"""
+"""A drive, stepped by MuJoCo, and the drive of a holonomic base; the way that the robot is to go."""
 
 from __future__ import annotations
 
@@ -17,19 +15,9 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import FloatArray, se2, se3
 from wheelsight.core.messages import HolonomicReading, OdometryReading, WheelCounts, WheelTicks, YawRate
 from wheelsight.core.trajectory import Trajectory
+from wheelsight_sim import drivers
 from wheelsight_sim.doors import Leaves
-from wheelsight_sim.drivers import (
-    COMMAND_PERIOD_S,
-    Command,
-    Driver,
-    Path2d,
-    StopAndTurn,
-    _speed_profile,
-    follow_route,
-    laps_of,
-    read_manual_velocities,
-    smooth_path,
-)
+from wheelsight_sim.drivers import COMMAND_PERIOD_S, Command, Driver, Path2d
 from wheelsight_sim.readings import GYRO_PERIOD_S, DeadReckoning, Encoders, Gyroscope, is_during
 from wheelsight_sim.robot import TICK_PERIOD_S, Drive, RobotModel, WheelFaults, WheelSizeSettings
 from wheelsight_sim.settings import Realism, SimulationSettings, realism_of, stream
@@ -65,13 +53,7 @@ class Reading:
 class SteppedRobot:
     """A chair with its encoders and gyroscope: `read` once and `advance` once every `TRUTH_PERIOD_S`.
 
-    Args:
-        world, robot, T_world_start: what stands where; it is let settle on its wheels.
-        faults: what goes wrong with the wheels, and when.
-        slip: whether the wheels may slip.
-        seed: of the rider, castors, encoders' phases and gyroscope.
-        floor: what the wheels meet, or None for a level one.
-        doors: which swing in the world, or None.
+    The chair is let settle at `T_world_start`. `seed` is of the rider, castors, encoders' phases and gyroscope.
 
     Attributes:
         chair: what physics moves.
@@ -270,21 +252,32 @@ def route_of(settings: SimulationSettings, world: World) -> FloatArray:
 def driver_of(settings: SimulationSettings, world: World) -> Driver:
     """The driver by the settings. Raises InputError for an invalid file of velocities."""
     if settings.velocities is not None:
-        return read_manual_velocities(settings.velocities)
+        return drivers.read_manual_velocities(settings.velocities)
     route = route_of(settings, world)
     if settings.stops_to_turn:
         laps = np.concatenate([np.tile(route, (settings.laps, 1)), route[: int(world.is_loop)]])
         is_umbmark = settings.plan is None and world.name == _UMBMARK_WORLD
         # UMBmark is driven by the wheels alone: steering by sight would hide their errors. Elsewhere walls are near.
-        return StopAndTurn(laps, settings.speed_m_s, is_blind=is_umbmark)
-    return follow_route(route, is_loop=world.is_loop, laps=settings.laps, speed_m_s=settings.speed_m_s)
+        return drivers.StopAndTurn(laps, settings.speed_m_s, is_blind=is_umbmark)
+    return drivers.follow_route(route, is_loop=world.is_loop, laps=settings.laps, speed_m_s=settings.speed_m_s)
 
 
 def refuse_walls(settings: SimulationSettings, world: World, driver: Driver, picture: Path | None) -> None:
     """Raise ConfigError if the path hits an obstacle, and draw it if `picture` is given."""
     from wheelsight_sim.clearance import draw_plan, find_collision
 
-    way = route_of(settings, world) if settings.velocities is None else _foreseen_way(driver, world)
+    way = route_of(settings, world)
+    if settings.velocities is not None:
+        # The path of the given velocities without lag, in steps of 5 cm or more.
+        (x, y), towards = world.route[0], world.route[1] - world.route[0]
+        T = se2.from_parts(x, y, np.arctan2(towards[1], towards[0]))
+        places, stamp_s = [world.route[0]], 0.0
+        while (command := driver.command(stamp_s, np.eye(4))) is not None:
+            T = T @ se2.exp(COMMAND_PERIOD_S * np.array([command.v_m_s, 0.0, command.yaw_rate_rad_s]))
+            stamp_s += COMMAND_PERIOD_S
+            if np.hypot(*(T[:2, 2] - places[-1])) >= 0.05:
+                places.append(T[:2, 2].copy())
+        way = np.array([*places, T[:2, 2] + 1e-6])
     is_loop = world.is_loop and settings.velocities is None
     collision = find_collision(world, way, settings.robot.width_m / 2 + _MARGIN_M, is_loop=is_loop)
     if collision is None:
@@ -294,20 +287,6 @@ def refuse_walls(settings: SimulationSettings, world: World, driver: Driver, pic
     if picture is not None:
         draw_plan(world, picture, route=way, mark=collision.place, is_loop=is_loop)
     raise ConfigError(problem, path=settings.velocities, fix=None if picture is None else f"see {picture}")
-
-
-def _foreseen_way(driver: Driver, world: World) -> FloatArray:
-    """(N, 2) path of given velocities without lag, in steps of 5 cm or more."""
-    (x, y), towards = world.route[0], world.route[1] - world.route[0]
-    T = se2.from_parts(x, y, np.arctan2(towards[1], towards[0]))
-    way = [world.route[0]]
-    stamp_s = 0.0
-    while (command := driver.command(stamp_s, np.eye(4))) is not None:
-        T = T @ se2.exp(COMMAND_PERIOD_S * np.array([command.v_m_s, 0.0, command.yaw_rate_rad_s]))
-        stamp_s += COMMAND_PERIOD_S
-        if np.hypot(*(T[:2, 2] - way[-1])) >= 0.05:
-            way.append(T[:2, 2].copy())
-    return np.array([*way, T[:2, 2] + 1e-6])
 
 
 def expected_s(settings: SimulationSettings, world: World) -> float | None:
@@ -326,25 +305,13 @@ def expected_s(settings: SimulationSettings, world: World) -> float | None:
 
 
 # Data sheets of small research bases (four mecanum wheels of 10 cm; three omni wheels of 10 cm).
-_COUNTS_A_TURN = 4096.0
+_ALIKE: dict[str, Any] = {"radius_m": 0.05, "ticks_per_turn": 4096.0}
+_OF_THREE = math.pi / 3, math.pi, 5 * math.pi / 3
+_OF_FOUR = math.pi / 4, 3 * math.pi / 4, 5 * math.pi / 4, 7 * math.pi / 4
 _WHEELS = {
-    "mecanum": HolonomicWheels(
-        "mecanum", radius_m=0.05, half_length_m=0.20, half_width_m=0.18, ticks_per_turn=_COUNTS_A_TURN
-    ),
-    "omni-3": HolonomicWheels(
-        "omni",
-        radius_m=0.05,
-        distance_m=0.20,
-        angles_rad=(math.pi / 3, math.pi, 5 * math.pi / 3),
-        ticks_per_turn=_COUNTS_A_TURN,
-    ),
-    "omni-4": HolonomicWheels(
-        "omni",
-        radius_m=0.05,
-        distance_m=0.22,
-        angles_rad=(math.pi / 4, 3 * math.pi / 4, 5 * math.pi / 4, 7 * math.pi / 4),
-        ticks_per_turn=_COUNTS_A_TURN,
-    ),
+    "mecanum": HolonomicWheels("mecanum", half_length_m=0.20, half_width_m=0.18, **_ALIKE),
+    "omni-3": HolonomicWheels("omni", distance_m=0.20, angles_rad=_OF_THREE, **_ALIKE),
+    "omni-4": HolonomicWheels("omni", distance_m=0.22, angles_rad=_OF_FOUR, **_ALIKE),
 }
 _INCREMENTS = HolonomicWheels("increments", distance_m=0.27)
 # Largest yaw of the base to each side of its path, and the period: at 0.8 m/s it turns by 0.5 rad/s.
@@ -385,8 +352,8 @@ def simulate_holonomic_drive(
     for option, value in has_not.items():
         if value:
             raise ConfigError(f"{option} means nothing with --base {settings.base}", fix="leave one of them out")
-    route = laps_of(route_of(settings, world), world.is_loop, settings.laps)
-    poses, is_complete = _poses(smooth_path(route), settings)
+    route = drivers.laps_of(route_of(settings, world), world.is_loop, settings.laps)
+    poses, is_complete = _poses(drivers.smooth_path(route), settings)
     rng = np.random.default_rng([settings.day_seed, 7])
     stamps_s = TRUTH_PERIOD_S * np.arange(len(poses), dtype=float)
     T = se2.from_parts(*poses.T)
@@ -413,7 +380,7 @@ def _poses(paths: list[Path2d], settings: SimulationSettings) -> tuple[FloatArra
     found: list[tuple[float, float, float]] = []
     yaw, rate, driven_m, target = paths[0].at(0.0)[2], 0.0, 0.0, paths[0].at(0.0)[2]
     for path in paths:
-        speeds, along_m = _speed_profile(path, settings.speed_m_s), 0.0
+        speeds, along_m = drivers.speed_profile(path, settings.speed_m_s), 0.0
         turned = round((target - path.at(0.0)[2]) / (2 * math.pi)) * 2 * math.pi
         v_m_s = 0.0
         while along_m < path.length_m - 1e-3:

@@ -1,7 +1,4 @@
-"""`RobotModel` holds the true and the nominal dimensions of the simulated wheelchair, with its outline and motors.
-
-`Drive` is the result of the physics.
-"""
+"""`RobotModel`: true and nominal dimensions, outline and motors of the wheelchair; `Drive` is what physics leaves."""
 
 from __future__ import annotations
 
@@ -103,9 +100,8 @@ class RobotModel:
     @property
     def wheels(self) -> Wheels:
         """The wheels as an ideal calibration would find them."""
-        return Wheels(
-            self.left_radius_m, self.right_radius_m, self.track_width_m, self.gear_ratio * self.counts_per_turn
-        )
+        ticks_per_turn = self.gear_ratio * self.counts_per_turn
+        return Wheels(self.left_radius_m, self.right_radius_m, self.track_width_m, ticks_per_turn)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,9 +115,8 @@ class Patch:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.x_m) and math.isfinite(self.y_m) and 0 < self.radius_m < math.inf):
-            raise ConfigError(
-                f"a patch of radius {self.radius_m} m at {self.x_m}, {self.y_m} is none", fix="give metres"
-            )
+            problem = f"a patch of radius {self.radius_m} m at {self.x_m}, {self.y_m} is none"
+            raise ConfigError(problem, fix="give metres")
         if not 0.001 <= self.friction <= 2:
             raise ConfigError(f"a patch's friction is {self.friction}", fix="0.001 to 2; ice has about 0.05")
 

@@ -18,7 +18,7 @@ from wheelsight.core.geometry import FloatArray, Int32Array, IntArray, PinholeCa
 from wheelsight_sim.doors import Leaves
 from wheelsight_sim.light_kernels import View as View
 from wheelsight_sim.people import Cylinders
-from wheelsight_sim.view_kernels import Bodies, Boxes, Hits, Image, ModelGeoms, aim, choose, find, gather, put, spread
+from wheelsight_sim.view_kernels import Boxes, Hits, ModelGeoms, aim, choose, find, gather, put, spread
 from wheelsight_sim.world import Surface, World
 
 _KINDS = {0: "plane", 2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box"}
@@ -29,8 +29,6 @@ _NO_LIMIT = 1e10
 _NO_TREE = -1
 _FIRST_GROUP = np.array([1, 0, 0, 0, 0, 0], np.uint8)
 _FEWEST_TARGETS = 8
-# A row's own z axis may be turned from the tile's by as much as a shutter allows.
-_FAR_MARGIN = 1.05
 
 
 class Scene:
@@ -113,29 +111,23 @@ class Scene:
         self.geoms.position_world[:] = self.data.geom_xpos
         self.geoms.R_world_geom[:] = self.data.geom_xmat.reshape(-1, 3, 3)
 
-    def cast(self, camera: PinholeCamera, T_world_camera_rows: ArrayLike, far_m: float = np.inf) -> View:
-        """What each pixel's ray hits first, nearer than `far_m` along the camera's z axis.
+    def cast(self, camera: PinholeCamera, T_world_camera_rows: ArrayLike) -> View:
+        """What each pixel's ray hits first; lens distortion is followed.
 
-        Args:
-            camera: whose pixels; lens distortion is followed.
-            T_world_camera_rows: (H, 4, 4) its pose as each row is read, or (4, 4) for all of them.
-            far_m: hits beyond are none.
+        `T_world_camera_rows` (H, 4, 4) is the camera's pose as each row is read, or (4, 4) for all of them.
         """
         h, w = camera.height, camera.width
         # A copy: kernels would be compiled once more for poses that may not be written.
         T = np.array(np.broadcast_to(np.asarray(T_world_camera_rows, float), (h, 4, 4)), order="C")
         view = _nothing(T, _rays(camera))
-        self._cast_tiles(view, _tiles(h, w), far_m)
+        self._cast_tiles(view, _tiles(h, w))
         return view
 
-    def outlines(self, view: View, far_m: float = np.inf) -> Outlines:
+    def outlines(self, view: View) -> Outlines:
         """What further rays hit in the pixels of a view beside which another face is seen.
 
-        They are cast by the rules of `cast`, at the geoms where they stand now, as seen from the poses of their rows.
-
-        Args:
-            view: what `cast` has returned, and people have not moved since.
-            far_m: hits beyond are none.
+        They are cast by the rules of `cast`, at the geoms where they stand now, as seen from the poses of their rows:
+        people have not moved since `cast` returned the view.
         """
         found = [find(view.geom, view.normal_world, tile) for tile in _tiles(*view.geom.shape)]
         pixels = np.concatenate(found)
@@ -145,7 +137,7 @@ class Scene:
         samples = _nothing(view.T_world_camera[pixels[:, 0]], rays)
         ends = np.cumsum([0, *map(len, found)])
         tiles = [np.array([a, b, 0, rays.shape[1]]) for a, b in pairwise(ends) if a < b]
-        self._cast_tiles(samples, tiles, far_m)
+        self._cast_tiles(samples, tiles)
         return Outlines(pixels, samples)
 
     def reach_m(self, begins: FloatArray, direction: FloatArray) -> FloatArray:
@@ -159,7 +151,7 @@ class Scene:
         ]
         return np.array([way_m if way_m >= 0 else np.inf for way_m in ways_m])
 
-    def _cast_tiles(self, view: View, tiles: list[IntArray], far_m: float) -> None:
+    def _cast_tiles(self, view: View, tiles: list[IntArray]) -> None:
         center = self.geoms.position_world + np.einsum(
             "gij,gj->gi", self.geoms.R_world_geom, self.model.geom_aabb[:, :3]
         )
@@ -173,11 +165,10 @@ class Scene:
                 rays = np.empty(((tile[1] - tile[0]) * (tile[3] - tile[2]), 3))
                 bounds = aim(view.rays, T, tile, R, rays)
                 boxes = Boxes(geoms.kind, geoms.size_m, center, self._half_m, geoms.R_world_geom)
-                chosen = choose(boxes, R, origin, bounds, far_m * _FAR_MARGIN)
+                chosen = choose(boxes, R, origin, bounds)
                 if len(chosen):
-                    hits = targets.cast(geoms, chosen, origin, rays)
-                    image = Image(view.depth_m, view.geom, view.normal_world)
-                    gather(hits, rays, T, tile, origin, far_m, chosen, image)
+                    hits = targets.cast(boxes, geoms.position_world, chosen, origin, rays)
+                    gather(hits, rays, tile, origin, chosen, view)
 
         if self._pool is None:
             work(0)
@@ -195,47 +186,37 @@ class _Targets:
     def __init__(self) -> None:
         self._models: dict[int, tuple[Any, Any, ModelGeoms]] = {}
 
-    def cast(self, geoms: Geoms, chosen: Int32Array, origin: FloatArray, rays: FloatArray) -> Hits:
+    def cast(
+        self, boxes: Boxes, position_world: FloatArray, chosen: Int32Array, origin: FloatArray, rays: FloatArray
+    ) -> Hits:
         """Which of `chosen` (K,) each ray (N, 3) hits first, or -1; how many ray lengths away; outward normals."""
         import mujoco
 
-        n = len(rays)
-        model, data, places = self._of_size(len(chosen))
-        bodies = Bodies(geoms.kind, geoms.size_m, geoms.position_world, geoms.R_world_geom)
-        put(chosen, bodies, places)
-        hit, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
-        out = hit, distance, normal.reshape(-1)
-        mujoco.mj_multiRay(model, data, origin, rays.reshape(-1), _FIRST_GROUP, True, -1, *out, n, _NO_LIMIT)
-        return Hits(hit, distance, normal)
-
-    def _of_size(self, count: int) -> tuple[Any, Any, ModelGeoms]:
-        import mujoco
-
-        size = _FEWEST_TARGETS
-        while size < count:
+        n, size = len(rays), _FEWEST_TARGETS
+        while size < len(chosen):
             size *= 2
         if size not in self._models:
             spec = mujoco.MjSpec()
             for _ in range(size):
                 spec.worldbody.add_geom(size=[1, 1, 1])
-            model = spec.compile()
-            model.body_bvhadr[:] = _NO_TREE
-            data = mujoco.MjData(model)
-            places = ModelGeoms(model.geom_type, model.geom_size, data.geom_xpos, data.geom_xmat, model.geom_group)
-            self._models[size] = model, data, places
-        return self._models[size]
+            made: Any = spec.compile()
+            made.body_bvhadr[:] = _NO_TREE
+            state = mujoco.MjData(made)
+            geoms = ModelGeoms(made.geom_type, made.geom_size, state.geom_xpos, state.geom_xmat, made.geom_group)
+            self._models[size] = made, state, geoms
+        model, data, places = self._models[size]
+        put(chosen, boxes, position_world, places)
+        hit, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
+        out = hit, distance, normal.reshape(-1)
+        mujoco.mj_multiRay(model, data, origin, rays.reshape(-1), _FIRST_GROUP, True, -1, *out, n, _NO_LIMIT)
+        return Hits(hit, distance, normal)
 
 
 def _nothing(T_world_camera: FloatArray, rays: FloatArray) -> View:
     """A view (H, W) of rays (H, W, 3) that have not hit anything, from a pose for each row (H, 4, 4)."""
     h, w, _ = rays.shape
-    return View(
-        depth_m=np.zeros((h, w), np.float32),
-        geom=np.full((h, w), -1, np.int32),
-        normal_world=np.zeros((h, w, 3), np.float32),
-        T_world_camera=T_world_camera,
-        rays=rays,
-    )
+    depth_m, normal_world = np.zeros((h, w), np.float32), np.zeros((h, w, 3), np.float32)
+    return View(depth_m, np.full((h, w), -1, np.int32), normal_world, T_world_camera, rays)
 
 
 def _tiles(h: int, w: int) -> list[IntArray]:

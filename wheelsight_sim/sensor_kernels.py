@@ -1,6 +1,4 @@
-"""Compiled per-pixel steps of the sensors: light that comes back, matching and mixed pixels in depth; motion,
-electrons and noise in colour.
-"""
+"""Compiled per-pixel steps of the sensors: light that comes back, matching, edges; motion, electrons and noise."""
 
 from __future__ import annotations
 
@@ -11,6 +9,7 @@ import numpy as np
 
 from wheelsight.core.compiled import kernel
 from wheelsight.core.geometry.arrays import ByteArray, Float32Array, FloatArray, Int32Array
+from wheelsight_sim.light_kernels import View
 from wheelsight_sim.texture_kernels import hash_unit
 
 _BINS_PER_PX = 2
@@ -65,17 +64,16 @@ class Phase(NamedTuple):
 
 
 @kernel
-def returned_light(
-    depth_m: Any, geom: Any, normal_world: Any, R_world_rows: Any, rays: Any, scattered: Any
-) -> tuple[Any, Any]:
-    """Cosine of incidence and returned light, both (H, W), 0 where nothing was hit.
+def returned_light(view: View, scattered: Any) -> Seen:
+    """Cosine of incidence and returned light of each pixel, 0 where nothing was hit.
 
     A surface scatters the share `scattered` (G,) of the light like Lambert's; a lamp at the camera gives
     scattered · cos θ / r², in reflectances per square metre.
     """
+    depth_m, geom, normal_world, T_world_rows, rays = view
     cosine, light = np.zeros(depth_m.shape, np.float32), np.zeros(depth_m.shape, np.float32)
     for row in range(depth_m.shape[0]):
-        R = R_world_rows[row]
+        R = T_world_rows[row]
         for column in range(depth_m.shape[1]):
             g = geom[row, column]
             if g < 0:
@@ -87,7 +85,7 @@ def returned_light(
                 square += ray[k] * ray[k]
             cosine[row, column] = max(across, 0.0) / np.sqrt(square)
             light[row, column] = scattered[g] * cosine[row, column] / (square * depth_m[row, column] ** 2)
-    return cosine, light
+    return Seen(depth_m, geom, cosine, light)
 
 
 @kernel
@@ -180,7 +178,12 @@ def match_pattern(seen: Seen, usable: Any, noise: Any, chance: Chance, shifts_px
     for row in range(depth_m.shape[0]):
         for column in range(depth_m.shape[1]):
             cell = chance.cells[int(row * cells_per_px), int(column * cells_per_px)]
-            r, c = _beside_edge(depth_m, row, column, shifts_px[cell[1]], shifts_px[cell[2]], focal_baseline_px_m)
+            r = min(max(int(np.round(row + shifts_px[cell[1]])), 0), depth_m.shape[0] - 1)
+            c = min(max(int(np.round(column + shifts_px[cell[2]])), 0), depth_m.shape[1] - 1)
+            here, there = depth_m[row, column], depth_m[r, c]
+            # A match is displaced only across an edge, a step of disparity by more than a pixel.
+            if here > 0 and there > 0 and focal_baseline_px_m * abs(here - there) <= here * there:
+                r, c = row, column
             if not usable[r, c]:
                 continue
             z = depth_m[r, c]
@@ -191,22 +194,6 @@ def match_pattern(seen: Seen, usable: Any, noise: Any, chance: Chance, shifts_px
             if d > 0:
                 measured[row, column] = np.round(1000 * focal_baseline_native / d) / 1000
     return measured
-
-
-@kernel
-def _beside_edge(
-    depth_m: Any, row: int, column: int, down_px: float, right_px: float, focal_baseline_px_m: float
-) -> tuple[int, int]:
-    """The pixel a match falls on: one displaced where that crosses an edge, else the pixel itself.
-
-    An edge is a step of disparity by more than a pixel: on smooth surfaces blocks are matched where they are.
-    """
-    r = min(max(int(np.round(row + down_px)), 0), depth_m.shape[0] - 1)
-    c = min(max(int(np.round(column + right_px)), 0), depth_m.shape[1] - 1)
-    here, there = depth_m[row, column], depth_m[r, c]
-    if here > 0 and there > 0 and focal_baseline_px_m * abs(here - there) <= here * there:
-        return row, column
-    return r, c
 
 
 @kernel

@@ -1,6 +1,4 @@
-"""What a simulation is made of: all that must be known to make the same recording again. Realism says how hard it
-is.
-"""
+"""What a simulation is made of: all that must be known to make the same recording again."""
 
 from __future__ import annotations
 
@@ -101,11 +99,16 @@ def realism_names() -> tuple[str, ...]:
 
 def realism_of(name: str) -> Realism | None:
     """The parts of a preset; None for the ideal one, which has none. Raises ConfigError for a name that is none."""
-    if name not in realism_names():
-        near = get_close_matches(name, realism_names(), n=1)
-        hint = f"did you mean {near[0]}? " if near else ""
-        raise ConfigError(f"--realism is {name}", fix=f"{hint}choose from {', '.join(realism_names())}")
+    refuse_unknown(name, realism_names(), f"--realism is {name}")
     return Realism() if name == "real" else None
+
+
+def refuse_unknown(name: str, known: tuple[str, ...], problem: str) -> None:
+    """Raise ConfigError for a name that is not known, with the nearest that is."""
+    if name not in known:
+        near = get_close_matches(name, known, n=1)
+        hint = f"did you mean {near[0]}? " if near else ""
+        raise ConfigError(problem, fix=f"{hint}choose from {', '.join(known)}")
 
 
 def stream(seed: int, part: str) -> np.random.Generator:
@@ -181,16 +184,17 @@ class SimulationSettings:
         if self.base not in get_args(BaseName):
             raise ConfigError(f"--base is {self.base!r}", fix=f"one of {', '.join(get_args(BaseName))}")
         realism_of(self.realism)
-        _check_whole("--laps", self.laps, 1, 1000)
-        _check_whole("--seed", self.seed, 0, 2**32 - 1)
-        _check_whole("--day", self.day, 0, 100_000)
-        _check_whole("--passers-by", self.passersby, 0, 100)
-        _check_whole("--doors", self.doors, 0, 1000)
-        _check_range("--speed", self.speed_m_s, MAX_SPEED_M_S, "m/s")
-        if self.rate_hz is not None:
-            _check_range("--rate", self.rate_hz, 120, "Hz")
-        if self.duration_s is not None:
-            _check_range("--duration", self.duration_s, 24 * 3600, "s")
+        counts = {"--laps": (self.laps, 1, 1000), "--seed": (self.seed, 0, 2**32 - 1), "--day": (self.day, 0, 100_000)}
+        counts |= {"--passers-by": (self.passersby, 0, 100), "--doors": (self.doors, 0, 1000)}
+        for option, (count, least, most) in counts.items():
+            if not least <= count <= most:
+                raise ConfigError(f"{option} is {count}", fix=f"{least} to {most}")
+        ranges: dict[str, tuple[float | None, float, str]]
+        ranges = {"--speed": (self.speed_m_s, MAX_SPEED_M_S, "m/s"), "--rate": (self.rate_hz, 120, "Hz")}
+        ranges |= {"--duration": (self.duration_s, 24 * 3600, "s")}
+        for option, (value, limit, unit) in ranges.items():
+            if value is not None and not (math.isfinite(value) and 0 < value <= limit):
+                raise ConfigError(f"{option} is {value:g} {unit}", fix=f"over 0, up to {limit:g} {unit}")
         if self.size is not None and not all(_SMALLEST_PX <= side <= _LARGEST_PX for side in self.size):
             raise ConfigError(f"--size is {self.size[0]}x{self.size[1]}", fix=f"{_SMALLEST_PX} to {_LARGEST_PX} pixels")
         if self.velocities is not None and (self.is_reverse or self.stops_to_turn or self.laps != 1):
@@ -206,16 +210,6 @@ class SimulationSettings:
         plain = _plain(asdict(self) | ({} if self.plan is None else {"world": self.plan.name}))
         assert isinstance(plain, dict)
         return plain
-
-
-def _check_whole(option: str, value: int, least: int, most: int) -> None:
-    if not least <= value <= most:
-        raise ConfigError(f"{option} is {value}", fix=f"{least} to {most}")
-
-
-def _check_range(option: str, value: float, most: float, unit: str) -> None:
-    if not (math.isfinite(value) and 0 < value <= most):
-        raise ConfigError(f"{option} is {value:g} {unit}", fix=f"over 0, up to {most:g} {unit}")
 
 
 def _plain(value: Any) -> Any:

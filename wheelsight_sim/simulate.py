@@ -20,18 +20,11 @@ from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.runtime import needed
 from wheelsight.io.recordings import RecordingWriter
 from wheelsight.io.recordings.tables import LIST
+from wheelsight_sim import physics
 from wheelsight_sim.cameras import camera_model
 from wheelsight_sim.doors import swinging
 from wheelsight_sim.faults import Covered
 from wheelsight_sim.frames import Renderer
-from wheelsight_sim.physics import (
-    driver_of,
-    expected_s,
-    refuse_walls,
-    route_of,
-    simulate_drive,
-    simulate_holonomic_drive,
-)
 from wheelsight_sim.settings import SimulationSettings, realism_of
 from wheelsight_sim.simulated_recording import SimulatedRecording, with_camera_faults
 from wheelsight_sim.world import World
@@ -65,16 +58,16 @@ def simulate(
     camera = camera_model(settings.camera, settings.size)
     world = world_of(settings)
     swinging(world, settings.doors, settings.day_seed)  # refused before the long drive
-    driver = driver_of(settings, world)
-    refuse_walls(settings, world, driver, refused)
+    driver = physics.driver_of(settings, world)
+    physics.refuse_walls(settings, world, driver, refused)
     covers = [Covered(begin_s=begin_s, end_s=end_s, seed=settings.seed) for begin_s, end_s in settings.covered_s]
     _refuse_never(settings, settings.duration_s or _LONGEST_DRIVE_S)
-    total_s = expected_s(settings, world)
+    total_s = physics.expected_s(settings, world)
     report = None if on_progress is None else lambda driven_s: on_progress(driven_s, total_s)
     if settings.base != "differential":
-        drive = simulate_holonomic_drive(settings, world, report)
+        drive = physics.simulate_holonomic_drive(settings, world, report)
     else:
-        drive = simulate_drive(
+        drive = physics.simulate_drive(
             world,
             settings.robot,
             driver,
@@ -175,7 +168,10 @@ def _write_surroundings(recording: SimulatedRecording, folder: Path) -> None:
     if world.areas.areas:
         save_areas(world.areas, folder / "areas.yaml")
     draw_plan(
-        world, folder / "plan.png", route=route_of(settings, world), track=recording.ground_truth.positions_m[:, :2]
+        world,
+        folder / "plan.png",
+        route=physics.route_of(settings, world),
+        track=recording.ground_truth.positions_m[:, :2],
     )
     truth = make_output_folder(folder / "truth", force=True)
     save_calibration(recording.true_calibration, truth / "calibration.yaml")

@@ -1,6 +1,4 @@
-"""A simulated drive as a recording: events in order of time, rendered as they are asked for. Its camera may fail, or
-be carried along a known way.
-"""
+"""A simulated drive as a recording: events in order of time, rendered as they are asked for."""
 
 from __future__ import annotations
 
@@ -222,28 +220,23 @@ def replay(
         raise ConfigError(f"a way of {len(T_world_camera)} poses has no motion", fix="give a trajectory of a recording")
     if world is None:
         world = build_world(settings.world, settings.seed, settings.day, has_leaves=settings.doors > 0)
-    way = _smoothed(T_world_camera, settings.duration_s, smooth_s)
+    # From 0 s on, every 5 ms.
+    way_s, begin_s = T_world_camera.duration_s, T_world_camera.stamps_s[0]
+    whole_s = way_s if settings.duration_s is None else min(way_s, settings.duration_s)
+    stamps_s = np.asarray(_PERIOD_S * np.arange(int(whole_s / _PERIOD_S + 1e-9) + 1), np.float64)
+    T = T_world_camera.at((stamps_s + begin_s).clip(None, T_world_camera.stamps_s[-1]))
+    if smooth_s > 0:
+        quaternions = so3.to_quaternion(T[:, :3, :3])
+        # q and -q are one rotation: each takes the sign that is nearer to the one before.
+        signs = np.where(np.einsum("ni,ni->n", quaternions[1:], quaternions[:-1]) < 0, -1.0, 1.0)
+        quaternions[1:] *= np.cumprod(signs)[:, None]
+        sigma = smooth_s / _PERIOD_S
+        positions = gaussian_filter1d(T[:, :3, 3], sigma, axis=0, mode="nearest")
+        quaternions = gaussian_filter1d(quaternions, sigma, axis=0, mode="nearest")
+        quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+        T = se3.from_quaternion(positions, quaternions)
     T_base_camera = settings.robot.T_base_camera
-    T_world_base = se3.compose(way.T_frame_body, se3.invert(T_base_camera))
-    drive = Drive(Trajectory(way.stamps_s, T_world_base, body="base"), ())
+    drive = Drive(Trajectory(stamps_s, se3.compose(T, se3.invert(T_base_camera)), body="base"), ())
     model = camera_model(settings.camera, settings.size)
     renderer = Renderer(world, drive, settings, model, Carriage(drive.truth, T_base_camera))
     return SimulatedRecording(settings, world, drive, renderer)
-
-
-def _smoothed(way: Trajectory, duration_s: float | None, smooth_s: float) -> Trajectory:
-    """The way from 0 s on, every 5 ms."""
-    whole_s = way.duration_s if duration_s is None else min(way.duration_s, duration_s)
-    stamps_s = np.asarray(_PERIOD_S * np.arange(int(whole_s / _PERIOD_S + 1e-9) + 1), np.float64)
-    T = way.at((stamps_s + way.stamps_s[0]).clip(None, way.stamps_s[-1]))
-    if smooth_s <= 0:
-        return Trajectory(stamps_s, T, body="camera")
-    quaternions = so3.to_quaternion(T[:, :3, :3])
-    # q and -q are one rotation: each takes the sign that is nearer to the one before.
-    signs = np.where(np.einsum("ni,ni->n", quaternions[1:], quaternions[:-1]) < 0, -1.0, 1.0)
-    quaternions[1:] *= np.cumprod(signs)[:, None]
-    sigma = smooth_s / _PERIOD_S
-    positions = gaussian_filter1d(T[:, :3, 3], sigma, axis=0, mode="nearest")
-    quaternions = gaussian_filter1d(quaternions, sigma, axis=0, mode="nearest")
-    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-    return Trajectory(stamps_s, se3.from_quaternion(positions, quaternions), body="camera")

@@ -1,6 +1,4 @@
-"""`Simulator` is a simulated `Robot` in a world with people and doors. `LiveWorld` steps that world and lists contacts;
-`SimulatedCamera` renders frames as soon as they are exposed.
-"""
+"""`Simulator`, a simulated `Robot` in a `LiveWorld` with people and doors; `SimulatedCamera` renders its frames."""
 
 from __future__ import annotations
 
@@ -34,7 +32,6 @@ from wheelsight_sim.robot import Motors, outline_at
 from wheelsight_sim.settings import SimulationSettings, realism_of, stream
 from wheelsight_sim.simulate import world_of
 from wheelsight_sim.simulated_recording import as_owned
-from wheelsight_sim.wheelchair import Touch
 from wheelsight_sim.world import World
 
 PERIOD_S = 0.05
@@ -54,16 +51,9 @@ class Simulator(Closing, OneCaller):
     The simulator ignores settings of a route or driver: laps, speed, duration, direction, velocities. People and doors
     react to the robot. People are not solid: a robot drives through them, and `contacts` lists it.
 
-    Args:
-        settings: world, camera, robot, faults, people, doors, realism, seed.
-        start: x, y in metres and yaw in radians of the base in the frame `map`; default the world's own start.
-        world: replaces the world that the settings name.
-        people: how people react to the robot.
-        limits: limits on commands.
-        control: settings of the wheels' control loop.
-        period_s: duration of a step, a multiple of 5 ms.
-        has_camera: whether frames are rendered.
-        threads: number of threads that render a frame.
+    `settings` name world, camera, robot, faults, people, doors, realism and seed; `world` replaces theirs. `start` is
+    x, y in metres and yaw in radians of the base in `map`, or None for the world's own. A step lasts `period_s`, a
+    multiple of 5 ms.
 
     Raises:
         ConfigError: for the errors of `simulate`, an occupied start, or an invalid period.
@@ -287,11 +277,7 @@ class LiveWorld:
         T_world_start: (4, 4) initial pose of the base.
         contacts: all so far, each at its begin.
 
-    Args:
-        settings: world, seed, day, robot, people, doors.
-        start: x, y, yaw of the base; default the world's own start.
-        world: replaces the world that the settings name.
-        people: how people react to the robot.
+    `start` is x, y, yaw of the base, or None for the world's own; `world` replaces the one that the settings name.
 
     Raises:
         ConfigError: for an invalid world, or a start in contact with something.
@@ -349,9 +335,17 @@ class LiveWorld:
                 outline = outline_at(self._robot, motion.T_world_base)
                 self.doors.step(stamp_s, outline, self.people_at(stamp_s))
             chair.swing(*self.doors.poses_at(stamp_s))
-        self._note(self._touching_things(motion, chair.touches, stamp_s))
+        # Contacts of the hull with objects, by the physics engine.
+        leaves = () if self.doors is None else self.doors.leaves
+        index_of = {leaf.geom: index for index, leaf in enumerate(leaves)}
+        for touch in chair.touches:
+            velocity = np.zeros(2)
+            if self.doors is not None and touch.name in index_of:
+                velocity = self.doors.velocity_at(index_of[touch.name], touch.place_m, stamp_s)
+            self._note(_contact(stamp_s, touch.name, touch.place_m, motion, velocity, touch.towards))
         if tick % ticks_of(_LOOK_S) == 0:
-            self._note(self._touching_people(motion, stamp_s))
+            for contact in self._touching_people(motion, stamp_s):
+                self._note(contact)
 
     def clearance_m(self, T_world_base: FloatArray, stamp_s: float) -> float:
         """Distance from the robot's outline to the nearest object, with doors and without people; infinite if none."""
@@ -370,18 +364,6 @@ class LiveWorld:
         axes = shapely.points(self._people.positions_at(stamp_s))
         return max(float(shapely.distance(outline, axes).min()) - RADIUS_M, 0.0)
 
-    def _touching_things(self, motion: Motion, touches: list[Touch], stamp_s: float) -> list[Contact]:
-        """Contacts of the hull with objects, by the physics engine."""
-        leaves = () if self.doors is None else self.doors.leaves
-        index_of = {leaf.geom: index for index, leaf in enumerate(leaves)}
-        found = []
-        for touch in touches:
-            velocity = np.zeros(2)
-            if self.doors is not None and touch.name in index_of:
-                velocity = self.doors.velocity_at(index_of[touch.name], touch.place_m, stamp_s)
-            found.append(_contact(stamp_s, touch.name, touch.place_m, motion, velocity, touch.towards))
-        return found
-
     def _touching_people(self, motion: Motion, stamp_s: float) -> list[Contact]:
         """Contacts with people, which the physics engine does not know."""
         if self._people is None:
@@ -398,12 +380,11 @@ class LiveWorld:
                 found.append(_contact(stamp_s, f"passerby{i}", place_m, motion, velocity, towards))
         return found
 
-    def _note(self, contacts: list[Contact]) -> None:
-        """Record the contacts that begin now."""
-        for contact in contacts:
-            if contact.time_s - self._touched_s.get(contact.name, -np.inf) > _SEPARATE_S:
-                self.contacts.append(contact)
-            self._touched_s[contact.name] = contact.time_s
+    def _note(self, contact: Contact) -> None:
+        """Record a contact that begins now."""
+        if contact.time_s - self._touched_s.get(contact.name, -np.inf) > _SEPARATE_S:
+            self.contacts.append(contact)
+        self._touched_s[contact.name] = contact.time_s
 
 
 _KEPT_S = 0.25
@@ -414,11 +395,7 @@ _AFTER_S = 0.005
 class SimulatedCamera:
     """Renders the frames of a drive while it goes on, each as soon as all of its rows are exposed.
 
-    Args:
-        surroundings: the scene.
-        settings: seed, day, robot, camera, frame rate, motion blur, realism, times with a covered lens.
-        longest_s: longest duration of the drive.
-        threads: number of threads that render a frame.
+    The drive lasts `longest_s` at most; `threads` render a frame.
     """
 
     def __init__(

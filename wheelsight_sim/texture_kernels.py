@@ -1,6 +1,4 @@
-"""Compiled textures: their building blocks, textures that repeat, traces of use on walls, and pictures of single
-things.
-"""
+"""Compiled textures: building blocks, textures that repeat, traces of use on walls, pictures of single things."""
 
 from __future__ import annotations
 
@@ -9,12 +7,9 @@ from typing import Any, NamedTuple
 
 from wheelsight.core.compiled import kernel
 
-# Compiled building blocks of textures, and the textures that repeat: plaster, carpet, tiles, wood, ceiling, fabric.
-#
 # All lengths are metres on the surface. Each block takes the width of the pixel's footprint, `ws` and `wt`, and
 # answers the mean over it, or what a mean would leave of it: detail finer than a pixel fades instead of flickering.
 # Colours are three reflectances.
-
 
 _MASK = 0xFFFFFFFF
 _I, _J, _SEED = 0x27D4EB2F, 0x165667B1, 0x1E3779B1
@@ -287,11 +282,7 @@ def fabric(at: PixelFootprint, look: Look) -> Any:
     return scaled(mix(rgb, accent, 0.6 * contrast * stripe), max(shade, 0.1))
 
 
-# Compiled traces of use on plastered walls: scuffs, retouched places, sockets, switches, signs, ducts, a skirting.
-#
-# As in `_texture_kernels`; s runs along the wall, and the other coordinate is the height over the floor.
-
-
+# On walls s runs along the wall, and the other coordinate is the height over the floor.
 _SKIRTING_M = 0.08
 _SKIRTING = (0.24, 0.23, 0.22)
 _BARE = (0.62, 0.58, 0.50)
@@ -448,11 +439,7 @@ def _call_point(under: Any, a: float, b: float, ws: float, wt: float) -> Any:
     return mix(colour, _DARK, cover(a, -0.011, 0.011, ws) * cover(b, -0.011, 0.011, wt))
 
 
-# Compiled textures of single things, laid out over their whole face: doors, posters, notice boards, bookshelves.
-#
-# As in `_texture_kernels`; s runs right and t up from the middle of a face of half size `hs` by `ht`.
-
-
+# On single things s runs right and t up from the middle of a face of half size `hs` by `ht`.
 _PAPER = (0.84, 0.83, 0.79)
 _INK = (0.06, 0.06, 0.08)
 _STEEL = (0.52, 0.53, 0.55)
@@ -502,30 +489,21 @@ def door(at: PixelFootprint, hs: float, ht: float, look: Look) -> Any:
             leaf = scaled(leaf, 1 - 0.4 * (outer - inner) + 0.05 * inner)
     knocked = blot(s, up, 0.19, ws, wt, seed + 7, 0.5, 0.011)
     leaf = scaled(mix(leaf, _STEEL, rectangle(s, up, -hs + 0.08, hs - 0.08, 0.01, 0.2, ws, wt)), 1 - 0.5 * knocked)
-    leaf = _handle_and_number(leaf, PixelFootprint(s, up, ws, wt), side, hs, accent, seed)
-    frame = 1 - rectangle(s, up, -hs + 0.06, hs - 0.06, -1.0, 2 * ht - 0.06, ws, wt)
-    gap = 1 - rectangle(s, up, -hs + 0.068, hs - 0.068, 0.006, 2 * ht - 0.068, ws, wt)
-    return mix(scaled(leaf, 1 - 0.8 * gap), accent, frame)
-
-
-@kernel(error_model="numpy")
-def _handle_and_number(leaf: Any, at: PixelFootprint, side: float, hs: float, accent: Any, seed: int) -> Any:
-    """A leaf's colour with lever and plate at hand's height, and the room's number with lines of print.
-
-    Here t runs up from the leaf's foot; the lever is on the `side` of negative s, or with -1 on the other.
-    """
-    s, up, ws, wt = at
-    x = s * side
+    # Lever and plate at hand's height, and the room's number with lines of print.
     leaf = mix(leaf, scaled(_STEEL, 1.1), rectangle(x, up, -hs + 0.1, -hs + 0.15, 0.92, 1.14, ws, wt))
     leaf = mix(leaf, scaled(_STEEL, 0.35), rectangle(x, up, -hs + 0.115, -hs + 0.25, 1.04, 1.065, ws, wt))
     leaf = mix(leaf, _INK, rectangle(x, up, -hs + 0.118, -hs + 0.132, 0.95, 0.985, ws, wt))
     plate = rectangle(s, up, -0.13, 0.13, 1.5, 1.66, ws, wt)
-    if plate <= 0:
-        return leaf
-    ink = rectangle(s, up, -0.11, 0.05, 1.57, 1.65, ws, wt) * cells(s, up - 1.57, 0.016, 0.02, ws, wt, seed + 5, 0.5)
-    ink *= stripes(s - 0.024, 0.048 + 0.006, 0.042, ws)
-    ink += rectangle(s, up, -0.11, 0.11, 1.51, 1.56, ws, wt) * print_lines(s, up - 1.51, 0.025, ws, wt, seed + 6)
-    return mix(leaf, mix(_PAPER, accent if hash_unit(3, 1, seed) < 0.5 else _INK, min(ink, 1.0)), plate)
+    if plate > 0:
+        ink = rectangle(s, up, -0.11, 0.05, 1.57, 1.65, ws, wt) * cells(
+            s, up - 1.57, 0.016, 0.02, ws, wt, seed + 5, 0.5
+        )
+        ink *= stripes(s - 0.024, 0.048 + 0.006, 0.042, ws)
+        ink += rectangle(s, up, -0.11, 0.11, 1.51, 1.56, ws, wt) * print_lines(s, up - 1.51, 0.025, ws, wt, seed + 6)
+        leaf = mix(leaf, mix(_PAPER, accent if hash_unit(3, 1, seed) < 0.5 else _INK, min(ink, 1.0)), plate)
+    frame = 1 - rectangle(s, up, -hs + 0.06, hs - 0.06, -1.0, 2 * ht - 0.06, ws, wt)
+    gap = 1 - rectangle(s, up, -hs + 0.068, hs - 0.068, 0.006, 2 * ht - 0.068, ws, wt)
+    return mix(scaled(leaf, 1 - 0.8 * gap), accent, frame)
 
 
 @kernel(error_model="numpy")
@@ -620,15 +598,8 @@ def _note(
     sheet = rectangle(a, b, -half_w, half_w, -half_h, half_h, ws, wt)
     if shadow + sheet <= 0:
         return under
+    # Paper, headline or picture, lines of print, a pin.
     key = int(hash_unit(i, j, seed + 5) * 65536)
-    paper = _sheet(PixelFootprint(a, b, ws, wt), half_w, half_h, contrast, seed, key)
-    return mix(scaled(under, 1 - 0.5 * shadow), paper, sheet)
-
-
-@kernel(error_model="numpy")
-def _sheet(at: PixelFootprint, half_w: float, half_h: float, contrast: float, seed: int, key: int) -> Any:
-    """A note's colour at a place seen from its middle: paper, headline or picture, lines of print, a pin."""
-    a, b, ws, wt = at
     paper = _PAPER if hash_unit(key, 6, seed) < 0.55 else mix(_PAPER, pick_colour(key, seed, 1.0), 0.75 * contrast)
     margin = 0.14 * half_w
     has_picture = hash_unit(key, 7, seed) < 0.3
@@ -644,7 +615,7 @@ def _sheet(at: PixelFootprint, half_w: float, half_h: float, contrast: float, se
         pitch = half_h * (0.12 + 0.25 * hash_unit(key, 8, seed))
         paper = mix(paper, _INK, 0.9 * ink * print_lines(a + half_w, b, pitch, ws, wt, seed + key))
     pin = rectangle(a, b, -0.008, 0.008, half_h - 0.022, half_h - 0.006, ws, wt)
-    return mix(paper, pick_colour(key + 1, seed, 1.4), pin)
+    return mix(scaled(under, 1 - 0.5 * shadow), mix(paper, pick_colour(key + 1, seed, 1.4), pin), sheet)
 
 
 @kernel(error_model="numpy")
@@ -662,31 +633,21 @@ def books(at: PixelFootprint, hs: float, ht: float, look: Look) -> Any:
     blurred = min(max(0.7 * ws / scale_m - 1, 0.0), 1.0)
     inside = mix(back, _MEAN_SPINE, cover(above, 0.0, 0.77 * clear, max(wt, 0.3 * clear)))
     if blurred < 1:
-        spines = _two_spines(PixelFootprint(s, above, ws, wt), row, clear, back, scale_m, contrast, seed)
-        inside = mix(spines, inside, blurred)
+        # The book at s, and the next where the footprint reaches over to it. A spine's right edge is moved within its
+        # slot; what is left of the slot belongs to the next book.
+        column, stands, spines = math.floor(s / scale_m), PixelFootprint(s, above, ws, wt), back
+        edge = (column + 0.35 + 0.65 * hash_unit(column, row, seed)) * scale_m
+        left = cover(s, edge - 1.0, edge, ws)
+        if left > 0:
+            spines = mix(spines, _spine(column, row, stands, clear, back, contrast, seed), left)
+        if left < 1:
+            spines = mix(spines, _spine(column + 1, row, stands, clear, back, contrast, seed), 1 - left)
+        inside = mix(scaled(spines, 1 - 0.6 * cover(s, edge - 0.002, edge + 0.002, ws)), inside, blurred)
     if thick == 0:
         return inside
     board = stripes(up - 0.5 * thick, pitch, thick, wt)
     side = 1 - cover(s, -hs + thick, hs - thick, ws)
     return mix(inside, rgb, max(board, side))
-
-
-@kernel(error_model="numpy")
-def _two_spines(
-    at: PixelFootprint, row: int, clear: float, back: Any, scale_m: float, contrast: float, seed: int
-) -> Any:
-    """The book at s, and the next where the footprint reaches over to it; t runs up from the board they stand on."""
-    s, _, ws, _ = at
-    column = math.floor(s / scale_m)
-    # A spine's right edge is moved within its slot; what is left of the slot belongs to the next book.
-    edge = (column + 0.35 + 0.65 * hash_unit(column, row, seed)) * scale_m
-    left = cover(s, edge - 1.0, edge, ws)
-    inside = back
-    if left > 0:
-        inside = mix(inside, _spine(column, row, at, clear, back, contrast, seed), left)
-    if left < 1:
-        inside = mix(inside, _spine(column + 1, row, at, clear, back, contrast, seed), 1 - left)
-    return scaled(inside, 1 - 0.6 * cover(s, edge - 0.002, edge + 0.002, ws))
 
 
 @kernel(error_model="numpy")

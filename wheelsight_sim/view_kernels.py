@@ -9,7 +9,7 @@ import numpy as np
 
 from wheelsight.core.compiled import kernel
 from wheelsight.core.geometry.arrays import Float32Array, FloatArray, Int32Array, IntArray
-from wheelsight_sim.light_kernels import Light, View, lamp_at, light_at, light_row, nine, tinted, turned
+from wheelsight_sim.light_kernels import Lighting, View, lamp_at, light_at, light_row, nine, tinted, turned
 from wheelsight_sim.texture_kernels import (
     Look,
     PixelFootprint,
@@ -27,11 +27,8 @@ from wheelsight_sim.texture_kernels import (
     wood,
 )
 
-# Compiled parts of casting rays: aiming them, finding the geoms they can hit, and turning hits into images.
-#
 # A tile is a rectangle of pixels, rows `tile`[0] to `tile`[1] and columns `tile`[2] to `tile`[3], the last left out;
 # its N rays are numbered row by row.
-
 
 _PLANE = 0
 _BOX = 6
@@ -59,15 +56,6 @@ class Boxes(NamedTuple):
     R_world_geom: FloatArray
 
 
-class Bodies(NamedTuple):
-    """Of each of G geoms MuJoCo's kind (G,) and size (G, 3), where it is (G, 3) and how it is turned (G, 3, 3)."""
-
-    kind: Int32Array
-    size_m: FloatArray
-    position_world: FloatArray
-    R_world_geom: FloatArray
-
-
 class ModelGeoms(NamedTuple):
     """A small model's arrays for its M geoms: kinds, sizes, positions, orientations (M, 9) and groups."""
 
@@ -84,14 +72,6 @@ class Hits(NamedTuple):
     hit: Int32Array
     distance: FloatArray
     normal: FloatArray
-
-
-class Image(NamedTuple):
-    """Depth in metres (H, W), index of the geom seen (H, W), and its normal in the world (H, W, 3)."""
-
-    depth_m: Float32Array
-    geom: Int32Array
-    normal_world: Float32Array
 
 
 @kernel
@@ -123,18 +103,24 @@ def aim(rays: Any, T_world_rows: Any, tile: Any, R: Any, out: Any) -> Any:
 
 
 @kernel
-def choose(boxes: Boxes, R: Any, origin: Any, bounds: Any, far_m: float) -> Any:
+def choose(boxes: Boxes, R: Any, origin: Any, bounds: Any) -> Any:
     """Indices of the geoms that rays in a frustum can hit; none that they can is left out.
 
-    The frustum starts at `origin` (3,), is turned by R (3, 3), and reaches from `bounds` (u_min, u_max, v_min,
-    v_max) on the plane z = 1 out to `far_m`.
+    The frustum starts at `origin` (3,), is turned by R (3, 3), and has `bounds` (u_min, u_max, v_min, v_max) on the
+    plane z = 1.
 
     Left out is what lies outside, and what lies behind a box or plane that the frustum's four corners hit: such a body
     is convex, so that every ray between hits it too, and no deeper than the deepest corner.
     """
     kind, size_m, center, half_m, R_world_geom = boxes
     bounded = np.isfinite(bounds[0])
-    sides, offsets = _sides(bounds, R, far_m)
+    # Inward normals (5, 3) in the world of the frustum's planes, which go through its origin.
+    inward = np.zeros((5, 3))
+    if bounded:
+        inward[0], inward[1] = (1.0, 0.0, -bounds[0]), (-1.0, 0.0, bounds[1])
+        inward[2], inward[3] = (0.0, 1.0, -bounds[2]), (0.0, -1.0, bounds[3])
+        inward[4] = (0.0, 0.0, 1.0)
+    sides = inward @ R.T
     found, nearest = np.empty(len(kind), np.int32), np.empty(len(kind))
     count, limit = 0, np.inf
     for g in range(len(kind)):
@@ -143,8 +129,20 @@ def choose(boxes: Boxes, R: Any, origin: Any, bounds: Any, far_m: float) -> Any:
         if kind[g] == _PLANE:
             nearest[count] = -np.inf
         else:
-            nearest[count] = _nearest(R, center[g] - origin, half_m[g], R_world_geom[g])
-            if bounded and not _touches(sides, offsets, center[g] - origin, half_m[g], R_world_geom[g]):
+            depth, R_geom, aside = 0.0, R_world_geom[g], center[g] - origin
+            for k in range(3):
+                along = R[0, 2] * R_geom[0, k] + R[1, 2] * R_geom[1, k] + R[2, 2] * R_geom[2, k]
+                depth += R[k, 2] * aside[k] - abs(along) * half_m[g, k]
+            nearest[count] = depth
+            reach = 0.0
+            for s in range(len(sides) if bounded else 0):
+                n, reach = sides[s], _TOLERANCE_M
+                for k in range(3):
+                    along = abs(n[0] * R_geom[0, k] + n[1] * R_geom[1, k] + n[2] * R_geom[2, k])
+                    reach += n[k] * aside[k] + along * half_m[g, k]
+                if reach < 0:
+                    break
+            if reach < 0:
                 continue
         found[count] = g
         count += 1
@@ -156,44 +154,6 @@ def choose(boxes: Boxes, R: Any, origin: Any, bounds: Any, far_m: float) -> Any:
             found[kept] = found[i]
             kept += 1
     return found[:kept]
-
-
-@kernel
-def _sides(bounds: Any, R: Any, far_m: float) -> tuple[Any, Any]:
-    """Inward normals (6, 3) in the world and offsets (6,) of a frustum's planes, from its origin."""
-    sides = np.zeros((6, 3))
-    offsets = np.zeros(6)
-    if np.isfinite(bounds[0]):
-        sides[0] = (1.0, 0.0, -bounds[0])
-        sides[1] = (-1.0, 0.0, bounds[1])
-        sides[2] = (0.0, 1.0, -bounds[2])
-        sides[3] = (0.0, -1.0, bounds[3])
-        sides[4] = (0.0, 0.0, 1.0)
-        sides[5] = (0.0, 0.0, -1.0)
-        offsets[5] = far_m
-    return sides @ R.T, offsets
-
-
-@kernel
-def _nearest(R: Any, center: Any, half: Any, R_geom: Any) -> Any:
-    """Least depth of a box along the z axis of R."""
-    depth = 0.0
-    for k in range(3):
-        along = R[0, 2] * R_geom[0, k] + R[1, 2] * R_geom[1, k] + R[2, 2] * R_geom[2, k]
-        depth += R[k, 2] * center[k] - abs(along) * half[k]
-    return depth
-
-
-@kernel
-def _touches(sides: Any, offsets: Any, center: Any, half: Any, R: Any) -> bool:
-    for s in range(len(sides)):
-        n = sides[s]
-        reach = offsets[s] + _TOLERANCE_M
-        for k in range(3):
-            reach += n[k] * center[k] + abs(n[0] * R[0, k] + n[1] * R[1, k] + n[2] * R[2, k]) * half[k]
-        if reach < 0:
-            return False
-    return True
 
 
 @kernel
@@ -234,32 +194,29 @@ def _cover(kind: int, size: Any, start: Any, R_geom: Any, R: Any, bounds: Any) -
 
 
 @kernel
-def put(chosen: Int32Array, bodies: Bodies, places: ModelGeoms) -> None:
+def put(chosen: Int32Array, boxes: Boxes, position_world: FloatArray, places: ModelGeoms) -> None:
     """Copy the `chosen` (K,) geoms into the first places of a small model, group 0; the others go to group 1."""
-    kind, size_m, position, R_world_geom = bodies
+    kind, size_m, _, _, R_world_geom = boxes
     to_kind, to_size, to_position, to_R, to_group = places
     to_group[:] = 1
     for i in range(len(chosen)):
         g = chosen[i]
         to_kind[i], to_group[i] = kind[g], 0
-        to_size[i], to_position[i] = size_m[g], position[g]
+        to_size[i], to_position[i] = size_m[g], position_world[g]
         for k in range(9):
             to_R[i, k] = R_world_geom[g, k // 3, k % 3]
 
 
 @kernel
-def gather(
-    hits: Hits, rays_world: Any, T_world_rows: Any, tile: Any, origin: Any, far_m: float, chosen: Any, image: Image
-) -> None:
-    """Write what a tile's rays hit into an image.
+def gather(hits: Hits, rays_world: Any, tile: Any, origin: Any, chosen: Any, view: View) -> None:
+    """Write what a tile's rays hit into a view.
 
-    `hits` are MuJoCo's answers for `rays_world` (N, 3) from `origin` (3,). A hit
-    surface is carried along its tangent plane to where the row's own origin sees it: exact for flat ones; where the ray
-    grazes it, the distance stays as it was. `chosen` (K,) are the indices of what was cast at. Where nothing is hit
-    within `far_m`, the image stays as it was.
+    `hits` are MuJoCo's answers for `rays_world` (N, 3) from `origin` (3,). A hit surface is carried along its tangent
+    plane to where the row's own origin sees it: exact for flat ones; where the ray grazes it, the distance stays as it
+    was. `chosen` (K,) are the indices of what was cast at. Where nothing is hit, the view stays.
     """
     hit, distance, normal = hits
-    depth_m, geom, normal_world = image
+    depth_m, geom, normal_world, T_world_rows, _ = view
     i = -1
     for row in range(tile[0], tile[1]):
         for column in range(tile[2], tile[3]):
@@ -275,7 +232,7 @@ def gather(
                 square += ray[k] * ray[k]
             if abs(across) > _GRAZING * np.sqrt(square):
                 z += carried / across
-            if 0 < z <= far_m:
+            if z > 0:
                 depth_m[row, column], geom[row, column] = z, chosen[hit[i]]
                 for k in range(3):
                     normal_world[row, column, k] = n[k]
@@ -379,11 +336,10 @@ class Things(NamedTuple):
 
 
 class Scenery(NamedTuple):
-    """What is painted, and its light; `lattice` is `Lighting`'s."""
+    """What is painted, and its light."""
 
     things: Things
-    light: Light
-    lattice: FloatArray
+    light: Lighting
 
 
 @kernel(error_model="numpy")
@@ -468,7 +424,7 @@ def paint_rows(first: int, last: int, view: View, scenery: Scenery, out: Float32
     """Radiance `out` (H, W, 3) of the rows from first up to last."""
     depth_m, geom, normal_world, T_world_camera, rays = view
     width = depth_m.shape[1]
-    things, light, _ = scenery
+    things, light = scenery
     for v in range(first, last):
         R_world_camera, origin = nine(T_world_camera[v]), place(T_world_camera, v)
         light_row(v, view, light, out)
@@ -527,7 +483,7 @@ def paint_outlines(
 @kernel(error_model="numpy")
 def radiance_of(g: int, p: Any, n: Any, step_u: Any, step_v: Any, scenery: Scenery) -> tuple[Any, Any, Any]:
     """What a geom sends from p with normal n, over a pixel whose edges there are two steps."""
-    tints, sun, grid, flux, clearance = scenery.light
+    tints, sun, grid, flux, clearance, _, _ = scenery.light
     r, e, b = albedo_on_geom(g, p, n, step_u, step_v, scenery.things)
     glow = glow_of(g, p, n, step_u, step_v, scenery)
     shade, lamp, window = light_at(p, n, sun, grid, flux, clearance)
@@ -557,10 +513,10 @@ def to_neighbours(v: int, u: int, rays: Any, R_world_camera: Any) -> Any:
 @kernel(error_model="numpy")
 def glow_of(g: int, p: Any, n: Any, step_u: Any, step_v: Any, scenery: Scenery) -> Any:
     """How bright a geom shines by itself at p with normal n, over a pixel whose edges there are two steps."""
-    things, _, lattice = scenery
+    things, light = scenery
     glow = things.numbers[g, 2]
     if things.looks[g, 0] == CEILING and n[2] < -0.9:
-        glow += lamp_at(p[0], p[1], abs(step_u[0]) + abs(step_v[0]), abs(step_u[1]) + abs(step_v[1]), lattice)
+        glow += lamp_at(p[0], p[1], abs(step_u[0]) + abs(step_v[0]), abs(step_u[1]) + abs(step_v[1]), light.lattice)
     return glow
 
 

@@ -1,6 +1,4 @@
-"""The paper's wheelchair as MJCF, and its way through MuJoCo's time: motors in, pose and wheel angles out. Holds
-what its wheels meet.
-"""
+"""The paper's wheelchair as MJCF, and its way through MuJoCo's time: motors in, pose and wheel angles out."""
 
 from __future__ import annotations
 
@@ -14,24 +12,20 @@ import numpy as np
 
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import FloatArray, se3, so3
-from wheelsight_sim.body_motion import FloorSurface, LoadedRadii, TyreSettings
+from wheelsight_sim.body_motion import CASTOR_X_M, CASTOR_Y_M, FloorSurface, LoadedRadii, TyreSettings
 from wheelsight_sim.doors import Leaves
 from wheelsight_sim.drivers import COMMAND_PERIOD_S
 from wheelsight_sim.readings import is_during
-from wheelsight_sim.robot import Patch, RobotModel, WheelFaults
+from wheelsight_sim.robot import TAIL_M, Patch, RobotModel, WheelFaults
 from wheelsight_sim.world import World
 
 if TYPE_CHECKING:
     import mujoco
 
-
-# The paper's wheelchair as MJCF, set on a world's floor: what MuJoCo steps through time.
-#
 # Dimensions are those of Trinh et al., section II. The body's frame is the base itself: both driven wheels touch the
 # ground at (0, ±track / 2, 0), whatever their radii. Every wheel meets the floor with a sphere, which has one point
 # of contact, straight below its centre; so radius and track width mean the same to physics as to odometry. The
 # cylinders are only to be seen.
-
 
 PREFIX = "wheelchair/"
 ROLLING = ("left_wheel", "right_wheel", "left_castor", "right_castor")
@@ -41,8 +35,6 @@ LIFT_M = 0.01
 CASTOR_RADIUS_M = 0.08
 
 _CASTOR_TRAIL_M = 0.05
-_CASTOR_X_M, _CASTOR_Y_M = 0.45, 0.17
-_TAIL_M = 0.30
 _CLEARANCE_M = 0.05
 _NO_SLIP_FRICTION = 3.0
 # Soft enough for creep to be set at any speed, see `Tyres`; and hard, for wheels that must not slip.
@@ -62,7 +54,7 @@ def wheelchair_mjcf(robot: RobotModel) -> str:
         .read_text(encoding="utf-8")
         .format(
             chassis_kg=_WEIGHT_KG - _WHEELS_KG,
-            middle=robot.length_m / 2 - _TAIL_M,
+            middle=robot.length_m / 2 - TAIL_M,
             half_length=robot.length_m / 2,
             half_width=robot.width_m / 2,
             hull_z=_CLEARANCE_M + half_height,
@@ -70,15 +62,15 @@ def wheelchair_mjcf(robot: RobotModel) -> str:
             jack_z=0.02 - LIFT_M,
             back_z=(0.5 + robot.height_m) / 2,
             back_half_z=(robot.height_m - 0.5) / 2,
-            foot_x=robot.length_m - _TAIL_M - 0.12,
+            foot_x=robot.length_m - TAIL_M - 0.12,
             left_y=half_y,
             left_radius=robot.left_radius_m,
             left_spoke=0.9 * robot.left_radius_m,
             right_y=-half_y,
             right_radius=robot.right_radius_m,
             right_spoke=0.9 * robot.right_radius_m,
-            castor_x=_CASTOR_X_M,
-            castor_y=_CASTOR_Y_M,
+            castor_x=CASTOR_X_M,
+            castor_y=CASTOR_Y_M,
             castor_radius=CASTOR_RADIUS_M,
             castor_trail=-_CASTOR_TRAIL_M,
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from wheelsight.core.areas import AreaMap
 from wheelsight.core.geometry import FloatArray
@@ -83,3 +83,12 @@ class World:
     size_m: tuple[float, float, float, float]
     leaves: tuple[Leaf, ...] = ()
     warnings: tuple[str, ...] = ()
+
+    def at_rest(self) -> tuple[Any, Any]:
+        """MuJoCo's model of the MJCF, and its data with all geoms where they stand."""
+        import mujoco
+
+        model = mujoco.MjModel.from_xml_string(self.mjcf)
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        return model, data

@@ -154,7 +154,7 @@ def test_help_shows_examples(wheelsight: Command) -> None:
     ("arguments", "problem"),
     [
         ((), "a WORLD is missing (wheelsight simulate floor4 --out DIR, or --list)"),
-        (("nowhere",), "there is no world nowhere (known: floor4, "),
+        (("nowhere",), "there is no world nowhere (choose from floor4, "),
         (("square", "--camera", "eye"), "camera 'eye' is not known (choose from ideal, kinect-v1, kinect-v2)"),
         (("square", "--size", "big"), "--size is 'big' (write it as 320x240, half or full)"),
         (("square", "--size", "1x1"), "--size is 1x1 (16 to 4096 pixels)"),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -90,8 +88,7 @@ def albedo_painter(geoms: Geoms, seed: int = 1) -> Painter:
     """Under light from all round alone, far from any corner, so that radiance is what a surface reflects."""
     painter = Painter(geoms, SURFACES, seed)
     light = painter.lighting
-    painter.lighting = replace(
-        light,
+    painter.lighting = light._replace(
         tints=np.array([[1.0, 1, 1], [0, 0, 0], [0, 0, 0]]),
         clearance=np.full_like(light.clearance, 9.0),
         lattice=light.lattice * [1, 1, 1, 0, 1],

@@ -282,15 +282,12 @@ def test_kernels_do_as_they_are_written() -> None:
     rng = np.random.default_rng(3)
     slow = plain(kernels)
     scattered, shine = np.array([0.5, 0.6, 0.2]), np.array([0.0, 0.4, 0.1])
-    R_rows = np.ascontiguousarray(view.T_world_camera[:, :3, :3])
-    light = (view.depth_m, view.geom, view.normal_world, R_rows, view.rays, scattered)
-    for fast, same in zip(kernels.returned_light(*light), slow.returned_light(*light), strict=True):
+    pixels = kernels.returned_light(view, scattered)
+    for fast, same in zip(pixels, slow.returned_light(view, scattered), strict=True):
         np.testing.assert_allclose(fast, same, rtol=1e-5)
-    cosine, returned = kernels.returned_light(*light)
     lit = (view.depth_m, view.geom, 30.0, 0.5)
     np.testing.assert_array_equal(kernels.lit_by_projector(*lit), slow.lit_by_projector(*lit))
     chance = kernels.Chance(rng.integers(0, 256, (24, 40, 3), np.uint8), 1.0)
-    pixels = kernels.Seen(view.depth_m, view.geom, cosine, returned)
     found = (pixels, shine, chance, kernels.Limits(0.5, 8.0, 0.15, 0.02, 0.1, 0.25))
     usable = kernels.detectable(*found)
     np.testing.assert_array_equal(usable, slow.detectable(*found))

@@ -241,7 +241,7 @@ def test_doorways_of_the_flat_are_wide_enough_for_a_wheelchair() -> None:
 def test_an_unknown_world_is_refused_with_the_names(name: str, hint: str) -> None:
     with pytest.raises(ConfigError) as caught:
         build_world(name)
-    assert str(caught.value) == f"there is no world {name} ({hint}known: floor4, flat, studio, blank, square)"
+    assert str(caught.value) == f"there is no world {name} ({hint}choose from floor4, flat, studio, blank, square)"
 
 
 def test_a_negative_seed_is_refused() -> None:

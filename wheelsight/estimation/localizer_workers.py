@@ -204,7 +204,8 @@ class LocalizerApart:
             return
         if not self._calling.acquire(timeout=_ENDING_S):
             self._process.kill()
-            self._process.join()
+            with self._calling:  # that call takes the exit code: of two threads that wait, one would not see the end
+                self._end()
             return
         try:
             self._send(None)

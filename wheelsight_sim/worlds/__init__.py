@@ -8,7 +8,6 @@ arguments; a mapping at the end of the arguments holds keywords.
 from __future__ import annotations
 
 import math
-from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 from wheelsight.core.areas import Area
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.inputs import read_yaml
-from wheelsight_sim.settings import FloorPlan
+from wheelsight_sim.settings import FloorPlan, refuse_unknown
 from wheelsight_sim.world import World
 from wheelsight_sim.worlds.building import Building, Spot
 from wheelsight_sim.worlds.floor_plan import build_floor_plan
@@ -26,6 +25,7 @@ from wheelsight_sim.worlds.floor_plan import build_floor_plan
 __all__ = ["FloorPlan", "build_floor_plan", "build_world", "world_names"]
 
 _NAMES = ("floor4", "flat", "studio", "blank", "square")
+_read_once = cache(read_yaml)
 
 
 def world_names() -> tuple[str, ...]:
@@ -48,11 +48,9 @@ def build_world(name: str, seed: int = 0, day: int = 0, *, has_leaves: bool = Fa
     """
     if seed < 0:
         raise ConfigError(f"seed is {seed}", fix="a whole number from 0 on")
-    if name not in _NAMES:
-        near = get_close_matches(name, _NAMES, n=1)
-        hint = f"did you mean {near[0]}? " if near else ""
-        raise ConfigError(f"there is no world {name}", fix=f"{hint}known: {', '.join(_NAMES)}")
-    document, building = _document(name), Building(name, seed, day)
+    refuse_unknown(name, _NAMES, f"there is no world {name}")
+    document = _read_once(Path(__file__).with_name(f"{name}.yaml"), ConfigError)
+    building = Building(name, seed, day)
     for step in document["steps"]:
         for verb, arguments in step.items():
             values = [_argument(building, value) for value in arguments]
@@ -69,11 +67,6 @@ def build_world(name: str, seed: int = 0, day: int = 0, *, has_leaves: bool = Fa
         x_m, y_m = (sum(area[axis]) / 2 if axis in area["known"] else None for axis in "xy")
         areas.append(Area(area["name"], polygon, x_m, y_m))
     return building.world(document["description"], areas, document["route"], is_loop=document["is_loop"])
-
-
-@cache
-def _document(name: str) -> Any:
-    return read_yaml(Path(__file__).with_name(f"{name}.yaml"), ConfigError)
 
 
 def _argument(building: Building, value: Any) -> Any:

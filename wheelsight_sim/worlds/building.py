@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -135,10 +136,8 @@ class Spot:
 class Building:
     """A world in the making.
 
-    Args:
-        name: of the world.
-        seed: of its dressing: `rng` places posters, bins and chairs, and materials come out a little different.
-        day: another one has what people move elsewhere, and all else where it was.
+    `rng` places posters, bins and chairs by the seed, and materials come out a little different. Another day has what
+    people move elsewhere, and all else where it was.
     """
 
     def __init__(self, name: str, seed: int, day: int = 0) -> None:
@@ -181,13 +180,11 @@ class Building:
         n = len(corners)
         for k, (name, material, *openings) in enumerate(edges):
             start, end = corners[k], corners[(k + 1) % n]
-            grow = [0.0, 0.0]
-            if is_closed or k > 0:
-                grow[0] = _growth(corners[k - 1], start, end, thickness_m)
-            if is_closed or k + 2 < n:
-                grow[1] = _growth(start, end, corners[(k + 2) % n], thickness_m)
+            has_before, has_after = is_closed or k > 0, is_closed or k + 2 < n
+            before_m = _growth(corners[k - 1], start, end, thickness_m) if has_before else 0.0
+            after_m = _growth(start, end, corners[(k + 2) % n], thickness_m) if has_after else 0.0
             face = self.faces[name] = Face(name, start, end)
-            self._wall(face, material, openings, -thickness_m / 2, thickness_m, (grow[0], grow[1]))
+            self._wall(face, material, openings, -thickness_m / 2, thickness_m, (before_m, after_m))
 
     def partition(
         self,
@@ -286,12 +283,6 @@ class Building:
         centre = (spot.x_m, spot.y_m, (bottom_m + top_m) / 2)
         self._add(name, "cylinder", material, centre, (radius_m, (top_m - bottom_m) / 2), is_solid=True)
 
-    def ellipsoid(self, name: str, material: str, spot: Spot, radius_m: float, bottom_m: float, top_m: float) -> None:
-        """An upright ellipsoid, solid."""
-        centre = (spot.x_m, spot.y_m, (bottom_m + top_m) / 2)
-        half = (radius_m, radius_m, (top_m - bottom_m) / 2)
-        self._add(name, "ellipsoid", material, centre, half, is_solid=True)
-
     # Furniture from boxes and cylinders, each piece around a spot that it faces along y. A piece that stands at a wall
     # takes `Face.spot(at_m)`: its back is at the wall and its front looks out of it.
 
@@ -326,9 +317,8 @@ class Building:
         """Books on boards between two sides, at a wall."""
         middle = wall.offset(0, depth_m / 2)
         for side in (-1, 1):
-            self.box(
-                f"{name}_side", "wood_dark", middle.offset(side * (width_m - 0.03) / 2, 0), (0.03, depth_m), 0, height_m
-            )
+            end = middle.offset(side * (width_m - 0.03) / 2, 0)
+            self.box(f"{name}_side", "wood_dark", end, (0.03, depth_m), 0, height_m)
         pitch = height_m / rows
         for row in range(rows):
             self.box(f"{name}_board", "wood_dark", middle, (width_m - 0.06, depth_m), row * pitch, row * pitch + 0.04)
@@ -373,7 +363,8 @@ class Building:
     def plant(self, name: str, spot: Spot, height_m: float = 1.3) -> None:
         """Leaves over a pot."""
         self.cylinder(f"{name}_pot", "clay", spot, 0.19, 0.0, 0.40)
-        self.ellipsoid(f"{name}_leaves", "leaves", spot, 0.30, 0.38, height_m)
+        centre = (spot.x_m, spot.y_m, (0.38 + height_m) / 2)
+        self._add(f"{name}_leaves", "ellipsoid", "leaves", centre, (0.30, 0.30, (height_m - 0.38) / 2), is_solid=True)
 
     def bin_beside(self, face: str, begin_m: float, end_m: float) -> None:
         """A waste bin at a wall, somewhere between two places along it, as the seed has it."""
@@ -391,9 +382,9 @@ class Building:
         """How many there are by now."""
         return len(self._geoms)
 
-    def remove_since(self, count: int) -> None:
-        """Remove all but the first `count` geoms. No door's leaf may be among them."""
-        for name in list(self._geoms)[count:]:
+    def remove_since(self, kept: int) -> None:
+        """Remove all but the first `kept` geoms. No door's leaf may be among them."""
+        for name in list(self._geoms)[kept:]:
             del self._geoms[name]
 
     def world(self, description: str, areas: Sequence[Area], route: ArrayLike, *, is_loop: bool) -> World:
@@ -401,9 +392,29 @@ class Building:
         waypoints: FloatArray = np.array(route, float)
         waypoints.setflags(write=False)
         surfaces = dict(sorted(self._surfaces.items()))
-        areas_of = AreaMap(tuple(areas))
-        leaves = tuple(self._leaves)
-        return World(self.name, description, self._mjcf(), surfaces, areas_of, waypoints, is_loop, self._size_m, leaves)
+        x_min, y_min, x_max, y_max = self._size_m
+        extent = max(x_max - x_min, y_max - y_min) / 2
+        root = ET.Element("mujoco", model=self.name)
+        ET.SubElement(root, "compiler", angle="radian")
+        middle = _numbers(((x_min + x_max) / 2, (y_min + y_max) / 2, 1.0))
+        ET.SubElement(root, "statistic", center=middle, extent=f"{extent:g}")
+        visual = ET.SubElement(root, "visual")
+        ET.SubElement(visual, "headlight", ambient="0.55 0.55 0.55", diffuse="0.45 0.45 0.45", specular="0.1 0.1 0.1")
+        ET.SubElement(visual, "map", znear=f"{0.05 / extent:.6g}", zfar="10")
+        ET.SubElement(visual, "global", azimuth="90", elevation="-60", offwidth="1280", offheight="960")
+        asset = ET.SubElement(root, "asset")
+        for name, surface in surfaces.items():
+            colour, shine = _numbers((*surface.rgb, 1.0)), f"{surface.shine:g}"
+            ET.SubElement(asset, "material", name=name, rgba=colour, specular=shine, shininess=shine)
+        ground = ET.SubElement(root, "worldbody")
+        daylight = {"name": "daylight", "type": "directional", "dir": "0.3 0.2 -1", "castshadow": "false"}
+        ET.SubElement(ground, "light", daylight, diffuse="0.35 0.35 0.35", specular="0.1 0.1 0.1")
+        for name, attributes in self._geoms.items():
+            ET.SubElement(ground, "geom", {"name": name, **attributes})
+        ET.indent(root)
+        mjcf = ET.tostring(root, encoding="unicode") + "\n"
+        of = AreaMap(tuple(areas)), waypoints, is_loop, self._size_m, tuple(self._leaves)
+        return World(self.name, description, mjcf, surfaces, *of)
 
     def _wall(
         self,
@@ -446,35 +457,8 @@ class Building:
         }
 
     def _free_name(self, name: str) -> str:
-        if name not in self._geoms:
-            return name
-        number = 2
-        while f"{name}_{number}" in self._geoms:
-            number += 1
-        return f"{name}_{number}"
-
-    def _mjcf(self) -> str:
-        x_min, y_min, x_max, y_max = self._size_m
-        extent = max(x_max - x_min, y_max - y_min) / 2
-        root = ET.Element("mujoco", model=self.name)
-        ET.SubElement(root, "compiler", angle="radian")
-        middle = _numbers(((x_min + x_max) / 2, (y_min + y_max) / 2, 1.0))
-        ET.SubElement(root, "statistic", center=middle, extent=f"{extent:g}")
-        visual = ET.SubElement(root, "visual")
-        ET.SubElement(visual, "headlight", ambient="0.55 0.55 0.55", diffuse="0.45 0.45 0.45", specular="0.1 0.1 0.1")
-        ET.SubElement(visual, "map", znear=f"{0.05 / extent:.6g}", zfar="10")
-        ET.SubElement(visual, "global", azimuth="90", elevation="-60", offwidth="1280", offheight="960")
-        asset = ET.SubElement(root, "asset")
-        for name, surface in sorted(self._surfaces.items()):
-            colour, shine = _numbers((*surface.rgb, 1.0)), f"{surface.shine:g}"
-            ET.SubElement(asset, "material", name=name, rgba=colour, specular=shine, shininess=shine)
-        ground = ET.SubElement(root, "worldbody")
-        daylight = {"name": "daylight", "type": "directional", "dir": "0.3 0.2 -1", "castshadow": "false"}
-        ET.SubElement(ground, "light", daylight, diffuse="0.35 0.35 0.35", specular="0.1 0.1 0.1")
-        for name, attributes in self._geoms.items():
-            ET.SubElement(ground, "geom", {"name": name, **attributes})
-        ET.indent(root)
-        return ET.tostring(root, encoding="unicode") + "\n"
+        names = chain([name], (f"{name}_{number}" for number in count(2)))
+        return next(free for free in names if free not in self._geoms)
 
 
 def _growth(
@@ -512,7 +496,5 @@ def painted(name: str, seed: int) -> Surface:
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
     light, tints = rng.uniform(-0.05, 0.05), rng.uniform(-0.025, 0.025, 3)
     factors = 1 + light + tints
-    r, g, b = (
-        round(float(min(channel * factor, 1.0)), 4) for channel, factor in zip(surface.rgb, factors, strict=True)
-    )
+    r, g, b = (round(float(min(share * factor, 1.0)), 4) for share, factor in zip(surface.rgb, factors, strict=True))
     return replace(surface, rgb=(r, g, b))

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -81,7 +82,7 @@ def build_floor_plan(
     dresser = Dresser(building, floor, shapely.union_all(kept_free), shapely.union_all(gaps), left_out)
     for face in faces:
         dresser.face(face)
-    dresser.tables(dresser.table_places(table_count(floor.area)))
+    dresser.tables(dresser.table_places(min(int(floor.area / _TABLES_M2), _MOST_TABLES)))
     lap = "a lap" if route.is_loop else "a way"
     description = f"{space.shape.area:.0f} m² of {Path(plan.path).name}, {lap} of {route.length_m:.0f} m"
     world = building.world(description, areas, route.all_waypoints, is_loop=route.is_loop)
@@ -235,11 +236,7 @@ class PlanDoor:
 def choose_door(doorway: Doorway, way: shapely.Geometry, floor: shapely.Geometry, rng: np.random.Generator) -> PlanDoor:
     """A door by seed: closed only off the route, else open to where its leaf blocks no way.
 
-    Args:
-        doorway: the gap.
-        way: what the robot sweeps.
-        floor: that is free.
-        rng: decides.
+    `way` is what the robot sweeps, `floor` what is free.
     """
     gap = shapely.LineString([doorway.left, doorway.right])
     wants_closed = rng.random() < _SHARE_CLOSED
@@ -305,20 +302,11 @@ _FABRICS = ("fabric_blue", "fabric_red", "fabric_dark", "fabric_beige")
 _SHEETS_M = ((0.30, 0.42), (0.42, 0.30), (0.42, 0.59), (0.59, 0.84), (0.84, 1.19), (0.84, 0.59), (1.19, 0.84))
 
 
-@dataclass(frozen=True, slots=True)
-class _Furniture:
-    """A kind of furniture that stands at a wall.
-
-    Attributes:
-        width_m, depth_m: of the floor that it takes.
-        height_m: what hangs over it begins above.
-        share: how often it stands in a room, and in a corridor.
-        build: puts one there.
-    """
+class _Furniture(NamedTuple):
+    """What stands at a wall: the floor that it takes, its shares in a room and in a corridor, what puts it there."""
 
     width_m: float
     depth_m: float
-    height_m: float
     share: tuple[float, float]
     build: Callable[[Building, str, Spot], None]
 
@@ -342,26 +330,24 @@ def _copier(building: Building, name: str, wall: Spot) -> None:
 
 
 _KINDS = {
-    "shelf": _Furniture(1.4, 0.34, 1.95, (0.14, 0.04), lambda b, n, s: b.shelf(n, s, 1.3, rows=3)),
-    "desk": _Furniture(1.6, 1.35, 1.2, (0.18, 0.0), Building.desk),
-    "cupboard": _Furniture(1.2, 0.48, 1.95, (0.16, 0.14), _cupboard),
+    "shelf": _Furniture(1.4, 0.34, (0.14, 0.04), lambda b, n, s: b.shelf(n, s, 1.3, rows=3)),
+    "desk": _Furniture(1.6, 1.35, (0.18, 0.0), Building.desk),
+    "cupboard": _Furniture(1.2, 0.48, (0.16, 0.14), _cupboard),
     "radiator": _Furniture(
-        1.3, 0.14, 0.8, (0.10, 0.18), lambda b, n, s: b.box(n, "radiator", s.offset(0, 0.07), (1.2, 0.1), 0.15, 0.75)
+        1.3, 0.14, (0.10, 0.18), lambda b, n, s: b.box(n, "radiator", s.offset(0, 0.07), (1.2, 0.1), 0.15, 0.75)
     ),
     "bin": _Furniture(
-        0.4, 0.4, 0.6, (0.08, 0.14), lambda b, n, s: b.cylinder(n, "plastic_grey", s.offset(0, 0.2), 0.15, 0.0, 0.55)
+        0.4, 0.4, (0.08, 0.14), lambda b, n, s: b.cylinder(n, "plastic_grey", s.offset(0, 0.2), 0.15, 0.0, 0.55)
     ),
-    "chair": _Furniture(0.6, 0.7, 0.9, (0.10, 0.14), _chair),
-    "plant": _Furniture(
-        0.7, 0.7, 1.6, (0.08, 0.10), lambda b, n, s: b.plant(n, s.offset(0, 0.35), b.rng.uniform(1.0, 1.6))
-    ),
-    "sofa": _Furniture(2.1, 0.95, 0.9, (0.06, 0.02), Building.sofa),
-    "bed": _Furniture(1.7, 2.15, 1.05, (0.02, 0.0), Building.bed),
-    "bench": _Furniture(1.6, 0.46, 0.5, (0.02, 0.12), Building.bench),
-    "table": _Furniture(1.5, 0.8, 0.8, (0.06, 0.02), lambda b, n, s: b.table(n, s.offset(0, 0.42), (1.4, 0.7))),
-    "copier": _Furniture(1.2, 0.75, 1.15, (0.0, 0.06), _copier),
+    "chair": _Furniture(0.6, 0.7, (0.10, 0.14), _chair),
+    "plant": _Furniture(0.7, 0.7, (0.08, 0.10), lambda b, n, s: b.plant(n, s.offset(0, 0.35), b.rng.uniform(1.0, 1.6))),
+    "sofa": _Furniture(2.1, 0.95, (0.06, 0.02), Building.sofa),
+    "bed": _Furniture(1.7, 2.15, (0.02, 0.0), Building.bed),
+    "bench": _Furniture(1.6, 0.46, (0.02, 0.12), Building.bench),
+    "table": _Furniture(1.5, 0.8, (0.06, 0.02), lambda b, n, s: b.table(n, s.offset(0, 0.42), (1.4, 0.7))),
+    "copier": _Furniture(1.2, 0.75, (0.0, 0.06), _copier),
     "machine": _Furniture(
-        1.05, 0.85, 1.9, (0.0, 0.04), lambda b, n, s: b.box(n, "machine", s.offset(0, 0.4), (0.95, 0.78), 0.0, 1.85)
+        1.05, 0.85, (0.0, 0.04), lambda b, n, s: b.box(n, "machine", s.offset(0, 0.4), (0.95, 0.78), 0.0, 1.85)
     ),
 }
 
@@ -505,15 +491,6 @@ class Dresser:
 
 def _rectangle(wall: Spot, width_m: float, depth_m: float) -> shapely.Polygon:
     """Floor at a wall, around a spot on it."""
-    corners = [
-        wall.offset(-width_m / 2, 0.01),
-        wall.offset(width_m / 2, 0.01),
-        wall.offset(width_m / 2, depth_m),
-        wall.offset(-width_m / 2, depth_m),
-    ]
+    half = width_m / 2
+    corners = (wall.offset(*place) for place in ((-half, 0.01), (half, 0.01), (half, depth_m), (-half, depth_m)))
     return shapely.Polygon([(corner.x_m, corner.y_m) for corner in corners])
-
-
-def table_count(area_m2: float) -> int:
-    """How many tables stand in the middle of so much floor, at most."""
-    return min(int(area_m2 / _TABLES_M2), _MOST_TABLES)

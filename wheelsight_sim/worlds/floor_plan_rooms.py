@@ -75,13 +75,33 @@ def free_space_of(plan: RosMap, width_m: float) -> FreeSpace:
     is_coarse = plan.resolution_m > _COARSE * CELL_M
     straight_m = _STRAIGHT_CELLS * plan.resolution_m if is_coarse else _STRAIGHT_M
     plan = _resampled(plan)
-    grid = _largest_part(_cleaned(plan), plan.resolution_m, width_m)
-    # The outline of connected cells, in cells, with its holes: along the cells' sides.
-    steps = np.diff(np.pad(grid, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    (rows, begins), (_, ends) = np.nonzero(steps == 1), np.nonzero(steps == -1)
-    outline = shapely.union_all(shapely.box(begins, rows, ends, rows + 1))
+    # Free cells, without specks, shadows and slits.
+    grid = (plan.occupancy == FREE).astype(np.uint8)
+    count, labels, facts, _ = cv2.connectedComponentsWithStats(1 - grid, connectivity=8)
+    has_wall = np.bincount(labels.ravel(), weights=(plan.occupancy > FREE).ravel(), minlength=count) > 0
+    small = facts[:, cv2.CC_STAT_AREA] < np.where(has_wall, _SPECK_M2, _SHADOW_M2) / plan.resolution_m**2
+    small[0] = False
+    grid[small[labels]] = 1
+    reach = max(round(_SLIT_M / plan.resolution_m), 1)
+    opened = cv2.morphologyEx(grid, cv2.MORPH_OPEN, _disc(reach))
+    # Opening rounds corners of rooms; they grow back, and no more than a stump of a slit does.
+    grid = np.asarray(cv2.dilate(opened, _disc(max(reach // 2, 1))) & grid, np.uint8)
+    # The connected part in which what is so wide can move about most.
+    away_m = _distance_m(grid, plan.resolution_m)
+    _, places, facts, _ = cv2.connectedComponentsWithStats((away_m >= width_m / 2).astype(np.uint8), connectivity=8)
+    if len(facts) < 2:
+        widest_m = 2 * float(away_m.max())
+        problem = f"the widest free place of the plan is {widest_m:.2f} m across, and the robot needs {width_m:.2f} m"
+        raise ConfigError(problem, fix=f"it misses {width_m - widest_m:.2f} m; is the resolution right?")
+    row, column = np.argwhere(places == 1 + int(np.argmax(facts[1:, cv2.CC_STAT_AREA])))[0]
+    _, parts = cv2.connectedComponents(grid, connectivity=4)
+    grid = np.asarray(parts == parts[row, column], np.uint8)
+    outline = _outline(grid)
     shape = _straightened(outline, straight_m / plan.resolution_m)
-    if not is_coarse and _short_share(shape, _SHORT_M / plan.resolution_m) > _JAGGED_SHARE:
+    rings = [shapely.get_coordinates(ring) for ring in (shape.exterior, *shape.interiors)]
+    sides = np.concatenate([np.hypot(*np.diff(ring, axis=0).T) for ring in rings])
+    short = sides[sides < _SHORT_M / plan.resolution_m]
+    if not is_coarse and float(short.sum() / sides.sum()) > _JAGGED_SHARE:
         shape = _straightened(outline, 2 * straight_m / plan.resolution_m)
     shape = shapely.transform(shape, plan.to_map)
     return FreeSpace(drawn(shape, plan, grid.shape), plan, shape)
@@ -114,41 +134,18 @@ def _resampled(plan: RosMap) -> RosMap:
     return RosMap(merged.astype(np.int8), plan.resolution_m * times, origin)
 
 
-def _cleaned(plan: RosMap) -> ByteArray:
-    """(R, C) uint8 free cells, without specks, shadows and slits."""
-    cell_m2 = plan.resolution_m**2
-    grid = (plan.occupancy == FREE).astype(np.uint8)
-    count, labels, facts, _ = cv2.connectedComponentsWithStats(1 - grid, connectivity=8)
-    has_wall = np.bincount(labels.ravel(), weights=(plan.occupancy > FREE).ravel(), minlength=count) > 0
-    limit = np.where(has_wall, _SPECK_M2, _SHADOW_M2) / cell_m2
-    small = facts[:, cv2.CC_STAT_AREA] < limit
-    small[0] = False
-    grid[small[labels]] = 1
-    reach = max(round(_SLIT_M / plan.resolution_m), 1)
-    opened = cv2.morphologyEx(grid, cv2.MORPH_OPEN, _disc(reach))
-    # Opening rounds corners of rooms; they grow back, and no more than a stump of a slit does.
-    return np.asarray(cv2.dilate(opened, _disc(max(reach // 2, 1))) & grid, np.uint8)
-
-
-def _largest_part(grid: ByteArray, cell_m: float, width_m: float) -> ByteArray:
-    """The connected part of `grid` in which what is `width_m` wide can move about most."""
-    away_m = _distance_m(grid, cell_m)
-    _, places, facts, _ = cv2.connectedComponentsWithStats((away_m >= width_m / 2).astype(np.uint8), connectivity=8)
-    if len(facts) < 2:
-        widest_m = 2 * float(away_m.max())
-        problem = f"the widest free place of the plan is {widest_m:.2f} m across, and the robot needs {width_m:.2f} m"
-        raise ConfigError(problem, fix=f"it misses {width_m - widest_m:.2f} m; is the resolution right?")
-    best = 1 + int(np.argmax(facts[1:, cv2.CC_STAT_AREA]))
-    row, column = np.argwhere(places == best)[0]
-    _, parts = cv2.connectedComponents(grid, connectivity=4)
-    return np.asarray(parts == parts[row, column], np.uint8)
-
-
 def _distance_m(grid: ByteArray, cell_m: float) -> Float32Array:
     """(R, C) from a free cell's middle to the nearest side of a cell that is not free; none is beyond the border."""
     padded = cv2.copyMakeBorder(grid, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     distance = np.asarray(cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float32)[1:-1, 1:-1]
     return np.asarray(np.maximum(distance - 0.5, 0) * cell_m, np.float32)
+
+
+def _outline(marked: ByteArray | BoolArray) -> shapely.Geometry:
+    """The outline of marked cells (R, C), in cells, with its holes: along the cells' sides."""
+    steps = np.diff(np.pad(marked.astype(np.int8), ((0, 0), (1, 1))), axis=1)
+    (rows, begins), (_, ends) = np.nonzero(steps == 1), np.nonzero(steps == -1)
+    return shapely.union_all(shapely.box(begins, rows, ends, rows + 1))
 
 
 def _straightened(shape: shapely.Polygon, tolerance: float) -> shapely.Polygon:
@@ -157,13 +154,6 @@ def _straightened(shape: shapely.Polygon, tolerance: float) -> shapely.Polygon:
     if simple.geom_type != "Polygon":  # cells that touched at a corner have come apart
         simple = max(simple.geoms, key=lambda part: float(part.area))
     return shapely.remove_repeated_points(simple)
-
-
-def _short_share(shape: shapely.Polygon, short: float) -> float:
-    """How much of a polygon's outline are sides that are shorter than `short`."""
-    rings = [shapely.get_coordinates(ring) for ring in (shape.exterior, *shape.interiors)]
-    lengths = np.concatenate([np.hypot(*np.diff(ring, axis=0).T) for ring in rings])
-    return float(lengths[lengths < short].sum() / lengths.sum())
 
 
 def drawn(shape: shapely.Geometry, plan: RosMap, size: tuple[int, ...], *, is_generous: bool = False) -> ByteArray:
@@ -335,12 +325,7 @@ def _doorway_at(
     cells = space.cells_at(both)
     if (away_m[cells[:, 0], cells[:, 1]] < width_m / 2 + _OPENS_BY_M / 2).any():
         return None
-    return _in_wall(space, middle, across, width_m)
-
-
-def _in_wall(space: FreeSpace, middle: FloatArray, across: FloatArray, width_m: float) -> Doorway | None:
-    """The doorway of that width, with the thickness of the wall on both of its sides; None where there is no wall."""
-    onward = np.array([-across[1], across[0]])
+    # The thickness of the wall, which must be on both sides of the doorway.
     depths_m = np.arange(-_THICKEST_M, _THICKEST_M + 0.01, space.cell_m / 2)
     out_m = np.arange(width_m / 2 + space.cell_m, width_m / 2 + _JAMB_M, space.cell_m)
     sides = np.concatenate([out_m, -out_m])
@@ -396,11 +381,9 @@ def read_room_areas(path: Path, plan: RosMap) -> list[Area]:
     areas: list[Area] = []
     for room in rooms:
         # A region (H, W) as polygons in `map`, with straight sides.
-        mask = labels == room
-        steps = np.diff(np.pad(mask.astype(np.int8), ((0, 0), (1, 1))), axis=1)
-        (rows, begins), (_, ends) = np.nonzero(steps == 1), np.nonzero(steps == -1)
-        shape = shapely.union_all(shapely.box(begins, rows, ends, rows + 1))
-        shape = shapely.simplify(shape, _AREAS_STRAIGHT_M / plan.resolution_m, preserve_topology=True)
+        shape = shapely.simplify(
+            _outline(labels == room), _AREAS_STRAIGHT_M / plan.resolution_m, preserve_topology=True
+        )
         polygon = shapely.transform(shape, plan.to_map)
         if polygon.buffer(-_AREAS_NARROWEST_M / 2).is_empty:  # softened edges, and gaps between lines
             continue
@@ -428,9 +411,8 @@ def _regions(image: ByteArray, least_px: float, path: Path) -> Int32Array:
     values, counts = np.unique(colours, return_counts=True)
     values = values[counts >= least_px]
     if len(values) > _MOST_COLOURS:
-        raise AreaError(
-            f"has {len(values)} colours that are large enough for rooms", path=path, fix="one colour a room"
-        )
+        problem = f"has {len(values)} colours that are large enough for rooms"
+        raise AreaError(problem, path=path, fix="one colour a room")
     for value in values:
         _, found = cv2.connectedComponents((colours == value).astype(np.uint8), connectivity=4)
         labels = np.where(found > 0, found + labels.max(), labels).astype(np.int32)

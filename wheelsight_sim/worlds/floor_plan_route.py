@@ -19,7 +19,7 @@ from shapely.ops import substring
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, IntArray
 from wheelsight_sim.drivers import Path2d, laps_of, smooth_path
-from wheelsight_sim.robot import RobotModel
+from wheelsight_sim.robot import TAIL_M, RobotModel
 from wheelsight_sim.settings import FloorPlan
 from wheelsight_sim.worlds.floor_plan_rooms import Doorway, FreeSpace, drawn
 
@@ -27,7 +27,6 @@ _ASKED_MARGIN_M = 0.107  # beside the chair: what `refuse_walls` asks for, and w
 SIDE_MARGIN_M = 0.11  # planned with
 USUAL_WAY_M = 100.0
 _SWEPT_MARGIN_M = 0.05  # a driver strays by centimetres
-_TAIL_M = 0.30  # of the chair, behind its axle
 _GOALS_APART_M = (2.0, 5.0)
 _MOST_GOALS = 14
 _SMOOTHED_M = (0.3, 0.15, 0.05)
@@ -82,7 +81,7 @@ class Body:
     @classmethod
     def of(cls, robot: RobotModel) -> Body:
         """The wheelchair's."""
-        return cls(robot.length_m - _TAIL_M, _TAIL_M, robot.width_m / 2)
+        return cls(robot.length_m - TAIL_M, TAIL_M, robot.width_m / 2)
 
     @property
     def turning_m(self) -> float:
@@ -104,13 +103,8 @@ def plan_route(
 ) -> Route:
     """A closed tour from room to room, or one way where there is no place to turn.
 
-    Args:
-        space: the floor.
-        doorways: which are passed straight.
-        robot: that is to drive it.
-        seed: which rooms are visited.
-        plan: says where it begins, and how long a lap is about; without a length it is up to USUAL_WAY_M.
-        least_m: how long all of it is at least: a tour is driven again where rooms do not suffice.
+    Doorways are passed straight, and the seed decides which rooms are visited. `plan` says where it begins, and about
+    how long a lap is, else up to USUAL_WAY_M; with rooms too few for `least_m` a tour is driven again.
 
     Raises:
         ConfigError: a start where the robot does not fit, or nowhere to go.
@@ -146,10 +140,8 @@ def _starts(
         around = body.outlines(x_m, y_m, yaw_rad, _SWEPT_MARGIN_M)
         if not ground.is_open[row, column] or not shapely.covers(ground.space.shape, shapely.polygons(around[0])):
             where = f"x = {start[0]:g}, y = {start[1]:g} m"
-            raise ConfigError(
-                f"--start {where} is too near to a wall, or off the floor",
-                fix="the plan.png of a drive without it shows the floor",
-            )
+            problem = f"--start {where} is too near to a wall, or off the floor"
+            raise ConfigError(problem, fix="the plan.png of a drive without it shows the floor")
         return [(row, column)]
     roomiest_m = float((ground.away_m * ground.is_open).max())
     goals = _goals(ground, min(body.turning_m, roomiest_m))
@@ -208,9 +200,10 @@ class _Planner:
             legs = [self._waypoints(ways.way(found[a][1], stops[b])) for a, b in pairwise([*order, order[0]])]
             lap = np.concatenate([leg[:-1] for leg in legs])
             # Where a doorway's lane ends at a stop, leaving it begins where coming to it ended.
-            while len(lap) > 2 and len(
-                same := np.flatnonzero(np.hypot(*(np.roll(lap, -1, axis=0) - lap).T) <= _SAME_M)
-            ):
+            while len(lap) > 2:
+                same = np.flatnonzero(np.hypot(*(np.roll(lap, -1, axis=0) - lap).T) <= _SAME_M)
+                if not len(same):
+                    break
                 lap = np.delete(lap, same[-1], axis=0)
             lap = lap if len(lap) > 2 else np.insert(lap, 1, lap.mean(axis=0), axis=0)
             route = Route(self._headed(lap), is_loop=True)

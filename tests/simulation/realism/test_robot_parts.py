@@ -13,7 +13,7 @@ from wheelsight.core.areas import Area, AreaMap
 from wheelsight.core.geometry import FloatArray, se3, so3
 from wheelsight.core.trajectory import Trajectory
 from wheelsight_sim import Realism, RobotModel, Surface, World, build_world, carriage_of
-from wheelsight_sim.appearance import Lighting, Lights, LightSettings
+from wheelsight_sim.appearance import Lights, LightSettings, lighting_of
 from wheelsight_sim.body_motion import (
     BodyMotion,
     BodySettings,
@@ -197,7 +197,7 @@ def test_lamps_are_switched_as_often_as_said():
     assert levels.min() >= 0.35
     scene = Scene(build_world("square", 1), threads=1)
     looks = [scene.surfaces[material] for material in scene.geoms.materials]
-    lighting = Lighting.of(scene.geoms, looks, 1)
+    lighting = lighting_of(scene.geoms, looks, 1)
     lights = next(lights for lights in switched if lights.level_at(99.0) < 1)
     dim = lights.lit(lighting, 99.0)
     np.testing.assert_allclose(dim.tints[1], lights.level_at(99.0) * lighting.tints[1])

@@ -12,7 +12,7 @@ from small_rooms import WHITE, looking, room
 from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera
 from wheelsight.core.trajectory import Trajectory
 from wheelsight_sim import light_kernels as kernels
-from wheelsight_sim.appearance import Lighting, Shadows, ShadowSettings
+from wheelsight_sim.appearance import Shadows, ShadowSettings, lighting_of
 from wheelsight_sim.doors import Doors
 from wheelsight_sim.robot import Drive
 from wheelsight_sim.scene import Scene
@@ -92,7 +92,7 @@ def shadows_in(geoms: str, *, has_robot: bool = False) -> tuple[Scene, Shadows]:
 
 
 def shadows_of(scene: Scene, strength: float = 0.6, *, has_robot: bool = False) -> Shadows:
-    lighting = Lighting.of(scene.geoms, [scene.surfaces[material] for material in scene.geoms.materials], 0)
+    lighting = lighting_of(scene.geoms, [scene.surfaces[material] for material in scene.geoms.materials], 0)
     return Shadows(ShadowSettings(strength), scene, lighting, has_robot=has_robot)
 
 
