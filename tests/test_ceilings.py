@@ -34,17 +34,17 @@ class Ceiling(NamedTuple):
 
 
 CEILINGS = {
-    "modules": Ceiling(275, 330),
+    "modules": Ceiling(264, 330),
     "lines without the simulator": Ceiling(78_000, 78_000),
-    "lines of the simulator": Ceiling(11_600, 11_000),
-    "share of private functions used in one place": Ceiling(0.403, 0.40),
+    "lines of the simulator": Ceiling(11_000, 11_000),
+    "share of private functions used in one place": Ceiling(0.39, 0.40),
     "class names with two or more meanings": Ceiling(0, 0),
     "settings": Ceiling(184, 200),
     "decision pages": Ceiling(15, 15),
     "benchmark files in the root": Ceiling(1, 1),
     "words of the changelog": Ceiling(480, 500),
     "files of a joined frame": Ceiling(24, 24),
-    "calls of a joined frame": Ceiling(715, 700),
+    "calls of a joined frame": Ceiling(705, 700),
     "files of a wheel reading": Ceiling(12, 12),
     "calls of a wheel reading": Ceiling(103, 150),
     "files from go_to_pose through a control period": Ceiling(26, 28),
