@@ -55,6 +55,7 @@ from wheelsight.core.settings.fusion import ErrorStateSettings
 from wheelsight.estimation import fault_detection as faults
 from wheelsight.estimation.fault_detection import Fault, FaultDetection
 from wheelsight.estimation.filter_kernels import answered
+from wheelsight.estimation.sensor_health import Sensor
 from wheelsight.estimation.pose_belief import (
     ERRORS,
     FilterParameters,
@@ -176,6 +177,26 @@ class ErrorStateFilter:
         if step.end_s - step.begin_s > self.parameters.even_s:
             spread = spread + of_unknown_path(xi, self.parameters.swing_rad)
         return self._take(FilterEvent(step.end_s, wheels=WheelStep(step.begin_s, step.end_s, xi, spread)))
+
+    def replay_without(self, sensor: Sensor, since_s: float) -> bool:
+        """Compute the state again without a sensor since a stamp; return whether the filter remembers that time."""
+
+        def change(event: FilterEvent) -> FilterEvent:
+            if event.since_s < since_s:
+                return event
+            if sensor is Sensor.CAMERA and event.measurement is not None:
+                return replace(event, measurement=None, failure=Reason.CONTRADICTION)
+            if sensor is Sensor.GYRO and event.yaw_rate_rad_s is not None:
+                return FilterEvent(event.stamp_s, drop="")
+            if sensor in (Sensor.LEFT, Sensor.RIGHT, Sensor.WHEELS) and event.wheels is not None:
+                return FilterEvent(event.stamp_s, drop="")
+            return event
+
+        self._moved = None
+        if not self._history.replay(since_s, change):
+            return False
+        self.current = CurrentPose.of(self._history.newest, self.parameters)
+        return True
 
     def clone(self, stamp_s: float, name: str, covariance: ArrayLike | None = None) -> FusedEstimate:
         """Remember the pose at a stamp as `name`, for later measurements. It replaces an earlier one of that name.
@@ -820,6 +841,8 @@ class Dated(Protocol):
 Event = TypeVar("Event", bound=Dated)
 State = TypeVar("State")
 _LAST_RANK = 1 << 30
+# States that are kept for the correction of the past: how far back, and how often.
+_KEPT_FOR_S, _KEPT_EVERY_S = 40.0, 1.0
 
 
 class History(Generic[Event, State]):
@@ -843,9 +866,44 @@ class History(Generic[Event, State]):
         self._begin, self._window_s, self._apply = begin, window_s, apply
         self._keys: list[tuple[float, int]] = []
         self._states: list[State] = []
+        self._past: deque[Event] = deque()
+        self._kept: deque[tuple[float, int, State]] = deque()  # stamp, events until then, and the state after them
+        self._dropped = 0
 
     def __len__(self) -> int:
         return len(self.events)
+
+    def _archive(self, passed: int) -> None:
+        """Keep events that leave the window, and a state a second, for `replay`."""
+        for event, state in zip(self.events[:passed], self._states[:passed], strict=True):
+            self._past.append(event)
+            if not self._kept or event.stamp_s - self._kept[-1][0] >= _KEPT_EVERY_S:
+                self._kept.append((event.stamp_s, len(self._past) + self._dropped, state))
+        while self._kept and self._kept[0][0] < self.events[passed - 1].stamp_s - _KEPT_FOR_S:
+            _, count, _ = self._kept.popleft()
+            while self._dropped < count:
+                self._past.popleft()
+                self._dropped += 1
+
+    def replay(self, since_s: float, change: Callable[[Event], Event]) -> bool:
+        """Compute all states since a stamp again from changed events; return whether it is kept as far back."""
+        before = [one for one in self._kept if one[0] <= since_s]
+        if not before:
+            return False
+        _, count, state = before[-1]
+        past = [change(event) for event in list(self._past)[count - self._dropped :]]
+        for place, event in enumerate(past):
+            state = self._apply(state, event, past[max(0, place - 200) : place + 200])
+        self._past = deque([*list(self._past)[: count - self._dropped], *past])
+        self._kept = deque(one for one in self._kept if one[0] <= since_s)
+        self._begin = state
+        self.events = [change(event) for event in self.events]
+        self._states = []
+        for event in self.events:
+            state = self._apply(state, event, self.events)
+            self._states.append(state)
+        self.newest = state
+        return True
 
     def known_at(self, stamp_s: float) -> State:
         """Return the state after the last event up to a stamp; the oldest state for a stamp before the window."""
@@ -874,5 +932,6 @@ class History(Generic[Event, State]):
         passed = bisect_left(self._keys, (self._keys[-1][0] - self._window_s, -1))
         if passed:
             self._begin = self._states[passed - 1]
+            self._archive(passed)
             del self._keys[:passed], self.events[:passed], self._states[:passed]
         return state
