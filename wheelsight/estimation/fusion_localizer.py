@@ -51,7 +51,7 @@ from wheelsight.estimation.filter import ErrorStateFilter, OdomFrame
 from wheelsight.estimation.loop_updates import InMap, LoopsBeside, begin_in, loops_beside
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
 from wheelsight.estimation.pose_belief import COAST_AFTER_S, FilterParameters
-from wheelsight.estimation.sensor_health import Sensor, SensorHealth
+from wheelsight.estimation.sensor_health import Exclusion, Sensor, SensorHealth
 from wheelsight.estimation.wheel_localizer import ByWheels, slip_note
 from wheelsight.places import PlaceMatch
 from wheelsight.slam.place_recognition import KnownMap
@@ -152,6 +152,9 @@ class ByFusion:
         wheels = calibration.wheels
         self._health = None if wheels is None else SensorHealth(wheels.track_width_m, T_base_camera)
         self._fault_notes: list[str] = []
+        self._excluded: Exclusion | None = None
+        self._was_sure = False
+        self._past_exclusions: list[Exclusion] = []
         self._kidnap, self._restart, self._odom = KidnapDetection(), UncertainRestart(), FusedOdom()
 
     def process(self, event: Event) -> tuple[Estimate | None, str]:
@@ -161,7 +164,6 @@ class ByFusion:
             counts = self._base.add_yaw_rate(event)
             if self._health is not None:
                 self._health.add_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
-                counts = counts and not self._is_out(Sensor.GYRO)
             if self._base.uses_gyro:
                 self._check.add_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
             if counts and not self._is_early(event.stamp_s):
@@ -255,8 +257,6 @@ class ByFusion:
         if self._health is not None and wheels.step is not None and wheels.reason is None:
             T = wheels.step.T_before_now
             self._health.add_wheels(wheels.step.end_s, float(T[0, 3]), math.atan2(T[1, 0], T[0, 0]))
-        if self._is_out(Sensor.LEFT, Sensor.RIGHT, Sensor.WHEELS):
-            return self.filter.drop(wheels.stamp_s, ""), note
         fused = self.filter.predict_to(wheels)
         self._base.problem = f"the wheels are not used: {fused.reason}" if fused.reason is Reason.TOO_LATE else ""
         return fused, note
@@ -309,39 +309,41 @@ class ByFusion:
         if self._check.verdict.left_out is not None and self._excludes(Culprit.WHEELS):
             return self._begin(frame, seen)
         if self._health is not None:
-            if shows_all and self._health.add_frame(frame.stamp_s, seen.T_odom_body):
-                anchored = self._isolate(frame, seen)
-                if anchored is not None:
-                    return anchored
-            if not shows_all:
+            if shows_all:
+                self._health.add_frame(frame.stamp_s, seen.T_odom_body)
+            else:
                 self._health.interrupt()
+            if self._isolate(frame.stamp_s):
+                return self._begin(frame, seen)
         motion = anchor.motion_to(seen.T_odom_body, seen.motion)
-        if self._is_out(Sensor.CAMERA):
-            return self.filter.miss_frame(frame.stamp_s, MotionEstimate.failed(Reason.CONTRADICTION))
         motion = blurred(motion, twist, self._base.noise_s)
         motion = strayed(motion, self._of_frame, _FRAME_WALK_PER_M)
         if not shows_all and frame.stamp_s - self._map.seen_s > DARK_S:
             return self._lose(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         return self._measure(frame, seen, motion)
 
-    def _is_out(self, *sensors: Sensor) -> bool:
-        """Whether one of some sensors is left out because of a fault."""
-        return self._health is not None and self._health.excluded in sensors
-
-    def _isolate(self, frame: RgbdFrame, seen: CameraEstimate) -> FusedEstimate | None:
-        """Leave out a sensor that was just found faulty, also in the past; use it again once its fault has ended."""
+    def _isolate(self, stamp_s: float) -> bool:
+        """Leave out a sensor that was just found faulty, also in the past. Return whether the camera counts again."""
         assert self._health is not None
-        fault = self._health.fault
-        if fault is None:
-            return self._begin(frame, seen)
-        self._fault_notes.append(f"{fault.sensor.value} since {fault.begin_s:.1f}, found {fault.found_s:.1f}")
-        before = self.filter.estimate.T_odom_body
-        if self.filter.replay_without(fault.sensor, fault.begin_s):
+        now, before = self._health.exclusion, self._excluded
+        if now == before:
+            self._was_sure = self._health.fault is not None
+            return False
+        since_s = min(one.begin_s for one in (now, before) if one is not None)
+        is_over = before is not None and now is None and self._was_sure
+        if before is not None and self._was_sure and (now is None or now.sensor is not before.sensor):
+            self._past_exclusions.append(before._replace(end_s=stamp_s))
+            since_s = stamp_s if now is None else now.begin_s
+        self._excluded, self._was_sure = now, self._health.fault is not None
+        T_before = self.filter.estimate.T_odom_body
+        done = self.filter.exclude([*self._past_exclusions, *([] if now is None else [now])], since_s)
+        self._fault_notes.append(f"{now} at {stamp_s:.1f} {done}")
+        if done:
             self._map.lay(self.filter.last_frame())
-            after = self.filter.estimate.T_odom_body
-            if before is not None and after is not None:
-                self._odom.correct(before, after)
-        return None
+            T_after = self.filter.estimate.T_odom_body
+            if T_before is not None and T_after is not None:
+                self._odom.correct(T_before, T_after)
+        return is_over and before is not None and before.sensor is Sensor.CAMERA
 
     def _apply_loops(self, loops: LoopsBeside, stamp_s: float) -> None:
         """Move keyframes by the loops found so far. The pose in odom does not change."""

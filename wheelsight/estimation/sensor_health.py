@@ -29,7 +29,7 @@ from wheelsight.core.geometry import motion_kernels as motions
 _ALARM_NATS, _MARGIN_NATS, _SUSPECT_NATS, _SOUND_NATS = 12.0, 3.0, 6.0, 2.0
 # One piece counts at most this much, since errors have longer tails than a Gaussian; sums end at the largest one.
 _PIECE_NATS, _LEAST_NATS, _LARGEST_NATS = 8.0, -6.0, 60.0
-_PIECE_S, _LONGEST_PIECE_S, _SHORTEST_PIECE_S = 0.45, 2.0, 0.15
+_PIECE_S, _LONGEST_PIECE_S, _SHORTEST_PIECE_S = 0.25, 2.0, 0.15
 # Errors of a sound camera over a piece (metres, and share of the way; radians, and share of the turn), of a sound
 # wheel, of the way to the side, and of a gyroscope, also per second for its bias. Found on the simulator.
 _CAMERA_M, _CAMERA_SHARE, _CAMERA_RAD, _CAMERA_TURN_SHARE = 0.008, 0.03, 0.004, 0.012
@@ -62,6 +62,14 @@ class SensorFault(NamedTuple):
     share: float | None
 
 
+class Exclusion(NamedTuple):
+    """A sensor that is left out from one stamp to another."""
+
+    sensor: Sensor
+    begin_s: float
+    end_s: float = math.inf
+
+
 _BROKEN = {Sensor.LEFT: (3,), Sensor.RIGHT: (4,), Sensor.WHEELS: (3, 4), Sensor.CAMERA: (0, 1, 2), Sensor.GYRO: (6,)}
 # Rows: left wheel, right wheel, side, gyroscope, each minus the camera; columns: errors of the camera's x, y and yaw,
 # of the wheels, of the side, and of the gyroscope. The first columns of the wheels' rows depend on the track.
@@ -90,7 +98,7 @@ class SensorHealth:
         self._zero_s = dict.fromkeys(_BROKEN, -math.inf)
         self._ratios, self._weights = np.ones(2), np.full(2, _RATIO_PRIOR_M)
         self._sound_m, self._sound_s = 0.0, 0.0
-        self._faulty_sums = np.zeros(2)
+        self._sound_rad, self._needs_turn, self._turned_against = 0.0, False, False
 
     @property
     def is_suspicious(self) -> bool:
@@ -98,13 +106,14 @@ class SensorHealth:
         return self.fault is None and max(self._sums.values()) > _SUSPECT_NATS
 
     @property
-    def excluded(self) -> Sensor | None:
+    def exclusion(self) -> Exclusion | None:
         """The faulty sensor, or the one that leads before a fault is certain; None if all count."""
         if self.fault is not None:
-            return self.fault.sensor
+            return Exclusion(self.fault.sensor, self.fault.begin_s)
         first, second = sorted(self._sums.values())[-1:-3:-1]
         if first > _SUSPECT_NATS and first - second > _MARGIN_NATS:
-            return max(self._sums, key=lambda sensor: self._sums[sensor])
+            sensor = max(self._sums, key=lambda sensor: self._sums[sensor])
+            return Exclusion(sensor, self._zero_s[sensor])
         return None
 
     def add_wheels(self, stamp_s: float, way_m: float, turn_rad: float) -> None:
@@ -205,11 +214,13 @@ class SensorHealth:
         for off, usually in ((z, _RISE_M + _RISE_SHARE * rolled_m), (roll, _TILT_RAD), (pitch, _TILT_RAD)):
             out += max(0.0, -0.5 * math.log(26.0) + 0.5 * (off / usually) ** 2 * (1 - 1 / 26.0))
         ratio[Sensor.CAMERA] += min(out, _PIECE_NATS)
-        if yaw * wheel_yaw < 0 and abs(wheel_yaw) > _MIRROR_RAD and abs(yaw) > _MIRROR_SHARE * abs(wheel_yaw):
+        mirrored = yaw * wheel_yaw < 0 and abs(wheel_yaw) > _MIRROR_RAD and abs(yaw) > _MIRROR_SHARE * abs(wheel_yaw)
+        self._turned_against = self._turned_against or mirrored
+        if mirrored:
             ratio[Sensor.CAMERA] += _MIRROR_NATS
             ratio[Sensor.WHEELS] -= _MIRROR_NATS
         if self.fault is not None:
-            return self._follow(ratio, end_s, seconds, way_m, ways_m, by_camera)
+            return self._follow(ratio, end_s, seconds, way_m, turn_rad, mirrored)
         for sensor, one in ratio.items():
             self._sums[sensor] = max(self._sums[sensor] + one, 0.0)
             if self._sums[sensor] == 0.0:
@@ -219,10 +230,12 @@ class SensorHealth:
             self._sums = {sensor: max(one - over, 0.0) for sensor, one in self._sums.items()}
         first, second = sorted(self._sums, key=lambda sensor: -self._sums[sensor])[:2]
         if self._sums[first] < _SOUND_NATS:
+            self._turned_against = False
             self._learn(ways_m, by_camera)
         if self._sums[first] > _ALARM_NATS and self._sums[first] - self._sums[second] > _MARGIN_NATS:
             self.fault = SensorFault(first, self._zero_s[first], end_s, None)
-            self._sound_m = self._sound_s = 0.0
+            self._sound_m = self._sound_s = self._sound_rad = 0.0
+            self._needs_turn = self._turned_against or first is Sensor.GYRO
             return True
         return False
 
@@ -249,16 +262,18 @@ class SensorHealth:
         end_s: float,
         seconds: float,
         way_m: float,
-        ways_m: FloatArray,
-        by_camera: FloatArray,
+        turn_rad: float,
+        mirrored: bool,
     ) -> bool:
         """Return whether the fault has ended: over some way, the sensor agreed with the others all along."""
         assert self.fault is not None
         if ratio.get(self.fault.sensor, 0.0) > 0.0:
-            self._sound_m = self._sound_s = 0.0
+            self._sound_m = self._sound_s = self._sound_rad = 0.0
+            self._needs_turn = self._needs_turn or mirrored
             return False
         self._sound_m, self._sound_s = self._sound_m + way_m, self._sound_s + seconds
-        if self._sound_m < _AGAIN_WAY_M or self._sound_s < _AGAIN_S:
+        self._sound_rad += turn_rad
+        if self._sound_m < _AGAIN_WAY_M or self._sound_s < _AGAIN_S or (self._needs_turn and self._sound_rad < 0.6):
             return False
         self.fault = None
         self._sums = dict.fromkeys(_BROKEN, 0.0)
