@@ -404,6 +404,7 @@ class ByFusion:
         self._kidnap.add_known_view(frame.stamp_s)
         if self._health is not None:
             self._health.interrupt()
+            self._health.add_frame(frame.stamp_s, seen.T_odom_body)
         self._check.begin(frame, seen, self._map.T_odom_map)
         reason = reason or update.answer.reason
         return replace(update.answer, reason=reason, matches=seen.matches, inliers=seen.inliers)
@@ -448,6 +449,8 @@ class ByFusion:
             return wheels
         self._restart.begin(spread_m, first)
         self._kidnap.restart()
+        if self._health is not None:
+            self._health.interrupt(frame.stamp_s)
         return self._begin(frame, again, seen.reason)
 
     def _update_loops(self, loops: LoopsBeside, stamp_s: float, covariance: FloatArray | None) -> None:
