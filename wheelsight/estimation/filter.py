@@ -61,6 +61,7 @@ from wheelsight.core.settings.fusion import ErrorStateSettings
 from wheelsight.estimation import fault_detection as faults
 from wheelsight.estimation.fault_detection import Fault, FaultDetection
 from wheelsight.estimation.filter_kernels import answered
+from wheelsight.estimation.sensor_health import Exclusion, Sensor
 from wheelsight.estimation.pose_belief import (
     ERRORS,
     FilterParameters,
@@ -131,6 +132,7 @@ class ErrorStateFilter:
         # The state of the last prediction, and that prediction: the predicted frame usually follows.
         self._moved: tuple[FusionState, FusionState] | None = None
         self.current: CurrentPose | None = None
+        self.exclusions: tuple[Exclusion, ...] = ()
 
     @property
     def state(self) -> FusionState:
@@ -182,6 +184,27 @@ class ErrorStateFilter:
         if step.end_s - step.begin_s > self.parameters.even_s:
             spread = spread + of_unknown_path(xi, self.parameters.swing_rad)
         return self._take(FilterEvent(step.end_s, wheels=WheelStep(step.begin_s, step.end_s, xi, spread)))
+
+    def exclude(self, exclusions: Sequence[Exclusion], since_s: float) -> bool:
+        """Leave sensors out in some times, and compute the state again since a stamp; return whether that is remembered."""
+        self.exclusions = tuple(exclusions)
+        self._moved = None
+        if not self._history.repeat(since_s):
+            return False
+        self.current = CurrentPose.of(self._history.newest, self.parameters)
+        return True
+
+    def _sound(self, event: FilterEvent) -> FilterEvent:
+        """Return an event, or one without the measurement of a sensor that is left out."""
+        for sensor, begin_s, end_s in self.exclusions:
+            if not begin_s <= event.since_s < end_s:
+                continue
+            if sensor is Sensor.CAMERA and event.measurement is not None:
+                return replace(event, measurement=None, failure=Reason.CONTRADICTION)
+            of_wheels = event.wheels is not None and sensor in (Sensor.LEFT, Sensor.RIGHT, Sensor.WHEELS)
+            if of_wheels or (event.yaw_rate_rad_s is not None and sensor is Sensor.GYRO):
+                return FilterEvent(event.stamp_s, drop="")
+        return event
 
     def clone(self, stamp_s: float, name: str, covariance: ArrayLike | None = None) -> FusedEstimate:
         """Remember the pose at a stamp as `name`, for later measurements. It replaces an earlier one of that name.
@@ -372,11 +395,14 @@ class ErrorStateFilter:
         if not known.detection.primary.place_of(name):
             return None
         late = known.stamp_s is not None and stamp_s < known.stamp_s
-        then = known if late else moved_to(known, stamp_s, self._history.events, self.parameters)
+        events = [self._sound(one) for one in self._history.events] if self.exclusions else self._history.events
+        then = known if late else moved_to(known, stamp_s, events, self.parameters)
         self._moved = known, then
         return then.detection.answer(self.parameters).seen_from(name, self._mount.T_base_camera)
 
     def _after(self, state: FusionState, event: FilterEvent, events: Sequence[FilterEvent]) -> FusionState:
+        if self.exclusions:
+            event, events = self._sound(event), [self._sound(one) for one in events]
         if self._moved is not None and self._moved[0] is state and self._moved[1].stamp_s == event.stamp_s:
             state = self._moved[1]
         try:
@@ -840,6 +866,8 @@ class Dated(Protocol):
 Event = TypeVar("Event", bound=Dated)
 State = TypeVar("State")
 _LAST_RANK = 1 << 30
+# States that are kept for the correction of the past: how far back, and how often.
+_KEPT_FOR_S, _KEPT_EVERY_S = 40.0, 1.0
 
 
 class History(Generic[Event, State]):
@@ -863,9 +891,44 @@ class History(Generic[Event, State]):
         self._begin, self._window_s, self._apply = begin, window_s, apply
         self._keys: list[tuple[float, int]] = []
         self._states: list[State] = []
+        self._past: deque[Event] = deque()
+        self._kept: deque[tuple[float, int, State]] = deque()  # stamp, events until then, and the state after them
+        self._dropped = 0
 
     def __len__(self) -> int:
         return len(self.events)
+
+    def _archive(self, passed: int) -> None:
+        """Keep events that leave the window, and a state a second, for `repeat`."""
+        for event, state in zip(self.events[:passed], self._states[:passed], strict=True):
+            self._past.append(event)
+            if not self._kept or event.stamp_s - self._kept[-1][0] >= _KEPT_EVERY_S:
+                self._kept.append((event.stamp_s, len(self._past) + self._dropped, state))
+        while self._kept and self._kept[0][0] < self.events[passed - 1].stamp_s - _KEPT_FOR_S:
+            _, count, _ = self._kept.popleft()
+            while self._dropped < count:
+                self._past.popleft()
+                self._dropped += 1
+
+    def repeat(self, since_s: float) -> bool:
+        """Compute all states since a stamp again; return whether they are kept as far back."""
+        before = [one for one in self._kept if one[0] <= since_s]
+        if not before:
+            return False
+        begin_s, count, state = before[-1]
+        past = list(self._past)[count - self._dropped :]
+        everything = [*past, *self.events]
+        self._kept = deque(before)
+        for place, event in enumerate(past, 1):
+            state = self._apply(state, event, everything[max(0, place - 100) : place + 200])
+            if event.stamp_s - self._kept[-1][0] >= _KEPT_EVERY_S:
+                self._kept.append((event.stamp_s, count + place, state))
+        self._begin, self._states = state, []
+        for event in self.events:
+            state = self._apply(state, event, everything[-len(self.events) - 100 :])
+            self._states.append(state)
+        self.newest = state
+        return True
 
     def known_at(self, stamp_s: float) -> State:
         """Return the state after the last event up to a stamp; the oldest state for a stamp before the window."""
@@ -894,5 +957,6 @@ class History(Generic[Event, State]):
         passed = bisect_left(self._keys, (self._keys[-1][0] - self._window_s, -1))
         if passed:
             self._begin = self._states[passed - 1]
+            self._archive(passed)
             del self._keys[:passed], self.events[:passed], self._states[:passed]
         return state

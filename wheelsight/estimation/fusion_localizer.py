@@ -56,6 +56,7 @@ from wheelsight.estimation.filter import ErrorStateFilter, OdomFrame
 from wheelsight.estimation.loop_updates import LoopsBeside, begin_in, loops_beside
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
 from wheelsight.estimation.pose_belief import COAST_AFTER_S, FilterParameters
+from wheelsight.estimation.sensor_health import Exclusion, Sensor, SensorHealth
 from wheelsight.estimation.wheel_localizer import ByWheels, slip_note
 from wheelsight.mapping.surfels import MapBuilder
 from wheelsight.places import PlaceMatch
@@ -129,6 +130,12 @@ class ByFusion:
         self._check, self._readmission = new_check(), ReadmissionCheck(new_check, self._camera.another)
         detector = parts.loop_detector
         self.loops = loops_beside(self.odometry.store, calibration, settings, known, waits=waits, detector=detector)
+        wheels = calibration.wheels
+        self._health = None if wheels is None else SensorHealth(wheels.track_width_m, T_base_camera)
+        self._fault_notes: list[str] = []
+        self._excluded: Exclusion | None = None
+        self._was_sure = False
+        self._past_exclusions: list[Exclusion] = []
         self._kidnap, self._restart, self._odom = KidnapDetection(), UncertainRestart(), FusedOdom()
 
     def process(self, event: Event) -> tuple[Estimate | None, str]:
@@ -136,6 +143,8 @@ class ByFusion:
         self._camera.last_matches = None
         if isinstance(event, YawRate):  # it counts once the gyroscope agrees with the wheels
             counts = self._base.add_yaw_rate(event)
+            if self._health is not None:
+                self._health.add_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
             if self._base.uses_gyro:
                 self._check.add_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
             if counts and not self._is_early(event.stamp_s):
@@ -191,7 +200,10 @@ class ByFusion:
             T_keyframe_body=T_keyframe_base,
             T_map_odom=T_map_filter,
         )
-        return odom.framed(estimate)
+        framed = odom.framed(estimate)
+        if self._odom.spread is not None and framed.covariance is not None:
+            framed = replace(framed, covariance=framed.covariance + self._odom.spread)
+        return framed
 
     def _update_wheels(self, reading: WheelReading) -> tuple[Estimate | None, str]:
         wheels, note = self._base.process(reading)
@@ -210,6 +222,9 @@ class ByFusion:
                 return self.filter.estimate, note
             if check.is_without_wheels:
                 return self.filter.drop(wheels.stamp_s, ""), note  # the camera's velocity predicts the pose
+        if self._health is not None and wheels.step is not None and wheels.reason is None:
+            T = wheels.step.T_before_now
+            self._health.add_wheels(wheels.step.end_s, float(T[0, 3]), math.atan2(T[1, 0], T[0, 0]))
         fused = self.filter.predict_to(wheels)
         self._base.problem = f"the wheels are not used: {fused.reason}" if fused.reason is Reason.TOO_LATE else ""
         return fused, note
@@ -261,12 +276,42 @@ class ByFusion:
         self._check.add_tracked(frame, seen, shows_all=shows_all)
         if self._check.verdict.left_out is not None and self._excludes(Culprit.WHEELS):
             return self._begin(frame, seen)
+        if self._health is not None:
+            if shows_all:
+                self._health.add_frame(frame.stamp_s, seen.T_odom_body)
+            else:
+                self._health.interrupt()
+            if self._isolate(frame.stamp_s):
+                return self._begin(frame, seen)
         motion = anchor.motion_to(seen.T_odom_body, seen.motion)
         motion = blurred(motion, twist, self._base.noise_s)
         motion = strayed(motion, self._of_frame, _FRAME_WALK_PER_M)
         if not shows_all and frame.stamp_s - self._map.seen_s > DARK_S:
             return self._lose(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         return self._measure(frame, seen, motion)
+
+    def _isolate(self, stamp_s: float) -> bool:
+        """Leave out a sensor that was just found faulty, also in the past. Return whether the camera counts again."""
+        assert self._health is not None
+        now, before = self._health.exclusion, self._excluded
+        if now == before:
+            self._was_sure = self._health.fault is not None
+            return False
+        since_s = min(one.begin_s for one in (now, before) if one is not None)
+        is_over = before is not None and now is None and self._was_sure
+        if before is not None and self._was_sure and (now is None or now.sensor is not before.sensor):
+            self._past_exclusions.append(before._replace(end_s=stamp_s))
+            since_s = stamp_s if now is None else now.begin_s
+        self._excluded, self._was_sure = now, self._health.fault is not None
+        T_before = self.filter.estimate.T_odom_body
+        done = self.filter.exclude([*self._past_exclusions, *([] if now is None else [now])], since_s)
+        self._fault_notes.append(f"{now} at {stamp_s:.1f} {done}")
+        if done:
+            self._map.lay(self.filter.last_frame())
+            T_after = self.filter.estimate.T_odom_body
+            if T_before is not None and T_after is not None:
+                self._odom.correct(T_before, T_after)
+        return is_over and before is not None and before.sensor is Sensor.CAMERA
 
     def _apply_loops(self, loops: LoopsBeside, stamp_s: float) -> None:
         """Move keyframes by the loops found so far. The pose in odom does not change."""
@@ -282,6 +327,8 @@ class ByFusion:
             self._map.moved(T_new_old)
             self._camera.pace.moved(T_new_old)
             self._check.moved(T_new_old)
+            if self._health is not None:
+                self._health.interrupt()
 
     def _measure(self, frame: RgbdFrame, seen: CameraEstimate, motion: MotionEstimate) -> FusedEstimate:
         """Update the filter by the motion of a tracked frame since the anchor. Accepted frames extend the map."""
@@ -323,6 +370,9 @@ class ByFusion:
         update = self.filter.begin_frame(frame.stamp_s, self._map.anchor.covariance)
         self._map.accept(frame.stamp_s, seen, update.T_odom_base)
         self._kidnap.add_known_view(frame.stamp_s)
+        if self._health is not None:
+            self._health.interrupt()
+            self._health.add_frame(frame.stamp_s, seen.T_odom_body)
         self._check.begin(frame, seen, self._map.T_odom_map)
         reason = reason or update.answer.reason
         return replace(update.answer, reason=reason, matches=seen.matches, inliers=seen.inliers)
@@ -367,6 +417,8 @@ class ByFusion:
             return wheels
         self._restart.begin(spread_m, first)
         self._kidnap.restart()
+        if self._health is not None:
+            self._health.interrupt(frame.stamp_s)
         return self._begin(frame, again, seen.reason)
 
     def _update_loops(self, loops: LoopsBeside, stamp_s: float, covariance: FloatArray | None) -> None:
@@ -435,7 +487,7 @@ class ByFusion:
     @property
     def warnings(self) -> tuple[str, ...]:
         """One sentence for each fault of the gyroscope or of the calibration."""
-        of_gyro = self._base.warnings if self._base.has_gyro else ()
+        of_gyro = (*(self._base.warnings if self._base.has_gyro else ()), *self._fault_notes)
         return (*of_gyro, *self._check.verdict.warnings) if self._check.verdict.is_sure else of_gyro
 
     @property
@@ -638,6 +690,7 @@ class FusedOdom:
 
     def __init__(self) -> None:
         self._frame = self.answered = OdomFrame()
+        self.spread: FloatArray | None = None
         self._begin: tuple[float, FloatArray, ErrorStateFilter] | None = None  # stamp and pose of the begin of the step
         self._last: tuple[float, FloatArray] | None = None  # stamp and pose in odom of the last estimate
         self._readings_s: deque[float] = deque(maxlen=_LONGEST_READING_GAP)
@@ -666,6 +719,13 @@ class FusedOdom:
             self.answered = OdomFrame()
             self.answered.lay(T_filter_body, T_odom_body)
         return self.answered
+
+    def correct(self, T_before: FloatArray, T_after: FloatArray) -> None:
+        """Add a correction of the past, which the robot does not make in odom, to the covariance in odom."""
+        apart = motions.log(motions.renormalized(motions.times(T_after, motions.inverse(T_before))))
+        apart = motions.adjoint(self._frame.T_odom_filter) @ apart
+        more = np.outer(apart, apart)
+        self.spread = more if self.spread is None else self.spread + more
 
     def _remember(self, stamp_s: float, fusion: ErrorStateFilter, event: Event | None) -> None:
         """Remember the pose at the last reading up to a frame; or the current one, if no frame arrives."""
