@@ -23,7 +23,6 @@ would also count as if the wheels had independent errors each time.
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -31,7 +30,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from operator import attrgetter
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,7 +41,6 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.estimates import (
     STEP_BEGIN,
     UNDECIDED,
-    Estimate,
     FrameUpdate,
     FusedEstimate,
     MotionEstimate,
@@ -61,7 +59,6 @@ from wheelsight.core.settings.fusion import ErrorStateSettings
 from wheelsight.estimation import fault_detection as faults
 from wheelsight.estimation.fault_detection import Fault, FaultDetection
 from wheelsight.estimation.filter_kernels import answered
-from wheelsight.estimation.sensor_health import Exclusion, Sensor
 from wheelsight.estimation.pose_belief import (
     ERRORS,
     FilterParameters,
@@ -77,6 +74,7 @@ from wheelsight.estimation.pose_belief import (
     numbers_of,
     of_unknown_path,
 )
+from wheelsight.estimation.sensor_health import Exclusion, Sensor
 
 # Names of remembered poses: of the last frame, of the reference of camera motions, and of a requested frame. Those of
 # keyframes have their numbers.
@@ -84,7 +82,6 @@ FRAME, REFERENCE, _IMAGED = "frame", "reference", "imaged"
 # Number of remembered poses other than keyframes: these, and the begin of a step.
 _OTHERS = 4
 _SAME_S = 1e-6  # rounding of computed stamps
-AnyEstimate = TypeVar("AnyEstimate", bound=Estimate)
 
 
 class ErrorStateFilter:
@@ -132,7 +129,7 @@ class ErrorStateFilter:
         # The state of the last prediction, and that prediction: the predicted frame usually follows.
         self._moved: tuple[FusionState, FusionState] | None = None
         self.current: CurrentPose | None = None
-        self.exclusions: tuple[Exclusion, ...] = ()
+        self._exclusions: tuple[Exclusion, ...] = ()
 
     @property
     def state(self) -> FusionState:
@@ -186,24 +183,28 @@ class ErrorStateFilter:
         return self._take(FilterEvent(step.end_s, wheels=WheelStep(step.begin_s, step.end_s, xi, spread)))
 
     def exclude(self, exclusions: Sequence[Exclusion], since_s: float) -> bool:
-        """Leave sensors out in some times, and compute the state again since a stamp; return whether that is remembered."""
-        self.exclusions = tuple(exclusions)
+        """Leave out sensors in some times, and compute the state again since a stamp, as if it had been so.
+
+        Returns whether events are remembered as far back; else the exclusions count from now on.
+        """
+        self._exclusions = tuple(exclusions)
         self._moved = None
-        if not self._history.repeat(since_s):
+        if not self._history.repeat(since_s, self._used):
             return False
         self.current = CurrentPose.of(self._history.newest, self.parameters)
         return True
 
-    def _sound(self, event: FilterEvent) -> FilterEvent:
-        """Return an event, or one without the measurement of a sensor that is left out."""
-        for sensor, begin_s, end_s in self.exclusions:
+    def _used(self, event: FilterEvent) -> FilterEvent:
+        """Return an event, or what is left of it without the sensors that are left out."""
+        event = event.original or event
+        for sensor, begin_s, end_s, _ in self._exclusions:
             if not begin_s <= event.since_s < end_s:
                 continue
             if sensor is Sensor.CAMERA and event.measurement is not None:
-                return replace(event, measurement=None, failure=Reason.CONTRADICTION)
+                return replace(event, measurement=None, failure=Reason.CONTRADICTION, original=event)
             of_wheels = event.wheels is not None and sensor in (Sensor.LEFT, Sensor.RIGHT, Sensor.WHEELS)
             if of_wheels or (event.yaw_rate_rad_s is not None and sensor is Sensor.GYRO):
-                return FilterEvent(event.stamp_s, drop="")
+                return FilterEvent(event.stamp_s, drop="", original=event)
         return event
 
     def clone(self, stamp_s: float, name: str, covariance: ArrayLike | None = None) -> FusedEstimate:
@@ -395,14 +396,11 @@ class ErrorStateFilter:
         if not known.detection.primary.place_of(name):
             return None
         late = known.stamp_s is not None and stamp_s < known.stamp_s
-        events = [self._sound(one) for one in self._history.events] if self.exclusions else self._history.events
-        then = known if late else moved_to(known, stamp_s, events, self.parameters)
+        then = known if late else moved_to(known, stamp_s, self._history.events, self.parameters)
         self._moved = known, then
         return then.detection.answer(self.parameters).seen_from(name, self._mount.T_base_camera)
 
     def _after(self, state: FusionState, event: FilterEvent, events: Sequence[FilterEvent]) -> FusionState:
-        if self.exclusions:
-            event, events = self._sound(event), [self._sound(one) for one in events]
         if self._moved is not None and self._moved[0] is state and self._moved[1].stamp_s == event.stamp_s:
             state = self._moved[1]
         try:
@@ -422,7 +420,7 @@ class ErrorStateFilter:
             return self._refused(Reason.INVALID)
         if event.wheels is not None:
             self._moved = None  # the step may cover that time
-        state = self._history.take(event)
+        state = self._history.take(self._used(event) if self._exclusions else event)
         if state is None:
             return self._refused(Reason.TOO_LATE)
         self.current = CurrentPose.of(self._history.newest, self.parameters)
@@ -542,6 +540,7 @@ class FilterEvent:
         clone: name by which to remember the pose.
         drop: name of a pose to forget.
         spread: (6, 6) error of the camera's pose at `clone`.
+        original: the event with the measurement of a sensor that is left out.
     """
 
     stamp_s: float
@@ -554,6 +553,7 @@ class FilterEvent:
     clone: str | None = None
     drop: str | None = None
     spread: FloatArray | None = None
+    original: FilterEvent | None = None
 
     @property
     def rank(self) -> int:
@@ -793,60 +793,6 @@ def _each(detection: FaultDetection, change: Callable[[PoseBelief], PoseBelief])
     )
 
 
-class OdomFrame:
-    """Transform between `odom` and the frame of a filter.
-
-    The pose of a filter jumps when its estimate of the past changes, for instance after slip or with a new bias of the
-    gyroscope. In `odom` the robot moves by the estimated motion alone, and this transform takes the jump (REP 105).
-
-    It is planar: the filter estimates height and tilt of each pose directly.
-
-    Attributes:
-        T_odom_filter, T_filter_odom: (4, 4) pose of the filter's frame in `odom`, and its inverse.
-        has_moved: whether `odom` is no longer the filter's frame.
-    """
-
-    def __init__(self) -> None:
-        self.T_filter_odom: FloatArray = np.eye(4)
-        self.T_odom_filter = self.T_filter_odom
-        self.has_moved = False
-
-    def T_odom_body(self, T_filter_body: FloatArray) -> FloatArray:
-        """Convert a pose (4, 4) of the filter to `odom`."""
-        return np.asarray(motions.times(self.T_odom_filter, T_filter_body))
-
-    def lay(self, T_filter_body: FloatArray, T_odom_body: FloatArray) -> None:
-        """Set the transform by one pose in both frames, (4, 4) each; only x, y and yaw count."""
-        self.T_filter_odom = motions.times(_planar(T_filter_body), motions.inverse(_planar(T_odom_body)))
-        self.T_odom_filter, self.has_moved = motions.inverse(self.T_filter_odom), True
-
-    def framed(self, answer: AnyEstimate) -> AnyEstimate:
-        """Return a filter's estimate in `odom`; its poses in the map and in the filter's frame do not change."""
-        if not self.has_moved:
-            return answer
-        T, C, Ad = answer.T_odom_body, answer.covariance, motions.adjoint(self.T_odom_filter)
-        fields: dict[str, Any] = {
-            "T_map_odom": motions.times(np.ascontiguousarray(answer.T_map_odom), self.T_filter_odom),
-            "T_filter_odom": self.T_filter_odom,
-            "T_odom_body": None if T is None else motions.times(self.T_odom_filter, T),
-            "covariance": None if C is None else Ad @ C @ Ad.T,
-        }
-        if isinstance(answer, WheelEstimate) and answer.before is not None:
-            stamp_s, T_before, C_before = answer.before
-            fields["before"] = (stamp_s, self.T_odom_body(T_before), Ad @ C_before @ Ad.T)
-        return replace(answer, **fields)
-
-
-def _planar(T: FloatArray) -> FloatArray:
-    """Return the planar part of a motion (4, 4): x, y and yaw."""
-    planar, yaw_rad = np.eye(4), math.atan2(T[1, 0], T[0, 0])
-    planar[0, 0] = planar[1, 1] = math.cos(yaw_rad)
-    planar[1, 0] = math.sin(yaw_rad)
-    planar[0, 1] = -planar[1, 0]
-    planar[:2, 3] = T[:2, 3]
-    return planar
-
-
 class Dated(Protocol):
     """An event at `stamp_s`, which changes states from `since_s` on; at equal stamps, lower `rank` first."""
 
@@ -866,14 +812,17 @@ class Dated(Protocol):
 Event = TypeVar("Event", bound=Dated)
 State = TypeVar("State")
 _LAST_RANK = 1 << 30
-# States that are kept for the correction of the past: how far back, and how often.
-_KEPT_FOR_S, _KEPT_EVERY_S = 40.0, 1.0
+# How far back states are kept for a correction of the past, and how often, seconds.
+_KEPT_FOR_S, _KEPT_EVERY_S = 20.0, 1.0
+# Events before and after an event that can matter to it: wheel steps that cover its time.
+_NEAR_EVENTS = 100
 
 
 class History(Generic[Event, State]):
     """Events within a window, in the order of their stamps, and the state after each.
 
-    After a delayed event, the states of all later ones are computed again.
+    After a delayed event, the states of all later ones are computed again. Older events are archived, with a state a
+    second, for a correction of the past (`repeat`).
 
     Args:
         begin: the state before all events.
@@ -882,7 +831,7 @@ class History(Generic[Event, State]):
 
     Attributes:
         newest: state after the last event.
-        events: all known events, in order.
+        events: all known events within the window, in order.
     """
 
     def __init__(self, begin: State, window_s: float, apply: Callable[[State, Event, Sequence[Event]], State]) -> None:
@@ -891,44 +840,43 @@ class History(Generic[Event, State]):
         self._begin, self._window_s, self._apply = begin, window_s, apply
         self._keys: list[tuple[float, int]] = []
         self._states: list[State] = []
-        self._past: deque[Event] = deque()
-        self._kept: deque[tuple[float, int, State]] = deque()  # stamp, events until then, and the state after them
-        self._dropped = 0
+        self._archive: deque[Event] = deque()
+        self._archived = 0  # number of all events that were archived, also of those that are gone
+        self._kept: deque[tuple[float, int, State]] = deque()  # stamp, number of events archived by then, state
 
     def __len__(self) -> int:
         return len(self.events)
 
-    def _archive(self, passed: int) -> None:
-        """Keep events that leave the window, and a state a second, for `repeat`."""
-        for event, state in zip(self.events[:passed], self._states[:passed], strict=True):
-            self._past.append(event)
-            if not self._kept or event.stamp_s - self._kept[-1][0] >= _KEPT_EVERY_S:
-                self._kept.append((event.stamp_s, len(self._past) + self._dropped, state))
-        while self._kept and self._kept[0][0] < self.events[passed - 1].stamp_s - _KEPT_FOR_S:
-            _, count, _ = self._kept.popleft()
-            while self._dropped < count:
-                self._past.popleft()
-                self._dropped += 1
+    def repeat(self, since_s: float, change: Callable[[Event], Event]) -> bool:
+        """Apply a change to all events since a stamp, and compute their states again.
 
-    def repeat(self, since_s: float) -> bool:
-        """Compute all states since a stamp again; return whether they are kept as far back."""
-        before = [one for one in self._kept if one[0] <= since_s]
-        if not before:
+        Begins at the last state kept up to the stamp. Returns False, and does nothing, if none is kept.
+        """
+        if not self._kept or self._kept[0][0] > since_s:
             return False
-        begin_s, count, state = before[-1]
-        past = list(self._past)[count - self._dropped :]
-        everything = [*past, *self.events]
-        self._kept = deque(before)
-        for place, event in enumerate(past, 1):
-            state = self._apply(state, event, everything[max(0, place - 100) : place + 200])
-            if event.stamp_s - self._kept[-1][0] >= _KEPT_EVERY_S:
-                self._kept.append((event.stamp_s, count + place, state))
+        while self._kept[-1][0] > since_s:
+            self._kept.pop()
+        _, count, state = self._kept[-1]
+        first = len(self._archive) - (self._archived - count)
+        events = [*self._archive]
+        events[first:] = map(change, events[first:])
+        self._archive = deque(events)
+        self.events = list(map(change, self.events))
+        events += self.events
+        for place in range(first, len(self._archive)):
+            event = events[place]
+            state = self._apply(state, event, events[max(place - _NEAR_EVENTS, 0) : place + _NEAR_EVENTS])
+            self._keep(event.stamp_s, count + place + 1 - first, state)
         self._begin, self._states = state, []
         for event in self.events:
-            state = self._apply(state, event, everything[-len(self.events) - 100 :])
+            state = self._apply(state, event, events[-len(self.events) - _NEAR_EVENTS :])
             self._states.append(state)
         self.newest = state
         return True
+
+    def _keep(self, stamp_s: float, count: int, state: State) -> None:
+        if not self._kept or stamp_s - self._kept[-1][0] >= _KEPT_EVERY_S:
+            self._kept.append((stamp_s, count, state))
 
     def known_at(self, stamp_s: float) -> State:
         """Return the state after the last event up to a stamp; the oldest state for a stamp before the window."""
@@ -957,6 +905,13 @@ class History(Generic[Event, State]):
         passed = bisect_left(self._keys, (self._keys[-1][0] - self._window_s, -1))
         if passed:
             self._begin = self._states[passed - 1]
-            self._archive(passed)
+            for event, kept in zip(self.events[:passed], self._states[:passed], strict=True):
+                self._archive.append(event)
+                self._archived += 1
+                self._keep(event.stamp_s, self._archived, kept)
+            while len(self._kept) > 1 and self._kept[1][0] < self._keys[0][0] - _KEPT_FOR_S:
+                self._kept.popleft()
+            while len(self._archive) > self._archived - self._kept[0][1]:
+                self._archive.popleft()
             del self._keys[:passed], self.events[:passed], self._states[:passed]
         return state

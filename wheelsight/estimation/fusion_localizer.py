@@ -28,6 +28,7 @@ from wheelsight.core.estimates import (
     Estimate,
     FusedEstimate,
     MotionEstimate,
+    OdomFrame,
     PoseDecision,
     PoseEvidence,
     PoseFinding,
@@ -52,11 +53,11 @@ from wheelsight.estimation.consistency_check import (
     KidnapDetection,
     UncertainRestart,
 )
-from wheelsight.estimation.filter import ErrorStateFilter, OdomFrame
+from wheelsight.estimation.filter import ErrorStateFilter
 from wheelsight.estimation.loop_updates import LoopsBeside, begin_in, loops_beside
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
 from wheelsight.estimation.pose_belief import COAST_AFTER_S, FilterParameters
-from wheelsight.estimation.sensor_health import Exclusion, Sensor, SensorHealth
+from wheelsight.estimation.sensor_health import Sensor, SensorHealth
 from wheelsight.estimation.wheel_localizer import ByWheels, slip_note
 from wheelsight.mapping.surfels import MapBuilder
 from wheelsight.places import PlaceMatch
@@ -78,6 +79,7 @@ _AGAIN_WAYS, _AGAIN_KEYFRAMES = 3.0, 20
 # Distance between the filter's pose and the camera's in its map, metres, from which on the camera has left its map. A
 # turn by a radian counts as 1.5 m. The wheels err by less in the second or two of a contradiction.
 _LEFT_MAP_M = 0.15
+_SUSPICION = PoseEvidence(PoseFinding.SENSOR_SUSPECTED)
 # After a longer gap without frames, seconds, the camera may be right, and the wheels may have drifted.
 _LONGEST_GAP_S = 0.5
 
@@ -132,10 +134,6 @@ class ByFusion:
         self.loops = loops_beside(self.odometry.store, calibration, settings, known, waits=waits, detector=detector)
         wheels = calibration.wheels
         self._health = None if wheels is None else SensorHealth(wheels.track_width_m, T_base_camera)
-        self._fault_notes: list[str] = []
-        self._excluded: Exclusion | None = None
-        self._was_sure = False
-        self._past_exclusions: list[Exclusion] = []
         self._kidnap, self._restart, self._odom = KidnapDetection(), UncertainRestart(), FusedOdom()
 
     def process(self, event: Event) -> tuple[Estimate | None, str]:
@@ -185,6 +183,8 @@ class ByFusion:
         T, C, T_map_filter = decided.T_odom_body, decided.covariance, self._map.T_map_odom
         if T is not None and C is not None:  # without a pose, the status of the sensors stays
             watched = [self._restart.evidence(T, C), self._kidnap.evidence(T, C), *found]
+            if self._health is not None and self._health.is_suspicious:
+                watched.append(_SUSPICION)
             decided = decide(watched, decided) if any(watched) else decided
             if self.loops is not None:
                 in_map = self.loops.evidence(decided.status, T, decided.covariance, T_map_filter)
@@ -281,7 +281,7 @@ class ByFusion:
                 self._health.add_frame(frame.stamp_s, seen.T_odom_body)
             else:
                 self._health.interrupt()
-            if self._isolate(frame.stamp_s):
+            if self._exclude_faulty(self._health, frame.stamp_s):
                 return self._begin(frame, seen)
         motion = anchor.motion_to(seen.T_odom_body, seen.motion)
         motion = blurred(motion, twist, self._base.noise_s)
@@ -290,28 +290,20 @@ class ByFusion:
             return self._lose(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         return self._measure(frame, seen, motion)
 
-    def _isolate(self, stamp_s: float) -> bool:
-        """Leave out a sensor that was just found faulty, also in the past. Return whether the camera counts again."""
-        assert self._health is not None
-        now, before = self._health.exclusion, self._excluded
-        if now == before:
-            self._was_sure = self._health.fault is not None
+    def _exclude_faulty(self, health: SensorHealth, stamp_s: float) -> bool:
+        """Leave out a sensor that was found faulty, also in the past; return whether the camera is used again."""
+        before = health.exclusions
+        since_s = health.update(stamp_s)
+        if since_s is None:
             return False
-        since_s = min(one.begin_s for one in (now, before) if one is not None)
-        is_over = before is not None and now is None and self._was_sure
-        if before is not None and self._was_sure and (now is None or now.sensor is not before.sensor):
-            self._past_exclusions.append(before._replace(end_s=stamp_s))
-            since_s = stamp_s if now is None else now.begin_s
-        self._excluded, self._was_sure = now, self._health.fault is not None
         T_before = self.filter.estimate.T_odom_body
-        done = self.filter.exclude([*self._past_exclusions, *([] if now is None else [now])], since_s)
-        self._fault_notes.append(f"{now} at {stamp_s:.1f} {done}")
-        if done:
+        if self.filter.exclude(health.exclusions, since_s):
             self._map.lay(self.filter.last_frame())
             T_after = self.filter.estimate.T_odom_body
             if T_before is not None and T_after is not None:
                 self._odom.correct(T_before, T_after)
-        return is_over and before is not None and before.sensor is Sensor.CAMERA
+        ended = {one.sensor for one in before if one.is_sure and one not in health.exclusions}
+        return Sensor.CAMERA in ended
 
     def _apply_loops(self, loops: LoopsBeside, stamp_s: float) -> None:
         """Move keyframes by the loops found so far. The pose in odom does not change."""
@@ -487,7 +479,8 @@ class ByFusion:
     @property
     def warnings(self) -> tuple[str, ...]:
         """One sentence for each fault of the gyroscope or of the calibration."""
-        of_gyro = (*(self._base.warnings if self._base.has_gyro else ()), *self._fault_notes)
+        of_gyro = self._base.warnings if self._base.has_gyro else ()
+        of_gyro += () if self._health is None else self._health.warnings
         return (*of_gyro, *self._check.verdict.warnings) if self._check.verdict.is_sure else of_gyro
 
     @property

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Collection, Sequence
 from enum import Enum
 from typing import NamedTuple
 
@@ -35,13 +36,13 @@ _PIECES_S, _SHORTEST_S, _GAP_S = (0.25, 1.25), 0.15, 2.0
 _CAMERA_M, _CAMERA_SHARE, _CAMERA_RAD, _CAMERA_TURN_SHARE = 0.008, 0.03, 0.004, 0.012
 _WHEEL_M, _WHEEL_SHARE, _SIDE_M, _SIDE_SHARE = 0.003, 0.01, 0.01, 0.15
 _GYRO_RAD, _GYRO_SHARE, _GYRO_RAD_S = 0.003, 0.01, 0.004
-_FAULT_LEAST, _FAULT_SHARE = 0.05, 0.5  # errors of a faulty sensor: metres or radians, and share of way or turn
-_RISE_M, _RISE_SHARE, _TILT_RAD = 0.03, 0.15, 0.06  # motion out of the plane of the floor that is usual over a piece
-_MIRROR_NATS, _MIRROR_RAD, _MIRROR_SHARE = 3.0, 0.03, 0.3
+# Motion out of the plane of the floor that is usual over a piece, and how much larger a faulty camera's is.
+_RISE_M, _RISE_SHARE, _TILT_RAD, _FAR_OFF = 0.03, 0.15, 0.06, 5.0
 _RATIO_WAY_M, _RATIO_PRIOR_M, _RATIO_STEP = 20.0, 5.0, 0.1
 # Sound way, time and, for a fault that turns show, turn after which a sensor is used again.
 _AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD = 2.0, 3.0, 0.6
 _KEPT_S = 5.0
+_DESCRIBED = 120  # pieces by which a fault is described
 
 
 class Sensor(Enum):
@@ -55,7 +56,7 @@ class Sensor(Enum):
 
 
 class SensorFault(NamedTuple):
-    """A fault of one sensor: since when, and when it was found."""
+    """A fault of one sensor: since when, and when it was found, stamps."""
 
     sensor: Sensor
     begin_s: float
@@ -63,11 +64,12 @@ class SensorFault(NamedTuple):
 
 
 class Exclusion(NamedTuple):
-    """A sensor that is left out from one stamp to another."""
+    """A sensor that is left out from one stamp to another, by a fault or by a suspicion."""
 
     sensor: Sensor
     begin_s: float
     end_s: float = math.inf
+    is_sure: bool = False
 
 
 class Piece(NamedTuple):
@@ -87,54 +89,104 @@ class Piece(NamedTuple):
     turn_rad: float | None
 
 
-# Places of a sensor's errors among: x, y and yaw of the camera, left and right wheel, way to the side, gyroscope.
-_BROKEN = {Sensor.LEFT: [3], Sensor.RIGHT: [4], Sensor.WHEELS: [3, 4], Sensor.CAMERA: [0, 1, 2], Sensor.GYRO: [6]}
+class Hypothesis(NamedTuple):
+    """A way in which a sensor may be wrong.
+
+    Attributes:
+        sensor: the sensor.
+        share: probability of this hypothesis, if the sensor is wrong.
+        broken: places of the sensor's errors among x, y and yaw of the camera, left and right wheel, gyroscope, whose
+            variance grows.
+        scale: of that growth, as a share of way or turn.
+        flips: what the sensor measures in place of the truth: (left wheel, right wheel, yaw and y of the camera,
+            gyroscope) times these.
+    """
+
+    sensor: Sensor
+    share: float
+    broken: tuple[int, ...] = ()
+    scale: float = 0.0
+    flips: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
 
 
-def log_ratios(piece: Piece, half_m: float, ratios: FloatArray) -> tuple[dict[Sensor, float], bool]:
-    """Return the log-likelihood ratio of each sensor's fault to no fault, nats, and whether the camera is mirrored.
+_ANY, _SOME, _NOTHING = 0.5, 0.1, 10.0
+HYPOTHESES = (
+    Hypothesis(Sensor.LEFT, 0.4, (3,), _ANY),
+    Hypothesis(Sensor.LEFT, 0.4, (3,), _SOME),
+    Hypothesis(Sensor.LEFT, 0.1, flips=(0.0, 1.0, 1.0, 1.0)),
+    Hypothesis(Sensor.LEFT, 0.1, flips=(-1.0, 1.0, 1.0, 1.0)),
+    Hypothesis(Sensor.RIGHT, 0.4, (4,), _ANY),
+    Hypothesis(Sensor.RIGHT, 0.4, (4,), _SOME),
+    Hypothesis(Sensor.RIGHT, 0.1, flips=(1.0, 0.0, 1.0, 1.0)),
+    Hypothesis(Sensor.RIGHT, 0.1, flips=(1.0, -1.0, 1.0, 1.0)),
+    Hypothesis(Sensor.WHEELS, 0.8, (3, 4), _ANY),
+    Hypothesis(Sensor.WHEELS, 0.1, flips=(0.0, 0.0, 1.0, 1.0)),
+    Hypothesis(Sensor.WHEELS, 0.1, flips=(-1.0, -1.0, 1.0, 1.0)),
+    Hypothesis(Sensor.CAMERA, 0.7, (0, 1, 2), _ANY),
+    Hypothesis(Sensor.CAMERA, 0.2, (0,), _SOME),
+    Hypothesis(Sensor.CAMERA, 0.1, flips=(1.0, 1.0, -1.0, 1.0)),
+    Hypothesis(Sensor.GYRO, 0.6, (6,), _ANY),
+    Hypothesis(Sensor.GYRO, 0.2, flips=(1.0, 1.0, 1.0, 0.0)),
+    Hypothesis(Sensor.GYRO, 0.2, flips=(1.0, 1.0, 1.0, -1.0)),
+)
+_PLACES = {Sensor.LEFT: [3], Sensor.RIGHT: [4], Sensor.WHEELS: [3, 4], Sensor.CAMERA: [0, 1, 2], Sensor.GYRO: [6]}
+_SCALES = np.array([[one.scale if place in one.broken else 0.0 for place in range(7)] for one in HYPOTHESES])
+_FLIPS = np.array([one.flips for one in HYPOTHESES])
+_LOG_SHARES = np.log([one.share for one in HYPOTHESES])
+_OF_SENSOR = {sensor: [n for n, one in enumerate(HYPOTHESES) if one.sensor is sensor] for sensor in Sensor}
+
+
+def log_ratios(piece: Piece, half_m: float, ratios: FloatArray, faulty: Collection[Sensor] = ()) -> dict[Sensor, float]:
+    """Return the log-likelihood ratio of each sensor's fault to no other fault, nats.
 
     Args:
         piece: of the drive.
         half_m: half of the track.
         ratios: (2,) usual ratio of each wheel to the camera.
+        faulty: sensors whose measurements do not count.
     """
     x, y, z, roll, pitch, yaw = piece.camera
     ways_m, turn, seconds = piece.ways_m, piece.turn_rad, piece.end_s - piece.begin_s
     wheel_yaw, rolled_m = (ways_m[1] - ways_m[0]) / (2 * half_m), float(np.abs(ways_m).max())
-    way_m = max(rolled_m, abs(x) + half_m * abs(yaw))
+    way_m = max(rolled_m, abs(x) + half_m * abs(yaw), abs(y))
     turn_rad = max(abs(wheel_yaw), abs(yaw), 0.0 if turn is None else abs(turn))
     rows = 3 if turn is None else 4
-    J = np.array(
-        [[-1, 0, half_m, 1, 0, 0, 0], [-1, 0, -half_m, 0, 1, 0, 0], [0, 1, 0, 0, 0, 1, 0], [0, 0, -1, 0, 0, 0, 1]], float
-    )[:rows]
-    by_camera = ratios * (x + half_m * yaw * np.array([-1, 1]))
-    apart = np.array([*(ways_m - by_camera), y, 0.0 if turn is None else turn - yaw])[:rows]
+    J = np.zeros((4, 7))
+    J[:2, 0], J[:2, 2], J[:2, 3:5] = -1, (half_m, -half_m), np.eye(2)
+    J[2, [1, 5]], J[3, [2, 6]] = 1, (-1, 1)
+    J = J[:rows]
     camera_m, wheel_m = _CAMERA_M + _CAMERA_SHARE * way_m, _WHEEL_M + _WHEEL_SHARE * way_m
     camera_rad = _CAMERA_RAD + _CAMERA_TURN_SHARE * turn_rad
     side_m, gyro_rad = _SIDE_M + _SIDE_SHARE * rolled_m, _GYRO_RAD + _GYRO_SHARE * turn_rad + _GYRO_RAD_S * seconds
     sound = np.square([camera_m, camera_m, camera_rad, wheel_m, wheel_m, side_m, gyro_rad])
-    far_m, far_rad = _FAULT_LEAST + _FAULT_SHARE * way_m, _FAULT_LEAST + _FAULT_SHARE * turn_rad
-    broken = np.square([far_m, far_m, far_rad, far_m, far_m, 0.0, far_rad])
-
-    def log_likelihood(places: list[int]) -> float:
-        variances = sound.copy()
-        variances[places] += broken[places]
-        C = (J * variances) @ J.T
-        return float(-0.5 * np.linalg.slogdet(C)[1] - 0.5 * apart @ np.linalg.solve(C, apart))
-
-    found = {one: log_likelihood(at) for one, at in _BROKEN.items() if one is not Sensor.GYRO or turn is not None}
-    usual = max(log_likelihood([]), max(found.values()) - _PIECE_NATS)
-    ratio = {sensor: min(max(one - usual, _LEAST_NATS), _PIECE_NATS) for sensor, one in found.items()}
-    out = 0.0
-    for off, usually in ((z, _RISE_M + _RISE_SHARE * rolled_m), (roll, _TILT_RAD), (pitch, _TILT_RAD)):
-        out += max(0.0, -0.5 * math.log(26.0) + 0.5 * (off / usually) ** 2 * (1 - 1 / 26.0))
-    ratio[Sensor.CAMERA] += min(out, _PIECE_NATS)
-    is_mirrored = yaw * wheel_yaw < 0 and abs(wheel_yaw) > _MIRROR_RAD and abs(yaw) > _MIRROR_SHARE * abs(wheel_yaw)
-    if is_mirrored:
-        ratio[Sensor.CAMERA] += _MIRROR_NATS
-        ratio[Sensor.WHEELS] -= _MIRROR_NATS
-    return ratio, bool(is_mirrored)
+    sizes = np.array([way_m, way_m, turn_rad, way_m, way_m, 0.0, turn_rad])
+    for sensor in faulty:
+        sound[_PLACES[sensor]] += np.square(_NOTHING * sizes[_PLACES[sensor]] + 1.0)
+    flips = np.vstack([np.ones(4), _FLIPS])
+    variances = sound + np.square(np.vstack([np.zeros(7), _SCALES]) * sizes)
+    true_yaw = flips[:, 2] * yaw  # a mirrored camera measures the opposite of the truth
+    by_camera = ratios * np.stack([x - half_m * true_yaw, x + half_m * true_yaw], axis=-1)
+    apart = np.empty((len(flips), 4))
+    apart[:, :2] = ways_m - flips[:, :2] * by_camera
+    apart[:, 2] = flips[:, 2] * y
+    apart[:, 3] = 0.0 if turn is None else turn - flips[:, 3] * true_yaw
+    apart = apart[:, :rows]
+    C = (J * variances[:, None, :]) @ J.T
+    chi2 = (apart * np.linalg.solve(C, apart[:, :, None])[:, :, 0]).sum(axis=1)
+    logs = -0.5 * (np.linalg.slogdet(C)[1] + chi2)
+    usual, logs = logs[0], logs[1:] + _LOG_SHARES
+    found = {
+        sensor: float(np.logaddexp.reduce(logs[places]))
+        for sensor, places in _OF_SENSOR.items()
+        if sensor is not Sensor.GYRO or turn is not None
+    }
+    # The camera's motion out of the plane of the floor: a faulty camera has one in half of the cases.
+    usual_off = np.array([_RISE_M + _RISE_SHARE * rolled_m, _TILT_RAD, _TILT_RAD])
+    off = np.array([z, roll, pitch]) / usual_off
+    out = float((0.5 * (1 - 1 / _FAR_OFF**2) * off**2 - math.log(_FAR_OFF)).sum())
+    found[Sensor.CAMERA] += math.log(0.5) + float(np.logaddexp(0.0, out))
+    usual = max(usual, max(found.values()) - _PIECE_NATS)
+    return {sensor: max(one - usual, _LEAST_NATS) for sensor, one in found.items() if sensor not in faulty}
 
 
 class Sums:
@@ -147,7 +199,7 @@ class Sums:
 
     def __init__(self, piece_s: float) -> None:
         self.piece_s, self.begin = piece_s, (math.nan, np.eye(4))
-        self.nats, self.zero_s = dict.fromkeys(_BROKEN, 0.0), dict.fromkeys(_BROKEN, -math.inf)
+        self.nats, self.zero_s = dict.fromkeys(Sensor, 0.0), dict.fromkeys(Sensor, -math.inf)
 
     def add(self, ratio: dict[Sensor, float], end_s: float) -> None:
         """Add the ratios of a piece."""
@@ -167,7 +219,7 @@ class Sums:
 
     def clear(self, now_s: float) -> None:
         """Start over."""
-        self.nats, self.zero_s = dict.fromkeys(_BROKEN, 0.0), dict.fromkeys(_BROKEN, now_s)
+        self.nats, self.zero_s = dict.fromkeys(Sensor, 0.0), dict.fromkeys(Sensor, now_s)
 
 
 class SensorHealth:
@@ -178,32 +230,61 @@ class SensorHealth:
         T_base_camera: (4, 4).
 
     Attributes:
-        fault: the current fault, or None.
+        faults: current fault of each faulty sensor.
+        exclusions: sensors that are left out, now or earlier; see `update`.
+        warnings: a sentence for each fault so far.
     """
 
     def __init__(self, track_m: float, T_base_camera: FloatArray) -> None:
-        self.fault: SensorFault | None = None
+        self.faults: dict[Sensor, SensorFault] = {}
+        self.exclusions: tuple[Exclusion, ...] = ()
+        self.warnings: tuple[str, ...] = ()
         self._half_m = track_m / 2
         self._T_base_camera, self._T_camera_base = T_base_camera, motions.inverse(T_base_camera)
+        self._first_s: float | None = None
         self._rolled: deque[tuple[float, float, float]] = deque()  # stamp, and way of both wheels, m
         self._turned: deque[tuple[float, float]] = deque()  # stamp, and angle of the gyroscope, rad
         self._scales = tuple(Sums(piece_s) for piece_s in _PIECES_S)
         self._waiting: deque[tuple[float, FloatArray]] = deque(maxlen=8)
+        self._pieces: deque[Piece] = deque(maxlen=_DESCRIBED)
         self._ratios, self._weights = np.ones(2), np.full(2, _RATIO_PRIOR_M)
         self._unproven_s: float | None = None  # since when a restarted camera has not agreed yet
-        self._sound = np.zeros(3)  # way, time and turn over which a faulty sensor agrees again
-        self._needs_turn = self._was_mirrored = False
+        self._sound = {sensor: np.zeros(3) for sensor in Sensor}  # way, time and turn over which it agrees again
 
     @property
-    def exclusion(self) -> Exclusion | None:
-        """The sensor to leave out: faulty, or leading before that is certain, or restarted; None if all count."""
-        if self.fault is not None:
-            return Exclusion(self.fault.sensor, self.fault.begin_s)
-        for scale in self._scales:
-            sensor = scale.leads(_SUSPECT_NATS)
-            if sensor is not None:
-                return Exclusion(sensor, scale.zero_s[sensor])
-        return None if self._unproven_s is None else Exclusion(Sensor.CAMERA, self._unproven_s)
+    def is_suspicious(self) -> bool:
+        """Whether a sensor may be wrong, without certainty."""
+        if any(not one.is_sure and one.end_s == math.inf for one in self.exclusions):
+            return True
+        return any(max(scale.nats.values()) > _ALARM_NATS for scale in self._scales)
+
+    def update(self, stamp_s: float) -> float | None:
+        """Update the exclusions at a frame; return the stamp since which they changed, or None.
+
+        A faulty sensor is left out since its fault began. One that leads before that is certain, or a camera that has
+        just restarted, is left out from now on; if it turns out to be sound, it counts as if nothing had happened.
+        """
+        past = tuple(one for one in self.exclusions if one.is_sure and one.end_s < math.inf)
+        current = {one.sensor: one for one in self.exclusions if one.end_s == math.inf}
+        wanted = {one.sensor: Exclusion(one.sensor, one.begin_s, is_sure=True) for one in self.faults.values()}
+        suspects = {sensor: stamp_s for scale in self._scales if (sensor := scale.leads(_SUSPECT_NATS)) is not None}
+        if self._unproven_s is not None:
+            suspects.setdefault(Sensor.CAMERA, self._unproven_s)
+        for sensor, begin_s in suspects.items():
+            known = current.get(sensor)
+            is_known = known is not None and not known.is_sure
+            wanted.setdefault(sensor, known if known is not None and is_known else Exclusion(sensor, begin_s))
+        if wanted == current:
+            return None
+        since_s = stamp_s
+        for sensor in {*wanted, *current}:
+            now, before = wanted.get(sensor), current.get(sensor)
+            if before is not None and before.is_sure and now is None:
+                past = (*past, before._replace(end_s=stamp_s))
+            elif now != before:
+                since_s = min([since_s, *[one.begin_s for one in (now, before) if one is not None]])
+        self.exclusions = (*past, *wanted.values())
+        return since_s
 
     def add_wheels(self, stamp_s: float, way_m: float, turn_rad: float) -> None:
         """Add a step of the wheels."""
@@ -235,6 +316,7 @@ class SensorHealth:
 
     def add_frame(self, stamp_s: float, T_map_camera: FloatArray) -> None:
         """Add the camera's pose (4, 4) by itself at a frame. A piece is compared once the wheels cover it."""
+        self._first_s = stamp_s if self._first_s is None else self._first_s
         self._waiting.append((stamp_s, T_map_camera))
         while self._waiting and self._rolled and self._waiting[0][0] <= self._rolled[-1][0]:
             now_s, T = self._waiting.popleft()
@@ -263,24 +345,30 @@ class SensorHealth:
         return Piece(begin_s, end_s, motions.log(motions.renormalized(T)), ways_m, turn)
 
     def _compare(self, scale: Sums, piece: Piece) -> None:
-        ratio, is_mirrored = log_ratios(piece, self._half_m, self._ratios)
-        if self.fault is not None:
-            if scale is self._scales[0]:
-                self._follow(self.fault, ratio, is_mirrored, piece)
-            return
-        self._was_mirrored = self._was_mirrored or is_mirrored
-        if scale is self._scales[0] and ratio[Sensor.CAMERA] <= 0.0:
-            self._unproven_s = None
+        ratio = log_ratios(piece, self._half_m, self._ratios, self.faults)
+        is_first = scale is self._scales[0]
+        if is_first:
+            self._pieces.append(piece)
+            if ratio.get(Sensor.CAMERA, 0.0) <= 0.0:
+                self._unproven_s = None
+            self._end_faults(piece)
         scale.add(ratio, piece.end_s)
-        if all(max(one.nats.values()) < _SOUND_NATS for one in self._scales):
-            self._was_mirrored = False
-            if scale is self._scales[0]:
-                self._learn(piece)
+        if is_first and not self.faults and all(max(one.nats.values()) < _SOUND_NATS for one in self._scales):
+            self._learn(piece)
         sensor = scale.leads(_ALARM_NATS)
-        if sensor is not None:
-            self.fault = SensorFault(sensor, scale.zero_s[sensor], piece.end_s)
-            self._sound[:], self._unproven_s = 0.0, None
-            self._needs_turn = self._was_mirrored or sensor is Sensor.GYRO
+        if sensor is None:
+            return
+        begin_s = scale.zero_s[sensor]
+        self.faults[sensor] = SensorFault(sensor, begin_s, piece.end_s)
+        self._sound[sensor][:] = 0.0
+        if sensor is Sensor.CAMERA:
+            self._unproven_s = None
+        for one in self._scales:  # what this fault explains accuses no other sensor
+            one.clear(piece.end_s)
+        pieces = [one for one in self._pieces if one.end_s > begin_s]
+        cause = cause_of(sensor, pieces, self._half_m, self._ratios)
+        after_s = begin_s - (self._first_s or 0.0)
+        self.warnings += (f"the {sensor.value} is left out {after_s:.1f} s after the first frame: {cause}",)
 
     def _learn(self, piece: Piece) -> None:
         """Update the ratio of each wheel to the camera."""
@@ -291,13 +379,60 @@ class SensorHealth:
                 step = np.clip(piece.ways_m[i] / by_camera[i] - self._ratios[i], -_RATIO_STEP, _RATIO_STEP)
                 self._ratios[i] += way_m / self._weights[i] * step
 
-    def _follow(self, fault: SensorFault, ratio: dict[Sensor, float], is_mirrored: bool, piece: Piece) -> None:
-        """End the fault once its sensor has agreed with the others for long enough."""
-        if ratio.get(fault.sensor, 0.0) > 0.0:
-            self._sound[:], self._needs_turn = 0.0, self._needs_turn or is_mirrored
-            return
-        self._sound += np.abs(piece.ways_m).max(), piece.end_s - piece.begin_s, abs(piece.camera[5])
-        if (self._sound >= (_AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD if self._needs_turn else 0.0)).all():
-            self.fault = None
-            for scale in self._scales:
-                scale.clear(piece.end_s)
+    def _end_faults(self, piece: Piece) -> None:
+        """End each fault whose sensor has agreed with the others for long enough."""
+        for sensor in list(self.faults):
+            others = self.faults.keys() - {sensor}
+            sound = self._sound[sensor]
+            if log_ratios(piece, self._half_m, self._ratios, others).get(sensor, 0.0) > 0.0:
+                sound[:] = 0.0
+                continue
+            way_m = max(float(np.abs(piece.ways_m).max()), abs(piece.camera[0]))
+            sound += way_m, piece.end_s - piece.begin_s, abs(piece.camera[5])
+            if (sound >= (_AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD)).all():
+                del self.faults[sensor]
+                for scale in self._scales:
+                    scale.clear(piece.end_s)
+                self.warnings += (f"the {sensor.value} agrees with the other sensors again, and is used",)
+
+
+def cause_of(sensor: Sensor, pieces: Sequence[Piece], half_m: float, ratios: FloatArray) -> str:
+    """Return what is wrong with a sensor over some pieces, and what to check.
+
+    Args:
+        sensor: the faulty one.
+        pieces: of the drive, since its fault began.
+        half_m: half of the track.
+        ratios: (2,) usual ratio of each wheel to the camera.
+    """
+    camera = np.array([piece.camera for piece in pieces]).reshape(-1, 6)
+    ways_m = np.array([piece.ways_m for piece in pieces]).reshape(-1, 2)
+    turns = np.array([math.nan if piece.turn_rad is None else piece.turn_rad for piece in pieces])
+
+    def times(measured: FloatArray, true: FloatArray) -> float:
+        """Return the factor of a measurement, by least squares."""
+        return float(measured @ true / max(float(true @ true), 1e-12))
+
+    wheel_turns = (ways_m[:, 1] - ways_m[:, 0]) / (2 * half_m)
+    if sensor in (Sensor.LEFT, Sensor.RIGHT):
+        i = 0 if sensor is Sensor.LEFT else 1
+        by_camera = camera[:, 0] + half_m * camera[:, 5] * (-1, 1)[i]
+        factor = times(ways_m[:, i], ratios[i] * by_camera)
+        if abs(factor) < 0.1:
+            return "it does not count while the robot moves; check its encoder and cable"
+        if factor < -0.5:
+            return "it counts backwards; check the channels of its encoder"
+        return f"it counts {factor:.2f} times its way; check its tyre and encoder"
+    if sensor is Sensor.WHEELS:
+        factor = times(ways_m.mean(axis=1), camera[:, 0])
+        return f"both count {factor:.2f} times their way; they slip, or the robot was lifted"
+    if sensor is Sensor.GYRO:
+        factor = times(turns[np.isfinite(turns)], camera[np.isfinite(turns), 5])
+        return f"it measures {factor:.2f} times the turns of camera and wheels; check its mounting and scale"
+    if times(camera[:, 5], wheel_turns) < -0.5:
+        return "it turns the other way than the wheels; check whether its images are mirrored"
+    side_m, way_m = np.abs(camera[:, 1]).sum(), np.abs(ways_m).max(axis=1).sum()
+    if side_m > 0.3 * way_m:
+        return "it moves sideways, which the robot cannot; something that moves may fill its view"
+    factor = times(camera[:, 0], ways_m.mean(axis=1))
+    return f"it moves {factor:.2f} times the way of the wheels; check its mount and depth"

@@ -8,11 +8,10 @@ import numpy as np
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.checks import Untimed
-from wheelsight.core.estimates import PoseFinding, Reason, WheelEstimate, status_of
+from wheelsight.core.estimates import OdomFrame, PoseFinding, Reason, WheelEstimate, status_of
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.messages import WHEEL_READINGS, Event, WheelReading, YawRate
-from wheelsight.estimation.filter import OdomFrame
 from wheelsight.wheels import AnyWheelOdometry, GyroCheck, HolonomicOdometry, WheelSettings, YawRateMeter, odometry_of
 
 _STILL = np.eye(4)
