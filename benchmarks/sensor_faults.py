@@ -38,8 +38,9 @@ BEGIN_S, FAR_M, TIMES, PLUS_M = 15.0, 0.5, 1.5, 0.15
 _MADE = (
     "A drive is what `wheelsight simulate WORLD --rate 10 --duration 45 --size 320x240 --seed N` writes. It is "
     "localized by `wheels,dense`. The worst error is the largest distance in the plane from the true pose of any "
-    f"frame of each drive, nothing aligned. The limit is {TIMES:g} times the worst error of the best single sensor, plus "
-    f"{PLUS_M:g} m. A frame is sure and wrong if it is `tracking`, not doubtful, over {FAR_M:g} m off and outside 3σ."
+    f"frame of each drive, nothing aligned. The limit is {TIMES:g} times the worst error of the best single sensor, "
+    f"plus {PLUS_M:g} m. A frame is sure and wrong if it is `tracking`, not doubtful, over {FAR_M:g} m off and "
+    "outside 3σ."
 )
 _GYRO_HZ, _GYRO_BIAS_RAD_S, _GYRO_NOISE_RAD_S = 100, 0.01, 0.003
 Change = Callable[[Event, bool], Event]

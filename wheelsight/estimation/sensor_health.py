@@ -186,7 +186,7 @@ def log_ratios(piece: Piece, half_m: float, ratios: FloatArray, faulty: Collecti
     out = float((0.5 * (1 - 1 / _FAR_OFF**2) * off**2 - math.log(_FAR_OFF)).sum())
     found[Sensor.CAMERA] += math.log(0.5) + float(np.logaddexp(0.0, out))
     usual = max(usual, max(found.values()) - _PIECE_NATS)
-    return {sensor: max(one - usual, _LEAST_NATS) for sensor, one in found.items() if sensor not in faulty}
+    return {sensor: float(max(one - usual, _LEAST_NATS)) for sensor, one in found.items() if sensor not in faulty}
 
 
 class Sums:
