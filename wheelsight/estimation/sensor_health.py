@@ -42,6 +42,9 @@ _RATIO_WAY_M, _RATIO_PRIOR_M, _RATIO_STEP = 20.0, 5.0, 0.1
 # Sound way, time and, for a fault that turns show, turn after which a sensor is used again.
 _AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD = 2.0, 3.0, 0.6
 _KEPT_S = 5.0
+# A wheel's speed over two such times jumps if it changes by more than this, and faster than this acceleration, which a
+# tyre on the floor does not reach (a wheel that hits a wall at 0.5 m/s does). For how long it is suspected then.
+_JUMP_S, _LONGEST_JUMP_S, _JUMP_M_S, _JUMP_M_S2, _JUMP_SUSPECT_S = 0.035, 0.15, 0.08, 3.0, 0.6
 _DESCRIBED = 120  # pieces by which a fault is described
 
 
@@ -248,6 +251,7 @@ class SensorHealth:
         self._waiting: deque[tuple[float, FloatArray]] = deque(maxlen=8)
         self._pieces: deque[Piece] = deque(maxlen=_DESCRIBED)
         self._ratios, self._weights = np.ones(2), np.full(2, _RATIO_PRIOR_M)
+        self._jumped: dict[Sensor, tuple[float, float]] = {}  # wheels whose speed jumped: suspected from and until
         self._unproven_s: float | None = None  # since when a restarted camera has not agreed yet
         self._sound = {sensor: np.zeros(3) for sensor in Sensor}  # way, time and turn over which it agrees again
 
@@ -261,13 +265,18 @@ class SensorHealth:
     def update(self, stamp_s: float) -> float | None:
         """Update the exclusions at a frame; return the stamp since which they changed, or None.
 
-        A faulty sensor is left out since its fault began. One that leads before that is certain, or a camera that has
-        just restarted, is left out from now on; if it turns out to be sound, it counts as if nothing had happened.
+        A sensor is left out since its fault began. So is one that leads before that is certain, a wheel whose speed has
+        just jumped, and a camera that has just restarted; if it turns out to be sound, it counts as if nothing had
+        happened.
         """
         past = tuple(one for one in self.exclusions if one.is_sure and one.end_s < math.inf)
         current = {one.sensor: one for one in self.exclusions if one.end_s == math.inf}
         wanted = {one.sensor: Exclusion(one.sensor, one.begin_s, is_sure=True) for one in self.faults.values()}
-        suspects = {sensor: stamp_s for scale in self._scales if (sensor := scale.leads(_SUSPECT_NATS)) is not None}
+        suspects = {sensor: begin_s for sensor, (begin_s, end_s) in self._jumped.items() if stamp_s < end_s}
+        for scale in self._scales:
+            leader = scale.leads(_SUSPECT_NATS)
+            if leader is not None:
+                suspects.setdefault(leader, scale.zero_s[leader])
         if self._unproven_s is not None:
             suspects.setdefault(Sensor.CAMERA, self._unproven_s)
         for sensor, begin_s in suspects.items():
@@ -294,6 +303,30 @@ class SensorHealth:
             self._rolled.append((stamp_s, left_m + way_m - aside_m, right_m + way_m + aside_m))
             while self._rolled[0][0] < stamp_s - _KEPT_S:
                 self._rolled.popleft()
+            self._find_jump(stamp_s)
+
+    def _find_jump(self, now_s: float) -> None:
+        """Suspect a wheel for a moment whose speed changed faster than a wheel on the floor can."""
+        middle: tuple[float, float, float] | None = None
+        for one in reversed(self._rolled):
+            if middle is None and now_s - one[0] >= _JUMP_S:
+                middle = one
+            elif middle is not None and middle[0] - one[0] >= _JUMP_S:
+                before, after = middle[0] - one[0], now_s - middle[0]
+                if max(before, after) > _LONGEST_JUMP_S:
+                    return
+                newest = self._rolled[-1]
+                most_m_s = _JUMP_M_S + _JUMP_M_S2 * (before + after) / 2
+                jumps = [
+                    abs((newest[i] - middle[i]) / after - (middle[i] - one[i]) / before) > most_m_s for i in (1, 2)
+                ]
+                if any(jumps):
+                    sensor = Sensor.WHEELS if all(jumps) else Sensor.LEFT if jumps[0] else Sensor.RIGHT
+                    self._jumped.setdefault(sensor, (one[0], 0.0))
+                    self._jumped[sensor] = self._jumped[sensor][0], now_s + _JUMP_SUSPECT_S
+                elif self._jumped and now_s > max(end_s for _, end_s in self._jumped.values()):
+                    self._jumped.clear()
+                return
 
     def add_yaw_rate(self, stamp_s: float, rate_rad_s: float) -> None:
         """Add a reading of the gyroscope, the mean since its last one."""
