@@ -252,7 +252,8 @@ def drive(recording: Recording, case: SensorFaultCase, odometry: str, **override
             started_s = time.perf_counter()
             answer = localizer.process(event)
             run.slowest_s = max(run.slowest_s, time.perf_counter() - started_s)
-            if math.isnan(run.found_s) and any(case.named in one for one in localizer.warnings if case.named):
+            named = [one for one in localizer.warnings if case.named and f"{case.named} " in one and "left out" in one]
+            if math.isnan(run.found_s) and named:
                 run.found_s = event.stamp_s - begin_s - case.begin_s
             is_judged = isinstance(event, RgbdFrame) or odometry == "wheels"
             if answer is None or answer.T_odom_body is None or not is_judged:

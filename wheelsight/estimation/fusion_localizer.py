@@ -79,6 +79,9 @@ _AGAIN_WAYS, _AGAIN_KEYFRAMES = 3.0, 20
 # Distance between the filter's pose and the camera's in its map, metres, from which on the camera has left its map. A
 # turn by a radian counts as 1.5 m. The wheels err by less in the second or two of a contradiction.
 _LEFT_MAP_M = 0.15
+# Speed at which the pose in odom moves to the corrected one: slow enough for a controller.
+_CORRECTION_M_S, _CORRECTION_RAD_S = 0.1, math.radians(5.0)
+_REMEMBERED_POSES = 600  # of the map in odom, one a frame: as long as the filter remembers, at 30 frames a second
 _SUSPICION = PoseEvidence(PoseFinding.SENSOR_SUSPECTED)
 # After a longer gap without frames, seconds, the camera may be right, and the wheels may have drifted.
 _LONGEST_GAP_S = 0.5
@@ -296,12 +299,10 @@ class ByFusion:
         since_s = health.update(stamp_s)
         if since_s is None:
             return False
-        T_before = self.filter.estimate.T_odom_body
         if self.filter.exclude(health.exclusions, since_s):
-            self._map.lay(self.filter.last_frame())
-            T_after = self.filter.estimate.T_odom_body
-            if T_before is not None and T_after is not None:
-                self._odom.correct(T_before, T_after)
+            is_camera_out = any(one.sensor is Sensor.CAMERA and one.end_s == math.inf for one in health.exclusions)
+            self._map.correct(since_s, None if is_camera_out else self.filter.last_frame())
+            self._odom.correct(since_s)
         ended = {one.sensor for one in before if one.is_sure and one not in health.exclusions}
         return Sensor.CAMERA in ended
 
@@ -336,7 +337,7 @@ class ByFusion:
         self._camera.unknown = 0
         self._kidnap.add_known_view(frame.stamp_s)
         is_accepted = agrees and answer.T_odom_body is not None and answer.status is Status.TRACKING
-        self._map.track(frame.stamp_s, is_accepted=is_accepted)
+        self._map.track(frame.stamp_s, seen.T_odom_body, is_accepted=is_accepted)
         if is_accepted and self._map.is_contradicted and self._map.is_left(seen.T_odom_body, update.T_odom_base):
             # The camera jumped: restart it at the pose in its map that the filter has.
             assert update.T_odom_base is not None
@@ -683,7 +684,9 @@ class FusedOdom:
 
     def __init__(self) -> None:
         self._frame = self.answered = OdomFrame()
-        self.spread: FloatArray | None = None
+        self._past: deque[tuple[float, FloatArray]] = deque(maxlen=_REMEMBERED_POSES)  # stamp, T_odom_filter
+        self._target: FloatArray | None = None  # T_odom_filter to which a correction moves
+        self._apart: FloatArray | None = None  # (6,) what is left of the correction
         self._begin: tuple[float, FloatArray, ErrorStateFilter] | None = None  # stamp and pose of the begin of the step
         self._last: tuple[float, FloatArray] | None = None  # stamp and pose in odom of the last estimate
         self._readings_s: deque[float] = deque(maxlen=_LONGEST_READING_GAP)
@@ -704,6 +707,10 @@ class FusedOdom:
             T_before_now = motions.exp(np.array([vx, vy, 0.0, 0.0, 0.0, turn]))
             frame.lay(T_own, motions.times(self._last[1], T_before_now))
         T_odom_body = motions.times(frame.T_odom_filter, T_own)
+        if self._target is not None and self._last is not None:
+            T_odom_body = self._move_to_target(T_own, T_odom_body, max(stamp_s - self._last[0], 0.0))
+        if isinstance(event, RgbdFrame):
+            self._past.append((stamp_s, frame.T_odom_filter))
         self._last = stamp_s, T_odom_body
         self._remember(stamp_s, fusion, event)
         # While sensors are being checked, the estimate may not be that of the filter.
@@ -713,12 +720,28 @@ class FusedOdom:
             self.answered.lay(T_filter_body, T_odom_body)
         return self.answered
 
-    def correct(self, T_before: FloatArray, T_after: FloatArray) -> None:
-        """Add a correction of the past, which the robot does not make in odom, to the covariance in odom."""
-        apart = motions.log(motions.renormalized(motions.times(T_after, motions.inverse(T_before))))
-        apart = motions.adjoint(self._frame.T_odom_filter) @ apart
-        more = np.outer(apart, apart)
-        self.spread = more if self.spread is None else self.spread + more
+    def correct(self, since_s: float) -> None:
+        """Move to where the robot would be in odom if the filter had known since a stamp what it knows now."""
+        self._target = next((T for stamp_s, T in reversed(self._past) if stamp_s <= since_s), None)
+
+    @property
+    def spread(self) -> FloatArray | None:
+        """(6, 6) of the error in odom that is not corrected yet; None for none."""
+        return None if self._apart is None else np.outer(self._apart, self._apart)
+
+    def _move_to_target(self, T_filter_body: FloatArray, T_odom_body: FloatArray, seconds: float) -> FloatArray:
+        """Return the pose (4, 4) in odom, closer to the target by what the speed of a correction allows."""
+        assert self._target is not None
+        T_here_there = motions.times(motions.inverse(T_odom_body), motions.times(self._target, T_filter_body))
+        apart = motions.log(motions.renormalized(T_here_there))
+        slowness = max(np.linalg.norm(apart[:2]) / _CORRECTION_M_S, abs(apart[5]) / _CORRECTION_RAD_S)
+        share = 1.0 if slowness <= seconds else seconds / slowness
+        T_odom_body = motions.times(T_odom_body, motions.exp(share * apart))
+        self._frame.lay(T_filter_body, T_odom_body)
+        self._apart = motions.adjoint(T_odom_body) @ ((1.0 - share) * apart)
+        if share == 1.0:
+            self._target = self._apart = None
+        return np.asarray(motions.times(self._frame.T_odom_filter, T_filter_body))
 
     def _remember(self, stamp_s: float, fusion: ErrorStateFilter, event: Event | None) -> None:
         """Remember the pose at the last reading up to a frame; or the current one, if no frame arrives."""
@@ -802,9 +825,12 @@ class CameraMap:
         self.keyframe: KeyframeId | None = None
         self.T_keyframe_map: FloatArray | None = None
         self._tracked_s, self.is_contradicted = -np.inf, False
+        self._T_tracked: FloatArray | None = None  # T_map_camera at the last frame that the filter remembers
+        self._past: deque[tuple[float, FloatArray]] = deque(maxlen=_REMEMBERED_POSES)  # stamp, T_odom_map
 
-    def track(self, stamp_s: float, *, is_accepted: bool) -> None:
-        """Note that a frame was tracked, and whether the filter accepted it."""
+    def track(self, stamp_s: float, T_map_camera: FloatArray, *, is_accepted: bool) -> None:
+        """Note that a frame was tracked at a pose (4, 4), and whether the filter accepted it."""
+        self._T_tracked = T_map_camera
         if not is_accepted and stamp_s - self._tracked_s <= _LONGEST_GAP_S:
             self.is_contradicted = True
         self._tracked_s = stamp_s
@@ -824,9 +850,11 @@ class CameraMap:
     def accept(self, stamp_s: float, seen: Estimate, T_odom_base: FloatArray | None) -> None:
         """Accept the camera's pose in the map at a frame; `T_odom_base` is the base's pose when its image was taken."""
         self.T_map_camera, self.seen_s = seen.T_odom_body, stamp_s
+        self._T_tracked = seen.T_odom_body
         self._tracked_s, self.is_contradicted = stamp_s, False
         if self.T_map_camera is not None and T_odom_base is not None:
             self._lay(motions.times(T_odom_base, self._T_base_camera), self.T_map_camera)
+            self._past.append((stamp_s, self.T_odom_map))
         if seen.keyframe is not None and seen.T_keyframe_body is not None and seen.T_odom_body is not None:
             self.keyframe = seen.keyframe
             self.T_keyframe_map = motions.times(seen.T_keyframe_body, motions.inverse(seen.T_odom_body))
@@ -835,6 +863,24 @@ class CameraMap:
         """Align the map so that the last frame, if it was accepted, is at the filter's current estimate of its pose."""
         if self.T_map_camera is not None and T_odom_base is not None:
             self._lay(motions.times(T_odom_base, self._T_base_camera), self.T_map_camera)
+
+    def correct(self, since_s: float, T_odom_base: FloatArray | None) -> None:
+        """Align the map after the filter corrected its poses since a stamp.
+
+        Args:
+            since_s: the stamp.
+            T_odom_base: (4, 4) corrected pose of the base at the last frame; None if the camera is left out, so that
+                its map stays where it was before.
+        """
+        if T_odom_base is not None and self._T_tracked is not None:
+            self._lay(motions.times(T_odom_base, self._T_base_camera), self._T_tracked)
+            self.is_contradicted = False
+        elif T_odom_base is None:
+            while len(self._past) > 1 and self._past[-1][0] >= since_s:
+                self._past.pop()
+            if self._past:
+                self.T_odom_map = self._past[-1][1]
+                self.T_map_odom = motions.inverse(self.T_odom_map)
 
     def _lay(self, T_odom_camera: FloatArray, T_map_camera: FloatArray) -> None:
         self.T_odom_map = motions.renormalized(motions.times(T_odom_camera, motions.inverse(T_map_camera)))
@@ -849,6 +895,11 @@ class CameraMap:
             self.anchor = replace(self.anchor, T_map_camera=motions.times(T_new_old, self.anchor.T_map_camera))
         if self.T_map_camera is not None:
             self.T_map_camera = motions.times(T_new_old, self.T_map_camera)
+        if self._T_tracked is not None:
+            self._T_tracked = motions.times(T_new_old, self._T_tracked)
+        self._past = deque(
+            ((stamp_s, motions.times(T, T_old_new)) for stamp_s, T in self._past), maxlen=_REMEMBERED_POSES
+        )
         if self.T_keyframe_map is not None:
             self.T_keyframe_map = motions.times(self.T_keyframe_map, T_old_new)
 

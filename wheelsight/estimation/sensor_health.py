@@ -401,7 +401,7 @@ class SensorHealth:
         pieces = [one for one in self._pieces if one.end_s > begin_s]
         cause = cause_of(sensor, pieces, self._half_m, self._ratios)
         after_s = begin_s - (self._first_s or 0.0)
-        self.warnings += (f"the {sensor.value} is left out {after_s:.1f} s after the first frame: {cause}",)
+        self.warnings += (f"{_name(sensor)} left out from {after_s:.1f} s after the first frame on: {cause}",)
 
     def _learn(self, piece: Piece) -> None:
         """Update the ratio of each wheel to the camera."""
@@ -426,7 +426,11 @@ class SensorHealth:
                 del self.faults[sensor]
                 for scale in self._scales:
                     scale.clear(piece.end_s)
-                self.warnings += (f"the {sensor.value} agrees with the other sensors again, and is used",)
+                self.warnings += (f"{_name(sensor)} used again, since it agrees with the other sensors",)
+
+
+def _name(sensor: Sensor) -> str:
+    return "both wheels are" if sensor is Sensor.WHEELS else f"the {sensor.value} is"
 
 
 def cause_of(sensor: Sensor, pieces: Sequence[Piece], half_m: float, ratios: FloatArray) -> str:
