@@ -338,7 +338,10 @@ class ByFusion:
         self._kidnap.add_known_view(frame.stamp_s)
         is_accepted = agrees and answer.T_odom_body is not None and answer.status is Status.TRACKING
         self._map.track(frame.stamp_s, seen.T_odom_body, is_accepted=is_accepted)
-        if is_accepted and self._map.is_contradicted and self._map.is_left(seen.T_odom_body, update.T_odom_base):
+        # While another sensor is suspected, it is the filter that has left the camera's map.
+        is_camera = self._health is None or self._health.accused in (None, Sensor.CAMERA)
+        is_left = is_accepted and is_camera and self._map.is_contradicted
+        if is_left and self._map.is_left(seen.T_odom_body, update.T_odom_base):
             # The camera jumped: restart it at the pose in its map that the filter has.
             assert update.T_odom_base is not None
             assert answer.covariance is not None

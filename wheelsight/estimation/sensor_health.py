@@ -262,6 +262,12 @@ class SensorHealth:
             return True
         return any(max(scale.nats.values()) > _ALARM_NATS for scale in self._scales)
 
+    @property
+    def accused(self) -> Sensor | None:
+        """The sensor that is most likely wrong, without certainty; None if all are likely sound."""
+        nats, sensor = max((nats, sensor.value) for scale in self._scales for sensor, nats in scale.nats.items())
+        return Sensor(sensor) if nats > _SOUND_NATS else None
+
     def update(self, stamp_s: float) -> float | None:
         """Update the exclusions at a frame; return the stamp since which they changed, or None.
 
