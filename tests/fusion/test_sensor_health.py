@@ -12,9 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wheelsight.core.geometry import FloatArray, se3
-from wheelsight.estimation.sensor_health import Piece, Sensor, SensorHealth, cause_of, log_ratios
+from wheelsight.estimation.sensor_health import Piece, Sensor, SensorHealth, Usual, cause_of, log_ratios
 
 HALF_M, FAULT_S = 0.25, 10.0
+USUAL = Usual(np.ones(2))
 T_BASE_CAMERA = se3.from_parts([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], [0.3, 0.1, 0.9])
 
 
@@ -108,7 +109,7 @@ def test_a_fault_is_found_named_and_dated(
     health, found = driven(fault, with_gyro=with_gyro)
     assert list(found) == [sensor]
     assert found[sensor] < FAULT_S + within_s
-    assert abs(health.faults[sensor].begin_s - 100.0 - FAULT_S) < 1.3  # the longest piece
+    assert abs(health.faults[sensor] - 100.0 - FAULT_S) < 1.3  # the longest piece
     assert words in health.warnings[0]
     (exclusion,) = [one for one in health.exclusions if one.is_sure]
     assert exclusion.sensor is sensor
@@ -168,7 +169,7 @@ def test_the_ratio_of_left_and_right_changes_sides_in_a_mirror(way: float, turn:
     ways_m = np.array([way - HALF_M * turn + left_m, way + HALF_M * turn + right_m])
     piece = Piece(0.0, 0.25, np.array([way, y, 0.0, 0.0, 0.0, turn]), ways_m, turn + gyro_rad)
     mirrored = Piece(0.0, 0.25, np.array([way, -y, 0.0, 0.0, 0.0, -turn]), ways_m[::-1], -turn - gyro_rad)
-    one, other = (log_ratios(each, HALF_M, np.ones(2)) for each in (piece, mirrored))
+    one, other = (log_ratios(each, HALF_M, USUAL) for each in (piece, mirrored))
     assert one[Sensor.LEFT] == pytest.approx(other[Sensor.RIGHT], abs=1e-6)
     for sensor in (Sensor.WHEELS, Sensor.CAMERA, Sensor.GYRO):
         assert one[sensor] == pytest.approx(other[sensor], abs=1e-6)
@@ -177,13 +178,13 @@ def test_the_ratio_of_left_and_right_changes_sides_in_a_mirror(way: float, turn:
 @given(st.lists(st.floats(-10.0, 10.0), min_size=9, max_size=9))
 def test_any_piece_gives_finite_ratios_and_a_cause(numbers: list[float]) -> None:
     piece = Piece(0.0, 0.25, np.array(numbers[:6]), np.array(numbers[6:8]), numbers[8])
-    for sensor, ratio in log_ratios(piece, HALF_M, np.ones(2)).items():
+    for sensor, ratio in log_ratios(piece, HALF_M, USUAL).items():
         assert math.isfinite(ratio)
-        assert cause_of(sensor, [piece], HALF_M, np.ones(2))
+        assert cause_of(sensor, [piece], HALF_M, USUAL)
 
 
 def test_a_base_that_stands_accuses_no_sensor_and_clears_none() -> None:
     piece = Piece(0.0, 0.25, np.zeros(6), np.zeros(2), 0.0)
-    ratios = log_ratios(piece, HALF_M, np.ones(2))
+    ratios = log_ratios(piece, HALF_M, USUAL)
     assert max(ratios.values()) == pytest.approx(0.0, abs=1e-3)
     assert min(ratios.values()) > -0.8

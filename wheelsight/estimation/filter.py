@@ -23,6 +23,7 @@ would also count as if the wheels had independent errors each time.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -61,6 +62,7 @@ from wheelsight.estimation.fault_detection import Fault, FaultDetection
 from wheelsight.estimation.filter_kernels import answered
 from wheelsight.estimation.pose_belief import (
     ERRORS,
+    FilterEvent,
     FilterParameters,
     Mount,
     PoseBelief,
@@ -525,51 +527,6 @@ class FusionState:
     reason: Reason | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FilterEvent:
-    """An event. The one field that is not None gives its kind; a measurement may have `clone` as well.
-
-    Attributes:
-        stamp_s: time of the event.
-        wheels: step of the wheels that ends then.
-        yaw_rate_rad_s: of a gyroscope.
-        measurement: of the camera.
-        failure: why the camera has no measurement.
-        position: x, y (2,) in the map, and covariance (2, 2).
-        gyro_bias: bias of the gyroscope relative to the calibration's, and its variance.
-        clone: name by which to remember the pose.
-        drop: name of a pose to forget.
-        spread: (6, 6) error of the camera's pose at `clone`.
-        original: the event with the measurement of a sensor that is left out.
-    """
-
-    stamp_s: float
-    wheels: WheelStep | None = None
-    yaw_rate_rad_s: float | None = None
-    measurement: RelativeMotion | None = None
-    failure: Reason | None = None
-    position: tuple[FloatArray, FloatArray] | None = None
-    gyro_bias: tuple[float, float] | None = None
-    clone: str | None = None
-    drop: str | None = None
-    spread: FloatArray | None = None
-    original: FilterEvent | None = None
-
-    @property
-    def rank(self) -> int:
-        """Order at equal stamps: measurements before changes of remembered poses."""
-        kinds = (self.wheels, self.gyro_bias, self.yaw_rate_rad_s, self.measurement, self.failure, self.position)
-        for rank, kind in enumerate(kinds):
-            if kind is not None:
-                return rank
-        return len(kinds) if self.drop is not None else len(kinds) + 1
-
-    @property
-    def since_s(self) -> float:
-        """Stamp from which on it changes states: the begin of a wheel step."""
-        return self.stamp_s if self.wheels is None else self.wheels.begin_s
-
-
 def after(
     state: FusionState, event: FilterEvent, events: Sequence[FilterEvent], settings: FilterParameters
 ) -> FusionState:
@@ -842,7 +799,8 @@ class History(Generic[Event, State]):
         self._states: list[State] = []
         self._archive: deque[Event] = deque()
         self._archived = 0  # number of all events that were archived, also of those that are gone
-        self._kept: deque[tuple[float, int, State]] = deque()  # stamp, number of events archived by then, state
+        # Stamp, number of events archived by then, state.
+        self._kept: deque[tuple[float, int, State]] = deque([(-math.inf, 0, begin)])
 
     def __len__(self) -> int:
         return len(self.events)
@@ -852,7 +810,7 @@ class History(Generic[Event, State]):
 
         Begins at the last state kept up to the stamp. Returns False, and does nothing, if none is kept.
         """
-        if not self._kept or self._kept[0][0] > since_s:
+        if self._kept[0][0] > since_s:
             return False
         while self._kept[-1][0] > since_s:
             self._kept.pop()
@@ -875,7 +833,7 @@ class History(Generic[Event, State]):
         return True
 
     def _keep(self, stamp_s: float, count: int, state: State) -> None:
-        if not self._kept or stamp_s - self._kept[-1][0] >= _KEPT_EVERY_S:
+        if stamp_s - self._kept[-1][0] >= _KEPT_EVERY_S:
             self._kept.append((stamp_s, count, state))
 
     def known_at(self, stamp_s: float) -> State:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,9 +47,9 @@ from wheelsight.estimation.area_localizer import Places, PlaceSense
 from wheelsight.estimation.camera_localizer import RESTART_AFTER, CameraOdometry, mount_of
 from wheelsight.estimation.consistency_check import (
     DARK_S,
-    ENOUGH_M,
     BaseCheck,
     KidnapDetection,
+    ReadmissionCheck,
     UncertainRestart,
 )
 from wheelsight.estimation.filter import ErrorStateFilter
@@ -74,8 +73,6 @@ _ANCHOR_WAY_M = 0.3
 # (freiburg1_desk against motion capture: docs/decisions/filter.md).
 _FRAME_WALK_PER_M = 25.0
 _LONGEST_READING_GAP = 256  # stamps kept: frames are hardly ever delayed by more readings
-# A comparison of a camera that was left out starts over after a multiple of `ENOUGH_M`, and after some keyframes.
-_AGAIN_WAYS, _AGAIN_KEYFRAMES = 3.0, 20
 # Distance between the filter's pose and the camera's in its map, metres, from which on the camera has left its map. A
 # turn by a radian counts as 1.5 m. The wheels err by less in the second or two of a contradiction.
 _LEFT_MAP_M = 0.15
@@ -566,48 +563,6 @@ class FusedCamera:
     def another(self) -> CameraOdometry:
         """Return new odometry of the same camera, without keyframes."""
         return cameras.camera_odometry(*self._of)[0]
-
-
-class ReadmissionCheck:
-    """Compares a camera that was left out with the wheels again, so that it is not left out for longer than necessary.
-
-    What looked like a wrong calibration may have been people, slip or a wall. A separate odometry tracks the camera,
-    without the wheels and without a map, until a new `BaseCheck` finds that both agree.
-
-    Args:
-        new_check: makes a new comparison.
-        new_camera: makes a new camera odometry.
-
-    Attributes:
-        check: the current comparison, which needs the wheels as well; None before the first frame.
-    """
-
-    def __init__(self, new_check: Callable[[], BaseCheck], new_camera: Callable[[], CameraOdometry]) -> None:
-        self._new_check, self._new_camera = new_check, new_camera
-        self.check: BaseCheck | None = None
-        self._camera: CameraOdometry | None = None
-        self._begins, self._failed = True, 0
-
-    def agrees(self, frame: RgbdFrame) -> bool:
-        """Add a frame that is newer than the previous one; return whether wheels and camera agree by now."""
-        check = self.check
-        # A new comparison starts after a verdict, or after a long way without one.
-        if check is None or check.verdict.left_out is not None or check.agreement.way_m > _AGAIN_WAYS * ENOUGH_M:
-            check, self._begins = self._new_check(), True
-            self.check = check
-        if self._camera is None or self._failed >= RESTART_AFTER or len(self._camera.store) > _AGAIN_KEYFRAMES:
-            self._camera, self._begins, self._failed = self._new_camera(), True, 0
-        seen = self._camera.process(frame)
-        check.add_frame(frame)
-        if seen.T_odom_body is None:
-            self._failed += 1
-            return False
-        self._failed = 0
-        if self._begins:
-            check.begin(frame, seen, np.eye(4))
-            self._begins = False
-        check.add_tracked(frame, seen, shows_all=seen.motion.shows_all)
-        return check.has_agreed
 
 
 class BaseSensors:

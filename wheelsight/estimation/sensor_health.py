@@ -19,6 +19,7 @@ import math
 from collections import deque
 from collections.abc import Collection, Sequence
 from enum import Enum
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,8 @@ _WHEEL_M, _WHEEL_SHARE, _SIDE_M, _SIDE_SHARE = 0.003, 0.01, 0.01, 0.15
 _GYRO_RAD, _GYRO_SHARE, _GYRO_RAD_S = 0.003, 0.01, 0.004
 # Motion out of the plane of the floor that is usual over a piece, and how much larger a faulty camera's is.
 _RISE_M, _RISE_SHARE, _TILT_RAD, _FAR_OFF = 0.03, 0.15, 0.06, 5.0
+# Of a gyroscope's bias: its prior, its growth in a second, and the error of one piece.
+_BIAS_SIGMA_RAD_S, _BIAS_WALK_RAD_S, _BIAS_PIECE_RAD_S = 0.05, 0.0003, 0.02
 _RATIO_WAY_M, _RATIO_PRIOR_M, _RATIO_STEP = 20.0, 5.0, 0.1
 # Sound way, time and, for a fault that turns show, turn after which a sensor is used again.
 _AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD = 2.0, 3.0, 0.6
@@ -58,16 +61,8 @@ class Sensor(Enum):
     GYRO = "gyroscope"
 
 
-class SensorFault(NamedTuple):
-    """A fault of one sensor: since when, and when it was found, stamps."""
-
-    sensor: Sensor
-    begin_s: float
-    found_s: float
-
-
 class Exclusion(NamedTuple):
-    """A sensor that is left out from one stamp to another, by a fault or by a suspicion."""
+    """A sensor that is left out from one stamp to another, by a fault (`is_sure`) or by a suspicion."""
 
     sensor: Sensor
     begin_s: float
@@ -90,6 +85,19 @@ class Piece(NamedTuple):
     camera: FloatArray
     ways_m: FloatArray
     turn_rad: float | None
+
+
+class Usual(NamedTuple):
+    """What is usual in a drive.
+
+    Attributes:
+        ratios: (2,) of each wheel to the camera.
+        bias_rad_s, bias_sigma_rad_s: of the gyroscope.
+    """
+
+    ratios: FloatArray
+    bias_rad_s: float = 0.0
+    bias_sigma_rad_s: float = 0.0
 
 
 class Hypothesis(NamedTuple):
@@ -139,17 +147,18 @@ _LOG_SHARES = np.log([one.share for one in HYPOTHESES])
 _OF_SENSOR = {sensor: [n for n, one in enumerate(HYPOTHESES) if one.sensor is sensor] for sensor in Sensor}
 
 
-def log_ratios(piece: Piece, half_m: float, ratios: FloatArray, faulty: Collection[Sensor] = ()) -> dict[Sensor, float]:
+def log_ratios(piece: Piece, half_m: float, usual: Usual, faulty: Collection[Sensor] = ()) -> dict[Sensor, float]:
     """Return the log-likelihood ratio of each sensor's fault to no other fault, nats.
 
     Args:
         piece: of the drive.
         half_m: half of the track.
-        ratios: (2,) usual ratio of each wheel to the camera.
+        usual: in this drive.
         faulty: sensors whose measurements do not count.
     """
     x, y, z, roll, pitch, yaw = piece.camera
-    ways_m, turn, seconds = piece.ways_m, piece.turn_rad, piece.end_s - piece.begin_s
+    ways_m, seconds = piece.ways_m, piece.end_s - piece.begin_s
+    turn = None if piece.turn_rad is None else piece.turn_rad - usual.bias_rad_s * seconds
     wheel_yaw, rolled_m = (ways_m[1] - ways_m[0]) / (2 * half_m), float(np.abs(ways_m).max())
     way_m = max(rolled_m, abs(x) + half_m * abs(yaw), abs(y))
     turn_rad = max(abs(wheel_yaw), abs(yaw), 0.0 if turn is None else abs(turn))
@@ -160,7 +169,8 @@ def log_ratios(piece: Piece, half_m: float, ratios: FloatArray, faulty: Collecti
     J = J[:rows]
     camera_m, wheel_m = _CAMERA_M + _CAMERA_SHARE * way_m, _WHEEL_M + _WHEEL_SHARE * way_m
     camera_rad = _CAMERA_RAD + _CAMERA_TURN_SHARE * turn_rad
-    side_m, gyro_rad = _SIDE_M + _SIDE_SHARE * rolled_m, _GYRO_RAD + _GYRO_SHARE * turn_rad + _GYRO_RAD_S * seconds
+    side_m, gyro_rad = _SIDE_M + _SIDE_SHARE * rolled_m, _GYRO_RAD + _GYRO_SHARE * turn_rad
+    gyro_rad += math.hypot(_GYRO_RAD_S, usual.bias_sigma_rad_s) * seconds
     sound = np.square([camera_m, camera_m, camera_rad, wheel_m, wheel_m, side_m, gyro_rad])
     sizes = np.array([way_m, way_m, turn_rad, way_m, way_m, 0.0, turn_rad])
     for sensor in faulty:
@@ -168,7 +178,7 @@ def log_ratios(piece: Piece, half_m: float, ratios: FloatArray, faulty: Collecti
     flips = np.vstack([np.ones(4), _FLIPS])
     variances = sound + np.square(np.vstack([np.zeros(7), _SCALES]) * sizes)
     true_yaw = flips[:, 2] * yaw  # a mirrored camera measures the opposite of the truth
-    by_camera = ratios * np.stack([x - half_m * true_yaw, x + half_m * true_yaw], axis=-1)
+    by_camera = usual.ratios * np.stack([x - half_m * true_yaw, x + half_m * true_yaw], axis=-1)
     apart = np.empty((len(flips), 4))
     apart[:, :2] = ways_m - flips[:, :2] * by_camera
     apart[:, 2] = flips[:, 2] * y
@@ -177,7 +187,7 @@ def log_ratios(piece: Piece, half_m: float, ratios: FloatArray, faulty: Collecti
     C = (J * variances[:, None, :]) @ J.T
     chi2 = (apart * np.linalg.solve(C, apart[:, :, None])[:, :, 0]).sum(axis=1)
     logs = -0.5 * (np.linalg.slogdet(C)[1] + chi2)
-    usual, logs = logs[0], logs[1:] + _LOG_SHARES
+    sound_log, logs = logs[0], logs[1:] + _LOG_SHARES
     found = {
         sensor: float(np.logaddexp.reduce(logs[places]))
         for sensor, places in _OF_SENSOR.items()
@@ -188,8 +198,8 @@ def log_ratios(piece: Piece, half_m: float, ratios: FloatArray, faulty: Collecti
     off = np.array([z, roll, pitch]) / usual_off
     out = float((0.5 * (1 - 1 / _FAR_OFF**2) * off**2 - math.log(_FAR_OFF)).sum())
     found[Sensor.CAMERA] += math.log(0.5) + float(np.logaddexp(0.0, out))
-    usual = max(usual, max(found.values()) - _PIECE_NATS)
-    return {sensor: float(max(one - usual, _LEAST_NATS)) for sensor, one in found.items() if sensor not in faulty}
+    sound_log = max(sound_log, max(found.values()) - _PIECE_NATS)
+    return {sensor: float(max(one - sound_log, _LEAST_NATS)) for sensor, one in found.items() if sensor not in faulty}
 
 
 class Sums:
@@ -198,27 +208,30 @@ class Sums:
     Attributes:
         nats: sum of each sensor.
         zero_s: where it was last zero.
+        begin: stamp and pose (4, 4) of the camera at the begin of the current piece.
     """
 
     def __init__(self, piece_s: float) -> None:
         self.piece_s, self.begin = piece_s, (math.nan, np.eye(4))
-        self.nats, self.zero_s = dict.fromkeys(Sensor, 0.0), dict.fromkeys(Sensor, -math.inf)
+        self.nats, self.zero_s = dict.fromkeys(Sensor, 0.0), dict.fromkeys(Sensor, math.nan)
 
-    def add(self, ratio: dict[Sensor, float], end_s: float) -> None:
+    def add(self, ratio: dict[Sensor, float], piece: Piece) -> None:
         """Add the ratios of a piece."""
         for sensor, one in ratio.items():
+            if math.isnan(self.zero_s[sensor]):
+                self.zero_s[sensor] = piece.begin_s
             self.nats[sensor] = max(self.nats[sensor] + one, 0.0)
             if self.nats[sensor] == 0.0:
-                self.zero_s[sensor] = end_s
+                self.zero_s[sensor] = piece.end_s
         over = max(0.0, max(self.nats.values()) - _LARGEST_NATS)
         self.nats = {sensor: max(one - over, 0.0) for sensor, one in self.nats.items()}
 
     def leads(self, least_nats: float) -> Sensor | None:
         """Return the sensor whose sum passes a value and leads all others; None without one."""
-        first, second = sorted(self.nats.values())[-1:-3:-1]
-        if first <= least_nats or first - second <= _MARGIN_NATS:
-            return None
-        return max(self.nats, key=lambda sensor: self.nats[sensor])
+        (first_nats, sensor), (second_nats, _) = sorted(
+            ((nats, sensor) for sensor, nats in self.nats.items()), key=itemgetter(0), reverse=True
+        )[:2]
+        return sensor if first_nats > least_nats and first_nats - second_nats > _MARGIN_NATS else None
 
     def clear(self, now_s: float) -> None:
         """Start over."""
@@ -233,15 +246,19 @@ class SensorHealth:
         T_base_camera: (4, 4).
 
     Attributes:
-        faults: current fault of each faulty sensor.
+        faults: begin of the current fault of each faulty sensor, stamp.
         exclusions: sensors that are left out, now or earlier; see `update`.
         warnings: a sentence for each fault so far.
+        is_suspicious: whether a sensor may be wrong, without certainty.
+        accused: the sensor that is most likely wrong, without certainty; None if all are likely sound.
     """
 
     def __init__(self, track_m: float, T_base_camera: FloatArray) -> None:
-        self.faults: dict[Sensor, SensorFault] = {}
+        self.faults: dict[Sensor, float] = {}
         self.exclusions: tuple[Exclusion, ...] = ()
         self.warnings: tuple[str, ...] = ()
+        self.is_suspicious, self._has_news = False, False
+        self.accused: Sensor | None = None
         self._half_m = track_m / 2
         self._T_base_camera, self._T_camera_base = T_base_camera, motions.inverse(T_base_camera)
         self._first_s: float | None = None
@@ -250,34 +267,25 @@ class SensorHealth:
         self._scales = tuple(Sums(piece_s) for piece_s in _PIECES_S)
         self._waiting: deque[tuple[float, FloatArray]] = deque(maxlen=8)
         self._pieces: deque[Piece] = deque(maxlen=_DESCRIBED)
-        self._ratios, self._weights = np.ones(2), np.full(2, _RATIO_PRIOR_M)
+        self._usual = Usual(np.ones(2), 0.0, _BIAS_SIGMA_RAD_S)
+        self._weights = np.full(2, _RATIO_PRIOR_M)
         self._jumped: dict[Sensor, tuple[float, float]] = {}  # wheels whose speed jumped: suspected from and until
         self._unproven_s: float | None = None  # since when a restarted camera has not agreed yet
         self._sound = {sensor: np.zeros(3) for sensor in Sensor}  # way, time and turn over which it agrees again
-
-    @property
-    def is_suspicious(self) -> bool:
-        """Whether a sensor may be wrong, without certainty."""
-        if any(not one.is_sure and one.end_s == math.inf for one in self.exclusions):
-            return True
-        return any(max(scale.nats.values()) > _ALARM_NATS for scale in self._scales)
-
-    @property
-    def accused(self) -> Sensor | None:
-        """The sensor that is most likely wrong, without certainty; None if all are likely sound."""
-        nats, sensor = max((nats, sensor.value) for scale in self._scales for sensor, nats in scale.nats.items())
-        return Sensor(sensor) if nats > _SOUND_NATS else None
 
     def update(self, stamp_s: float) -> float | None:
         """Update the exclusions at a frame; return the stamp since which they changed, or None.
 
         A sensor is left out since its fault began. So is one that leads before that is certain, a wheel whose speed has
-        just jumped, and a camera that has just restarted; if it turns out to be sound, it counts as if nothing had
+        just jumped, and a camera that has just restarted. One that turns out to be sound counts as if nothing had
         happened.
         """
+        if not self._has_news:
+            return None
+        self._has_news = bool(self._jumped)
         past = tuple(one for one in self.exclusions if one.is_sure and one.end_s < math.inf)
         current = {one.sensor: one for one in self.exclusions if one.end_s == math.inf}
-        wanted = {one.sensor: Exclusion(one.sensor, one.begin_s, is_sure=True) for one in self.faults.values()}
+        wanted = {sensor: Exclusion(sensor, begin_s, is_sure=True) for sensor, begin_s in self.faults.items()}
         suspects = {sensor: begin_s for sensor, (begin_s, end_s) in self._jumped.items() if stamp_s < end_s}
         for scale in self._scales:
             leader = scale.leads(_SUSPECT_NATS)
@@ -287,10 +295,10 @@ class SensorHealth:
             suspects.setdefault(Sensor.CAMERA, self._unproven_s)
         for sensor, begin_s in suspects.items():
             known = current.get(sensor)
-            is_known = known is not None and not known.is_sure
-            wanted.setdefault(sensor, known if known is not None and is_known else Exclusion(sensor, begin_s))
-        if wanted == current:
-            return None
+            wanted.setdefault(sensor, Exclusion(sensor, begin_s) if known is None or known.is_sure else known)
+        largest = max((one for scale in self._scales for one in scale.nats.items()), key=itemgetter(1))
+        self.accused = largest[0] if largest[1] > _SOUND_NATS else None
+        self.is_suspicious = not all(one.is_sure for one in wanted.values()) or largest[1] > _ALARM_NATS
         since_s = stamp_s
         for sensor in {*wanted, *current}:
             now, before = wanted.get(sensor), current.get(sensor)
@@ -299,7 +307,7 @@ class SensorHealth:
             elif now != before:
                 since_s = min([since_s, *[one.begin_s for one in (now, before) if one is not None]])
         self.exclusions = (*past, *wanted.values())
-        return since_s
+        return None if wanted == current else since_s
 
     def add_wheels(self, stamp_s: float, way_m: float, turn_rad: float) -> None:
         """Add a step of the wheels."""
@@ -328,6 +336,7 @@ class SensorHealth:
                 ]
                 if any(jumps):
                     sensor = Sensor.WHEELS if all(jumps) else Sensor.LEFT if jumps[0] else Sensor.RIGHT
+                    self._has_news = True
                     self._jumped.setdefault(sensor, (one[0], 0.0))
                     self._jumped[sensor] = self._jumped[sensor][0], now_s + _JUMP_SUSPECT_S
                 elif self._jumped and now_s > max(end_s for _, end_s in self._jumped.values()):
@@ -348,6 +357,7 @@ class SensorHealth:
         A camera that restarted shows a view that it does not know, and has to agree with the wheels first.
         """
         self._waiting.clear()
+        self._has_news = True
         for scale in self._scales:
             scale.begin = math.nan, scale.begin[1]
         if restarted_s is not None and self._unproven_s is None and self._rolled:
@@ -384,46 +394,52 @@ class SensorHealth:
         return Piece(begin_s, end_s, motions.log(motions.renormalized(T)), ways_m, turn)
 
     def _compare(self, scale: Sums, piece: Piece) -> None:
-        ratio = log_ratios(piece, self._half_m, self._ratios, self.faults)
-        is_first = scale is self._scales[0]
+        ratio, is_first = log_ratios(piece, self._half_m, self._usual, self.faults), scale is self._scales[0]
+        self._has_news = True
         if is_first:
             self._pieces.append(piece)
             if ratio.get(Sensor.CAMERA, 0.0) <= 0.0:
                 self._unproven_s = None
             self._end_faults(piece)
-        scale.add(ratio, piece.end_s)
+        scale.add(ratio, piece)
         if is_first and not self.faults and all(max(one.nats.values()) < _SOUND_NATS for one in self._scales):
             self._learn(piece)
         sensor = scale.leads(_ALARM_NATS)
         if sensor is None:
             return
         begin_s = scale.zero_s[sensor]
-        self.faults[sensor] = SensorFault(sensor, begin_s, piece.end_s)
+        self.faults[sensor] = begin_s
         self._sound[sensor][:] = 0.0
         if sensor is Sensor.CAMERA:
             self._unproven_s = None
         for one in self._scales:  # what this fault explains accuses no other sensor
             one.clear(piece.end_s)
-        pieces = [one for one in self._pieces if one.end_s > begin_s]
-        cause = cause_of(sensor, pieces, self._half_m, self._ratios)
+        cause = cause_of(sensor, [one for one in self._pieces if one.end_s > begin_s], self._half_m, self._usual)
         after_s = begin_s - (self._first_s or 0.0)
         self.warnings += (f"{_name(sensor)} left out from {after_s:.1f} s after the first frame on: {cause}",)
 
     def _learn(self, piece: Piece) -> None:
-        """Update the ratio of each wheel to the camera."""
+        """Update what is usual."""
+        ratios, (_, bias, sigma), seconds = self._usual.ratios.copy(), self._usual, piece.end_s - piece.begin_s
         by_camera = piece.camera[0] + self._half_m * piece.camera[5] * np.array([-1, 1])
         for i, way_m in enumerate(np.abs(by_camera)):
             if way_m > 0.03:
                 self._weights[i] = self._weights[i] * math.exp(-way_m / _RATIO_WAY_M) + way_m
-                step = np.clip(piece.ways_m[i] / by_camera[i] - self._ratios[i], -_RATIO_STEP, _RATIO_STEP)
-                self._ratios[i] += way_m / self._weights[i] * step
+                step = np.clip(piece.ways_m[i] / by_camera[i] - ratios[i], -_RATIO_STEP, _RATIO_STEP)
+                ratios[i] += way_m / self._weights[i] * step
+        if piece.turn_rad is not None:
+            variance = sigma**2 + _BIAS_WALK_RAD_S**2 * seconds
+            gain = variance / (variance + _BIAS_PIECE_RAD_S**2)
+            bias += gain * ((piece.turn_rad - piece.camera[5]) / seconds - bias)
+            sigma = math.sqrt((1 - gain) * variance)
+        self._usual = Usual(ratios, bias, sigma)
 
     def _end_faults(self, piece: Piece) -> None:
         """End each fault whose sensor has agreed with the others for long enough."""
         for sensor in list(self.faults):
             others = self.faults.keys() - {sensor}
             sound = self._sound[sensor]
-            if log_ratios(piece, self._half_m, self._ratios, others).get(sensor, 0.0) > 0.0:
+            if log_ratios(piece, self._half_m, self._usual, others).get(sensor, 0.0) > 0.0:
                 sound[:] = 0.0
                 continue
             way_m = max(float(np.abs(piece.ways_m).max()), abs(piece.camera[0]))
@@ -439,15 +455,8 @@ def _name(sensor: Sensor) -> str:
     return "both wheels are" if sensor is Sensor.WHEELS else f"the {sensor.value} is"
 
 
-def cause_of(sensor: Sensor, pieces: Sequence[Piece], half_m: float, ratios: FloatArray) -> str:
-    """Return what is wrong with a sensor over some pieces, and what to check.
-
-    Args:
-        sensor: the faulty one.
-        pieces: of the drive, since its fault began.
-        half_m: half of the track.
-        ratios: (2,) usual ratio of each wheel to the camera.
-    """
+def cause_of(sensor: Sensor, pieces: Sequence[Piece], half_m: float, usual: Usual) -> str:
+    """Return what is wrong with a sensor over some pieces, and what to check; see `log_ratios`."""
     camera = np.array([piece.camera for piece in pieces]).reshape(-1, 6)
     ways_m = np.array([piece.ways_m for piece in pieces]).reshape(-1, 2)
     turns = np.array([math.nan if piece.turn_rad is None else piece.turn_rad for piece in pieces])
@@ -460,7 +469,7 @@ def cause_of(sensor: Sensor, pieces: Sequence[Piece], half_m: float, ratios: Flo
     if sensor in (Sensor.LEFT, Sensor.RIGHT):
         i = 0 if sensor is Sensor.LEFT else 1
         by_camera = camera[:, 0] + half_m * camera[:, 5] * (-1, 1)[i]
-        factor = times(ways_m[:, i], ratios[i] * by_camera)
+        factor = times(ways_m[:, i], usual.ratios[i] * by_camera)
         if abs(factor) < 0.1:
             return "it does not count while the robot moves; check its encoder and cable"
         if factor < -0.5:
@@ -474,8 +483,7 @@ def cause_of(sensor: Sensor, pieces: Sequence[Piece], half_m: float, ratios: Flo
         return f"it measures {factor:.2f} times the turns of camera and wheels; check its mounting and scale"
     if times(camera[:, 5], wheel_turns) < -0.5:
         return "it turns the other way than the wheels; check whether its images are mirrored"
-    side_m, way_m = np.abs(camera[:, 1]).sum(), np.abs(ways_m).max(axis=1).sum()
-    if side_m > 0.3 * way_m:
+    if np.abs(camera[:, 1]).sum() > 0.3 * np.abs(ways_m).max(axis=1).sum():
         return "it moves sideways, which the robot cannot; something that moves may fill its view"
     factor = times(camera[:, 0], ways_m.mean(axis=1))
     return f"it moves {factor:.2f} times the way of the wheels; check its mount and depth"
