@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wheelsight.core.geometry import FloatArray, se3
-from wheelsight.estimation.sensor_health import Piece, Sensor, SensorHealth, Usual, cause_of, log_ratios
+from wheelsight.estimation.agreement import Sensor, cause_of
+from wheelsight.estimation.fault_detection import Piece, SensorHealth, Usual, log_ratios
 
 HALF_M, FAULT_S = 0.25, 10.0
 USUAL = Usual(np.ones(2))
@@ -180,7 +181,7 @@ def test_any_piece_gives_finite_ratios_and_a_cause(numbers: list[float]) -> None
     piece = Piece(0.0, 0.25, np.array(numbers[:6]), np.array(numbers[6:8]), numbers[8])
     for sensor, ratio in log_ratios(piece, HALF_M, USUAL).items():
         assert math.isfinite(ratio)
-        assert cause_of(sensor, [piece], HALF_M, USUAL)
+        assert cause_of(sensor, piece.camera[None], piece.ways_m[None], np.array([numbers[8]]), HALF_M, USUAL.ratios)
 
 
 def test_a_base_that_stands_accuses_no_sensor_and_clears_none() -> None:

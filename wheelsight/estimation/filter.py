@@ -58,7 +58,8 @@ from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.settings.fusion import ErrorStateSettings
 from wheelsight.estimation import fault_detection as faults
-from wheelsight.estimation.fault_detection import Fault, FaultDetection
+from wheelsight.estimation.agreement import Sensor
+from wheelsight.estimation.fault_detection import Exclusion, Fault, FaultDetection
 from wheelsight.estimation.filter_kernels import answered
 from wheelsight.estimation.pose_belief import (
     ERRORS,
@@ -76,7 +77,6 @@ from wheelsight.estimation.pose_belief import (
     numbers_of,
     of_unknown_path,
 )
-from wheelsight.estimation.sensor_health import Exclusion, Sensor
 
 # Names of remembered poses: of the last frame, of the reference of camera motions, and of a requested frame. Those of
 # keyframes have their numbers.

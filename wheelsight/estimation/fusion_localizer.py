@@ -42,7 +42,7 @@ from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, WheelReading, WheelSpeeds, YawRate
 from wheelsight.estimation import camera_localizer as cameras
-from wheelsight.estimation.agreement import Culprit
+from wheelsight.estimation.agreement import Culprit, Sensor
 from wheelsight.estimation.area_localizer import Places, PlaceSense
 from wheelsight.estimation.camera_localizer import RESTART_AFTER, CameraOdometry, mount_of
 from wheelsight.estimation.consistency_check import (
@@ -52,11 +52,11 @@ from wheelsight.estimation.consistency_check import (
     ReadmissionCheck,
     UncertainRestart,
 )
+from wheelsight.estimation.fault_detection import SensorHealth
 from wheelsight.estimation.filter import ErrorStateFilter
 from wheelsight.estimation.loop_updates import LoopsBeside, begin_in, loops_beside
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
 from wheelsight.estimation.pose_belief import COAST_AFTER_S, FilterParameters
-from wheelsight.estimation.sensor_health import Sensor, SensorHealth
 from wheelsight.estimation.wheel_localizer import ByWheels, slip_note
 from wheelsight.mapping.surfels import MapBuilder
 from wheelsight.places import PlaceMatch

@@ -9,8 +9,9 @@ from fusion.error_state.fused_drives import T_BASE_CAMERA, Drive, Step, simulate
 from wheelsight.core.estimates import MotionEstimate, Reason
 from wheelsight.core.geometry import FloatArray
 from wheelsight.estimation import ErrorStateFilter
+from wheelsight.estimation.agreement import Sensor
+from wheelsight.estimation.fault_detection import Exclusion
 from wheelsight.estimation.pose_belief import FilterParameters
-from wheelsight.estimation.sensor_health import Exclusion, Sensor
 
 SETTINGS = FilterParameters.of()
 
