@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wheelsight.core.geometry import FloatArray, se3
-from wheelsight.estimation.agreement import Sensor, cause_of
+from wheelsight.estimation.agreement import RobotSensor, cause_of
 from wheelsight.estimation.fault_detection import Piece, SensorHealth, Usual, log_ratios
 
 HALF_M, FAULT_S = 0.25, 10.0
@@ -53,7 +53,7 @@ BUS = camera(1, 1, 1, 1, 1, 1, plus=(0.0, 0.04, 0.0, 0.0, 0.0, 0.0))  # 0.8 m/s 
 
 def driven(
     fault: Fault | None, seed: int = 0, *, with_gyro: bool = True, until_s: float = 25.0, ends_s: float = math.inf
-) -> tuple[SensorHealth, dict[Sensor, float]]:
+) -> tuple[SensorHealth, dict[RobotSensor, float]]:
     """Drive curves of up to 0.5 m/s and 0.5 rad/s, with noise; a fault begins at `FAULT_S`. Also when it was found."""
     rng, health, T = np.random.default_rng(seed), SensorHealth(2 * HALF_M, T_BASE_CAMERA), np.eye(4)
     step_s, found = 0.05, {}
@@ -94,18 +94,18 @@ def test_sound_sensors_raise_no_alarm(seed: int, with_gyro: bool) -> None:
 @pytest.mark.parametrize(
     ("fault", "sensor", "words", "within_s"),
     [
-        (left(0.0), Sensor.LEFT, "does not count", 2.0),
-        (right(0.0), Sensor.RIGHT, "does not count", 2.0),
-        (left(-1.0), Sensor.LEFT, "backwards", 2.0),
-        (right(1.13), Sensor.RIGHT, "counts 1.1", 4.5),
-        (left(0.85), Sensor.LEFT, "counts 0.8", 4.5),
-        (lambda motion: left(1.6)(right(1.6)(motion)), Sensor.WHEELS, "slip", 2.0),
-        (MIRRORED, Sensor.CAMERA, "mirrored", 3.0),
-        (BUS, Sensor.CAMERA, "sideways", 2.0),
+        (left(0.0), RobotSensor.LEFT, "does not count", 2.0),
+        (right(0.0), RobotSensor.RIGHT, "does not count", 2.0),
+        (left(-1.0), RobotSensor.LEFT, "backwards", 2.0),
+        (right(1.13), RobotSensor.RIGHT, "counts 1.1", 4.5),
+        (left(0.85), RobotSensor.LEFT, "counts 0.8", 4.5),
+        (lambda motion: left(1.6)(right(1.6)(motion)), RobotSensor.WHEELS, "slip", 2.0),
+        (MIRRORED, RobotSensor.CAMERA, "mirrored", 3.0),
+        (BUS, RobotSensor.CAMERA, "sideways", 2.0),
     ],
 )
 def test_a_fault_is_found_named_and_dated(
-    fault: Fault, sensor: Sensor, words: str, within_s: float, with_gyro: bool
+    fault: Fault, sensor: RobotSensor, words: str, within_s: float, with_gyro: bool
 ) -> None:
     health, found = driven(fault, with_gyro=with_gyro)
     assert list(found) == [sensor]
@@ -119,8 +119,8 @@ def test_a_fault_is_found_named_and_dated(
 @pytest.mark.parametrize(("factor", "words"), [(-1.0, "measures -"), (0.0, "measures ")])
 def test_a_faulty_gyroscope_is_found(factor: float, words: str) -> None:
     health, found = driven(gyro(factor))
-    assert list(found) == [Sensor.GYRO]
-    assert found[Sensor.GYRO] < FAULT_S + 3.0
+    assert list(found) == [RobotSensor.GYRO]
+    assert found[RobotSensor.GYRO] < FAULT_S + 3.0
     assert words in health.warnings[0]
 
 
@@ -129,12 +129,12 @@ def test_two_faults_are_found_one_after_the_other() -> None:
         return gyro(-1.0)(left(0.0)(motion))
 
     _, found = driven(both, until_s=40.0)
-    assert set(found) == {Sensor.LEFT, Sensor.GYRO}
+    assert set(found) == {RobotSensor.LEFT, RobotSensor.GYRO}
 
 
 def test_a_sensor_that_agrees_again_is_used_again() -> None:
     health, found = driven(left(0.0), ends_s=15.0, until_s=40.0)
-    assert list(found) == [Sensor.LEFT]
+    assert list(found) == [RobotSensor.LEFT]
     assert not health.faults
     assert "used again" in health.warnings[-1]
     (past,) = health.exclusions
@@ -147,7 +147,7 @@ def test_a_restarted_camera_is_left_out_until_it_agrees() -> None:
     health.interrupt(105.0)
     assert health.update(105.0) == 105.0
     (exclusion,) = health.exclusions
-    assert (exclusion.sensor, exclusion.begin_s, exclusion.is_sure) == (Sensor.CAMERA, 105.0, False)
+    assert (exclusion.sensor, exclusion.begin_s, exclusion.is_sure) == (RobotSensor.CAMERA, 105.0, False)
     assert health.is_suspicious
     assert health.update(105.1) is None
     for n in range(8):
@@ -171,8 +171,8 @@ def test_the_ratio_of_left_and_right_changes_sides_in_a_mirror(way: float, turn:
     piece = Piece(0.0, 0.25, np.array([way, y, 0.0, 0.0, 0.0, turn]), ways_m, turn + gyro_rad)
     mirrored = Piece(0.0, 0.25, np.array([way, -y, 0.0, 0.0, 0.0, -turn]), ways_m[::-1], -turn - gyro_rad)
     one, other = (log_ratios(each, HALF_M, USUAL) for each in (piece, mirrored))
-    assert one[Sensor.LEFT] == pytest.approx(other[Sensor.RIGHT], abs=1e-6)
-    for sensor in (Sensor.WHEELS, Sensor.CAMERA, Sensor.GYRO):
+    assert one[RobotSensor.LEFT] == pytest.approx(other[RobotSensor.RIGHT], abs=1e-6)
+    for sensor in (RobotSensor.WHEELS, RobotSensor.CAMERA, RobotSensor.GYRO):
         assert one[sensor] == pytest.approx(other[sensor], abs=1e-6)
 
 

@@ -10,10 +10,9 @@ import pytest
 from localizer.joined_drives import BEND, Drive, Sight, answers_to, drive, joined, spinning
 from narrowing import not_none
 
-from wheelsight.core.estimates import Estimate, Reason, Status, WheelEstimate
+from wheelsight.core.estimates import Estimate, OdomFrame, Reason, Status, WheelEstimate
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.estimation import FusedEstimate
-from wheelsight.estimation.filter import OdomFrame
 from wheelsight.estimation.fusion_localizer import FusedOdom
 
 LEGS = (*BEND, (4.0, 0.6, 0.1))

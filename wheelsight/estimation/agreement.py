@@ -54,7 +54,7 @@ class Culprit(Enum):
     CAMERA = "camera"
 
 
-class Sensor(Enum):
+class RobotSensor(Enum):
     """A sensor that may be faulty; `WHEELS` are both, as on ice."""
 
     LEFT = "left wheel"
@@ -297,7 +297,12 @@ def depth_cause(ratio: float) -> str:
 
 
 def cause_of(
-    sensor: Sensor, camera: FloatArray, ways_m: FloatArray, turns_rad: FloatArray, half_m: float, ratios: FloatArray
+    sensor: RobotSensor,
+    camera: FloatArray,
+    ways_m: FloatArray,
+    turns_rad: FloatArray,
+    half_m: float,
+    ratios: FloatArray,
 ) -> str:
     """Return what is wrong with a sensor over some pieces of a drive, and what to check.
 
@@ -315,8 +320,8 @@ def cause_of(
         return float(measured @ true / max(float(true @ true), 1e-12))
 
     wheel_turns = (ways_m[:, 1] - ways_m[:, 0]) / (2 * half_m)
-    if sensor in (Sensor.LEFT, Sensor.RIGHT):
-        i = 0 if sensor is Sensor.LEFT else 1
+    if sensor in (RobotSensor.LEFT, RobotSensor.RIGHT):
+        i = 0 if sensor is RobotSensor.LEFT else 1
         by_camera = camera[:, 0] + half_m * camera[:, 5] * (-1, 1)[i]
         factor = times(ways_m[:, i], ratios[i] * by_camera)
         if abs(factor) < 0.1:
@@ -324,10 +329,10 @@ def cause_of(
         if factor < -0.5:
             return "it counts backwards; check the channels of its encoder"
         return f"it counts {factor:.2f} times its way; check its tyre and encoder"
-    if sensor is Sensor.WHEELS:
+    if sensor is RobotSensor.WHEELS:
         factor = times(ways_m.mean(axis=1), camera[:, 0])
         return f"both count {factor:.2f} times their way; they slip, or the robot was lifted"
-    if sensor is Sensor.GYRO:
+    if sensor is RobotSensor.GYRO:
         factor = times(turns_rad[np.isfinite(turns_rad)], camera[np.isfinite(turns_rad), 5])
         return f"it measures {factor:.2f} times the turns of camera and wheels; check its mounting and scale"
     if times(camera[:, 5], wheel_turns) < -0.5:

@@ -20,11 +20,11 @@ after all when a camera has looked well and contradicted the wheels for a second
 shorter. The estimate then covers the wheels', because a failure may last that long.
 
 `SensorHealth` detects a sensor that no longer follows the motion of the base. Wheels, camera and gyroscope measure the
-same planar motion. Over a piece of the drive their differences have a Gaussian distribution. A fault of one sensor adds a large variance to that sensor alone, so each sensor is a hypothesis with its
-own covariance. The log-likelihood ratio of each to "all sound" accumulates in a one-sided CUSUM (Page 1954, Biometrika
-41), over short pieces for large errors and over longer ones for small errors. A fault is found when one sum passes
-`_ALARM_NATS` and leads all others by `_MARGIN_NATS`. It began where its sum was last zero. Two sensors that agree with
-each other therefore name the third.
+same planar motion. Over a piece of the drive their differences have a Gaussian distribution. A faulty sensor has a
+larger variance, or measures a multiple of the truth (zero, or minus one). So each sensor has hypotheses of its own. The
+log-likelihood ratio of each sensor to "all sound" accumulates in a one-sided CUSUM (Page 1954, Biometrika 41), over
+short pieces for large errors and over longer ones for small errors. A fault is found when one sum passes `_ALARM_NATS`
+and leads all others by `_MARGIN_NATS`. It began where its sum was last zero. Two sensors that agree name the third.
 
 A chair cannot move sideways, rise, or tilt as fast as it drives. The camera's motion in these directions counts against
 the camera. A camera that turns the other way than both wheels is mirrored, since slip does not reverse a turn.
@@ -50,7 +50,7 @@ from wheelsight.core.estimates import STEP_BEGIN, Reason
 from wheelsight.core.geometry import FloatArray, IntArray
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.geometry.chi_square import quantile as _quantile
-from wheelsight.estimation.agreement import Sensor, cause_of
+from wheelsight.estimation.agreement import RobotSensor, cause_of
 from wheelsight.estimation.filter_kernels import leap_kernel, speed_kernel
 from wheelsight.estimation.pose_belief import (
     IN_PLANE,
@@ -199,9 +199,10 @@ def updated(
     usual = detection.primary.innovation(measurement, settings, without_slip=True, updates=updates)
     agrees = usual.nis <= most
     agreed, nis = detection.agreed + 1 if agrees else 0, (usual.nis, len(usual.residual))
-    now = changed(detection, last=last, agreed=agreed, nis=nis, measured_s=stamp_s)
+    known = detection.log_ratio
+    sum_nats = known * settings.likelihood_memory + log_ratio if detection.fault is Fault.NONE else known
+    now = changed(detection, last=last, agreed=agreed, nis=nis, measured_s=stamp_s, log_ratio=sum_nats)
     if detection.fault is Fault.NONE:
-        now = changed(now, log_ratio=detection.log_ratio * settings.likelihood_memory + log_ratio)
         return _update_sound(now, stamp_s, measurement, usual, most, settings)
     if detection.fault is Fault.UNDECIDED:
         return _update_undecided(now, stamp_s, measurement, log_ratio, agrees, settings)
@@ -503,7 +504,7 @@ _DESCRIBED = 120  # pieces by which a fault is described
 class Exclusion(NamedTuple):
     """A sensor that is left out from one stamp to another, by a fault (`is_sure`) or by a suspicion."""
 
-    sensor: Sensor
+    sensor: RobotSensor
     begin_s: float
     end_s: float = math.inf
     is_sure: bool = False
@@ -552,7 +553,7 @@ class Hypothesis(NamedTuple):
             gyroscope) times these.
     """
 
-    sensor: Sensor
+    sensor: RobotSensor
     share: float
     broken: tuple[int, ...] = ()
     scale: float = 0.0
@@ -561,32 +562,40 @@ class Hypothesis(NamedTuple):
 
 _ANY, _SOME, _NOTHING = 0.5, 0.1, 10.0
 HYPOTHESES = (
-    Hypothesis(Sensor.LEFT, 0.4, (3,), _ANY),
-    Hypothesis(Sensor.LEFT, 0.4, (3,), _SOME),
-    Hypothesis(Sensor.LEFT, 0.1, flips=(0.0, 1.0, 1.0, 1.0)),
-    Hypothesis(Sensor.LEFT, 0.1, flips=(-1.0, 1.0, 1.0, 1.0)),
-    Hypothesis(Sensor.RIGHT, 0.4, (4,), _ANY),
-    Hypothesis(Sensor.RIGHT, 0.4, (4,), _SOME),
-    Hypothesis(Sensor.RIGHT, 0.1, flips=(1.0, 0.0, 1.0, 1.0)),
-    Hypothesis(Sensor.RIGHT, 0.1, flips=(1.0, -1.0, 1.0, 1.0)),
-    Hypothesis(Sensor.WHEELS, 0.8, (3, 4), _ANY),
-    Hypothesis(Sensor.WHEELS, 0.1, flips=(0.0, 0.0, 1.0, 1.0)),
-    Hypothesis(Sensor.WHEELS, 0.1, flips=(-1.0, -1.0, 1.0, 1.0)),
-    Hypothesis(Sensor.CAMERA, 0.7, (0, 1, 2), _ANY),
-    Hypothesis(Sensor.CAMERA, 0.2, (0,), _SOME),
-    Hypothesis(Sensor.CAMERA, 0.1, flips=(1.0, 1.0, -1.0, 1.0)),
-    Hypothesis(Sensor.GYRO, 0.6, (6,), _ANY),
-    Hypothesis(Sensor.GYRO, 0.2, flips=(1.0, 1.0, 1.0, 0.0)),
-    Hypothesis(Sensor.GYRO, 0.2, flips=(1.0, 1.0, 1.0, -1.0)),
+    Hypothesis(RobotSensor.LEFT, 0.4, (3,), _ANY),
+    Hypothesis(RobotSensor.LEFT, 0.4, (3,), _SOME),
+    Hypothesis(RobotSensor.LEFT, 0.1, flips=(0.0, 1.0, 1.0, 1.0)),
+    Hypothesis(RobotSensor.LEFT, 0.1, flips=(-1.0, 1.0, 1.0, 1.0)),
+    Hypothesis(RobotSensor.RIGHT, 0.4, (4,), _ANY),
+    Hypothesis(RobotSensor.RIGHT, 0.4, (4,), _SOME),
+    Hypothesis(RobotSensor.RIGHT, 0.1, flips=(1.0, 0.0, 1.0, 1.0)),
+    Hypothesis(RobotSensor.RIGHT, 0.1, flips=(1.0, -1.0, 1.0, 1.0)),
+    Hypothesis(RobotSensor.WHEELS, 0.8, (3, 4), _ANY),
+    Hypothesis(RobotSensor.WHEELS, 0.1, flips=(0.0, 0.0, 1.0, 1.0)),
+    Hypothesis(RobotSensor.WHEELS, 0.1, flips=(-1.0, -1.0, 1.0, 1.0)),
+    Hypothesis(RobotSensor.CAMERA, 0.7, (0, 1, 2), _ANY),
+    Hypothesis(RobotSensor.CAMERA, 0.2, (0,), _SOME),
+    Hypothesis(RobotSensor.CAMERA, 0.1, flips=(1.0, 1.0, -1.0, 1.0)),
+    Hypothesis(RobotSensor.GYRO, 0.6, (6,), _ANY),
+    Hypothesis(RobotSensor.GYRO, 0.2, flips=(1.0, 1.0, 1.0, 0.0)),
+    Hypothesis(RobotSensor.GYRO, 0.2, flips=(1.0, 1.0, 1.0, -1.0)),
 )
-_PLACES = {Sensor.LEFT: [3], Sensor.RIGHT: [4], Sensor.WHEELS: [3, 4], Sensor.CAMERA: [0, 1, 2], Sensor.GYRO: [6]}
+_PLACES = {
+    RobotSensor.LEFT: [3],
+    RobotSensor.RIGHT: [4],
+    RobotSensor.WHEELS: [3, 4],
+    RobotSensor.CAMERA: [0, 1, 2],
+    RobotSensor.GYRO: [6],
+}
 _SCALES = np.array([[one.scale if place in one.broken else 0.0 for place in range(7)] for one in HYPOTHESES])
 _FLIPS = np.array([one.flips for one in HYPOTHESES])
 _LOG_SHARES = np.log([one.share for one in HYPOTHESES])
-_OF_SENSOR = {sensor: [n for n, one in enumerate(HYPOTHESES) if one.sensor is sensor] for sensor in Sensor}
+_OF_SENSOR = {sensor: [n for n, one in enumerate(HYPOTHESES) if one.sensor is sensor] for sensor in RobotSensor}
 
 
-def log_ratios(piece: Piece, half_m: float, usual: Usual, faulty: Collection[Sensor] = ()) -> dict[Sensor, float]:
+def log_ratios(
+    piece: Piece, half_m: float, usual: Usual, faulty: Collection[RobotSensor] = ()
+) -> dict[RobotSensor, float]:
     """Return the log-likelihood ratio of each sensor's fault to no other fault, nats.
 
     Args:
@@ -630,13 +639,13 @@ def log_ratios(piece: Piece, half_m: float, usual: Usual, faulty: Collection[Sen
     found = {
         sensor: float(np.logaddexp.reduce(logs[places]))
         for sensor, places in _OF_SENSOR.items()
-        if sensor is not Sensor.GYRO or turn is not None
+        if sensor is not RobotSensor.GYRO or turn is not None
     }
     # The camera's motion out of the plane of the floor: a faulty camera has one in half of the cases.
     usual_off = np.array([_RISE_M + _RISE_SHARE * rolled_m, _TILT_RAD, _TILT_RAD])
     off = np.array([z, roll, pitch]) / usual_off
     out = float((0.5 * (1 - 1 / _FAR_OFF**2) * off**2 - math.log(_FAR_OFF)).sum())
-    found[Sensor.CAMERA] += math.log(0.5) + float(np.logaddexp(0.0, out))
+    found[RobotSensor.CAMERA] += math.log(0.5) + float(np.logaddexp(0.0, out))
     sound_log = max(sound_log, max(found.values()) - _PIECE_NATS)
     return {sensor: float(max(one - sound_log, _LEAST_NATS)) for sensor, one in found.items() if sensor not in faulty}
 
@@ -652,9 +661,9 @@ class Sums:
 
     def __init__(self, piece_s: float) -> None:
         self.piece_s, self.begin = piece_s, (math.nan, np.eye(4))
-        self.nats, self.zero_s = dict.fromkeys(Sensor, 0.0), dict.fromkeys(Sensor, math.nan)
+        self.nats, self.zero_s = dict.fromkeys(RobotSensor, 0.0), dict.fromkeys(RobotSensor, math.nan)
 
-    def add(self, ratio: dict[Sensor, float], piece: Piece) -> None:
+    def add(self, ratio: dict[RobotSensor, float], piece: Piece) -> None:
         """Add the ratios of a piece."""
         for sensor, one in ratio.items():
             if math.isnan(self.zero_s[sensor]):
@@ -665,16 +674,14 @@ class Sums:
         over = max(0.0, max(self.nats.values()) - _LARGEST_NATS)
         self.nats = {sensor: max(one - over, 0.0) for sensor, one in self.nats.items()}
 
-    def leads(self, least_nats: float) -> Sensor | None:
+    def leads(self, least_nats: float) -> RobotSensor | None:
         """Return the sensor whose sum passes a value and leads all others; None without one."""
-        (first_nats, sensor), (second_nats, _) = sorted(
-            ((nats, sensor) for sensor, nats in self.nats.items()), key=itemgetter(0), reverse=True
-        )[:2]
+        (sensor, first_nats), (_, second_nats) = sorted(self.nats.items(), key=itemgetter(1), reverse=True)[:2]
         return sensor if first_nats > least_nats and first_nats - second_nats > _MARGIN_NATS else None
 
     def clear(self, now_s: float) -> None:
         """Start over."""
-        self.nats, self.zero_s = dict.fromkeys(Sensor, 0.0), dict.fromkeys(Sensor, now_s)
+        self.nats, self.zero_s = dict.fromkeys(RobotSensor, 0.0), dict.fromkeys(RobotSensor, now_s)
 
 
 class SensorHealth:
@@ -693,11 +700,11 @@ class SensorHealth:
     """
 
     def __init__(self, track_m: float, T_base_camera: FloatArray) -> None:
-        self.faults: dict[Sensor, float] = {}
+        self.faults: dict[RobotSensor, float] = {}
         self.exclusions: tuple[Exclusion, ...] = ()
         self.warnings: tuple[str, ...] = ()
         self.is_suspicious, self._has_news = False, False
-        self.accused: Sensor | None = None
+        self.accused: RobotSensor | None = None
         self._half_m = track_m / 2
         self._T_base_camera, self._T_camera_base = T_base_camera, motions.inverse(T_base_camera)
         self._first_s: float | None = None
@@ -708,9 +715,9 @@ class SensorHealth:
         self._pieces: deque[Piece] = deque(maxlen=_DESCRIBED)
         self._usual = Usual(np.ones(2), 0.0, _BIAS_SIGMA_RAD_S)
         self._weights = np.full(2, _RATIO_PRIOR_M)
-        self._jumped: dict[Sensor, tuple[float, float]] = {}  # wheels whose speed jumped: suspected from and until
+        self._jumped: dict[RobotSensor, tuple[float, float]] = {}  # wheels whose speed jumped: suspected from and until
         self._unproven_s: float | None = None  # since when a restarted camera has not agreed yet
-        self._sound = {sensor: np.zeros(3) for sensor in Sensor}  # way, time and turn over which it agrees again
+        self._sound = {sensor: np.zeros(3) for sensor in RobotSensor}  # way, time and turn over which it agrees again
 
     def update(self, stamp_s: float) -> float | None:
         """Update the exclusions at a frame; return the stamp since which they changed, or None.
@@ -731,7 +738,7 @@ class SensorHealth:
             if leader is not None:
                 suspects.setdefault(leader, scale.zero_s[leader])
         if self._unproven_s is not None:
-            suspects.setdefault(Sensor.CAMERA, self._unproven_s)
+            suspects.setdefault(RobotSensor.CAMERA, self._unproven_s)
         for sensor, begin_s in suspects.items():
             known = current.get(sensor)
             wanted.setdefault(sensor, Exclusion(sensor, begin_s) if known is None or known.is_sure else known)
@@ -774,7 +781,7 @@ class SensorHealth:
                     abs((newest[i] - middle[i]) / after - (middle[i] - one[i]) / before) > most_m_s for i in (1, 2)
                 ]
                 if any(jumps):
-                    sensor = Sensor.WHEELS if all(jumps) else Sensor.LEFT if jumps[0] else Sensor.RIGHT
+                    sensor = RobotSensor.WHEELS if all(jumps) else RobotSensor.LEFT if jumps[0] else RobotSensor.RIGHT
                     self._has_news = True
                     self._jumped.setdefault(sensor, (one[0], 0.0))
                     self._jumped[sensor] = self._jumped[sensor][0], now_s + _JUMP_SUSPECT_S
@@ -837,7 +844,7 @@ class SensorHealth:
         self._has_news = True
         if is_first:
             self._pieces.append(piece)
-            if ratio.get(Sensor.CAMERA, 0.0) <= 0.0:
+            if ratio.get(RobotSensor.CAMERA, 0.0) <= 0.0:
                 self._unproven_s = None
             self._end_faults(piece)
         scale.add(ratio, piece)
@@ -849,7 +856,7 @@ class SensorHealth:
         begin_s = scale.zero_s[sensor]
         self.faults[sensor] = begin_s
         self._sound[sensor][:] = 0.0
-        if sensor is Sensor.CAMERA:
+        if sensor is RobotSensor.CAMERA:
             self._unproven_s = None
         for one in self._scales:  # what this fault explains accuses no other sensor
             one.clear(piece.end_s)
@@ -893,5 +900,5 @@ class SensorHealth:
                 self.warnings += (f"{_name(sensor)} used again, since it agrees with the other sensors",)
 
 
-def _name(sensor: Sensor) -> str:
-    return "both wheels are" if sensor is Sensor.WHEELS else f"the {sensor.value} is"
+def _name(sensor: RobotSensor) -> str:
+    return "both wheels are" if sensor is RobotSensor.WHEELS else f"the {sensor.value} is"

@@ -58,7 +58,7 @@ from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.settings.fusion import ErrorStateSettings
 from wheelsight.estimation import fault_detection as faults
-from wheelsight.estimation.agreement import Sensor
+from wheelsight.estimation.agreement import RobotSensor
 from wheelsight.estimation.fault_detection import Exclusion, Fault, FaultDetection
 from wheelsight.estimation.filter_kernels import answered
 from wheelsight.estimation.pose_belief import (
@@ -68,7 +68,6 @@ from wheelsight.estimation.pose_belief import (
     Mount,
     PoseBelief,
     Preintegration,
-    RelativeMotion,
     WheelStep,
     changed,
     covariance_of,
@@ -202,10 +201,10 @@ class ErrorStateFilter:
         for sensor, begin_s, end_s, _ in self._exclusions:
             if not begin_s <= event.since_s < end_s:
                 continue
-            if sensor is Sensor.CAMERA and event.measurement is not None:
+            if sensor is RobotSensor.CAMERA and event.measurement is not None:
                 return replace(event, measurement=None, failure=Reason.CONTRADICTION, original=event)
-            of_wheels = event.wheels is not None and sensor in (Sensor.LEFT, Sensor.RIGHT, Sensor.WHEELS)
-            if of_wheels or (event.yaw_rate_rad_s is not None and sensor is Sensor.GYRO):
+            of_wheels = event.wheels is not None and sensor in (RobotSensor.LEFT, RobotSensor.RIGHT, RobotSensor.WHEELS)
+            if of_wheels or (event.yaw_rate_rad_s is not None and sensor is RobotSensor.GYRO):
                 return FilterEvent(event.stamp_s, drop="", original=event)
         return event
 
@@ -540,11 +539,10 @@ def after(
     if detection.fault in (Fault.UNDECIDED, Fault.WHEEL_SLIP):
         detection = faults.end_undecided(detection, event.stamp_s, settings)
     detection = detection if detection.nis is None else changed(detection, nis=None)
-    now = changed(now, detection=detection, reason=None)
-    if event.measurement is not None:
-        now = _update_relative(now, event.measurement, event.stamp_s, settings)
-    if event.failure is not None:
-        now = changed(now, detection=faults.vision_failed(now.detection, event.stamp_s, settings), reason=event.failure)
+    if detection is not now.detection or now.reason is not None:
+        now = changed(now, detection=detection, reason=None)
+    if event.measurement is not None or event.failure is not None:
+        now = _update_relative(now, event, settings)
     if event.gyro_bias is not None:
         bias = event.gyro_bias
         return changed(now, detection=_each(now.detection, lambda belief: belief.corrected(belief.gyro_bias(*bias))))
@@ -615,10 +613,12 @@ def _predict(
     return changed(detection, primary=primary, alternative=alternative, odometer=odometer)
 
 
-def _update_relative(
-    state: FusionState, measurement: RelativeMotion, stamp_s: float, settings: FilterParameters
-) -> FusionState:
-    """Update by a camera measurement."""
+def _update_relative(state: FusionState, event: FilterEvent, settings: FilterParameters) -> FusionState:
+    """Update by a camera measurement, or by its failure."""
+    measurement, stamp_s = event.measurement, event.stamp_s
+    if measurement is None:
+        detection = faults.vision_failed(state.detection, stamp_s, settings)
+        return changed(state, detection=detection, reason=event.failure)
     if not state.detection.primary.place_of(measurement.name):
         return changed(state, reason=Reason.UNKNOWN_REFERENCE)
     is_degenerate = len(measurement.covariance) < 6

@@ -42,7 +42,7 @@ from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, WheelReading, WheelSpeeds, YawRate
 from wheelsight.estimation import camera_localizer as cameras
-from wheelsight.estimation.agreement import Culprit, Sensor
+from wheelsight.estimation.agreement import Culprit, RobotSensor
 from wheelsight.estimation.area_localizer import Places, PlaceSense
 from wheelsight.estimation.camera_localizer import RESTART_AFTER, CameraOdometry, mount_of
 from wheelsight.estimation.consistency_check import (
@@ -297,11 +297,11 @@ class ByFusion:
         if since_s is None:
             return False
         if self.filter.exclude(health.exclusions, since_s):
-            is_camera_out = any(one.sensor is Sensor.CAMERA and one.end_s == math.inf for one in health.exclusions)
+            is_camera_out = any(one.sensor is RobotSensor.CAMERA and one.end_s == math.inf for one in health.exclusions)
             self._map.correct(since_s, None if is_camera_out else self.filter.last_frame())
             self._odom.correct(since_s)
         ended = {one.sensor for one in before if one.is_sure and one not in health.exclusions}
-        return Sensor.CAMERA in ended
+        return RobotSensor.CAMERA in ended
 
     def _apply_loops(self, loops: LoopsBeside, stamp_s: float) -> None:
         """Move keyframes by the loops found so far. The pose in odom does not change."""
@@ -336,7 +336,7 @@ class ByFusion:
         is_accepted = agrees and answer.T_odom_body is not None and answer.status is Status.TRACKING
         self._map.track(frame.stamp_s, seen.T_odom_body, is_accepted=is_accepted)
         # While another sensor is suspected, it is the filter that has left the camera's map.
-        is_camera = self._health is None or self._health.accused in (None, Sensor.CAMERA)
+        is_camera = self._health is None or self._health.accused in (None, RobotSensor.CAMERA)
         is_left = is_accepted and is_camera and self._map.is_contradicted
         if is_left and self._map.is_left(seen.T_odom_body, update.T_odom_base):
             # The camera jumped: restart it at the pose in its map that the filter has.

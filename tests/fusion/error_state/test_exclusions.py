@@ -9,7 +9,7 @@ from fusion.error_state.fused_drives import T_BASE_CAMERA, Drive, Step, simulate
 from wheelsight.core.estimates import MotionEstimate, Reason
 from wheelsight.core.geometry import FloatArray
 from wheelsight.estimation import ErrorStateFilter
-from wheelsight.estimation.agreement import Sensor
+from wheelsight.estimation.agreement import RobotSensor
 from wheelsight.estimation.fault_detection import Exclusion
 from wheelsight.estimation.pose_belief import FilterParameters
 
@@ -21,19 +21,19 @@ def driven(steps: list[Step], exclusions: tuple[Exclusion, ...] = ()) -> ErrorSt
     fusion = ErrorStateFilter(T_BASE_CAMERA)
     fusion.clone(0.0, "last")
 
-    def is_out(*sensors: Sensor, since_s: float) -> bool:
+    def is_out(*sensors: RobotSensor, since_s: float) -> bool:
         return any(one.sensor in sensors and one.begin_s <= since_s < one.end_s for one in exclusions)
 
     for step in steps:
-        if step.yaw_rate_rad_s is not None and not is_out(Sensor.GYRO, since_s=step.end_s):
+        if step.yaw_rate_rad_s is not None and not is_out(RobotSensor.GYRO, since_s=step.end_s):
             fusion.update_yaw_rate(step.end_s, step.yaw_rate_rad_s)
-        if is_out(Sensor.LEFT, Sensor.RIGHT, Sensor.WHEELS, since_s=step.begin_s):
+        if is_out(RobotSensor.LEFT, RobotSensor.RIGHT, RobotSensor.WHEELS, since_s=step.begin_s):
             fusion.drop(step.end_s, "")
         else:
             fusion.predict(step.end_s, step.wheels, step.wheel_covariance, step.begin_s)
         if step.measurement is not None:
             motion = step.measurement
-            if is_out(Sensor.CAMERA, since_s=step.end_s):
+            if is_out(RobotSensor.CAMERA, since_s=step.end_s):
                 motion = MotionEstimate.failed(Reason.CONTRADICTION)
             fusion.update_relative(step.end_s, motion, "last", remember="last")
     return fusion
@@ -46,9 +46,9 @@ def pose(fusion: ErrorStateFilter) -> tuple[FloatArray, FloatArray]:
     return T, C
 
 
-@pytest.mark.parametrize("sensor", [Sensor.LEFT, Sensor.WHEELS, Sensor.CAMERA])
+@pytest.mark.parametrize("sensor", [RobotSensor.LEFT, RobotSensor.WHEELS, RobotSensor.CAMERA])
 @pytest.mark.parametrize("end_s", [6.0, np.inf])
-def test_excluding_later_equals_excluding_at_once(sensor: Sensor, end_s: float) -> None:
+def test_excluding_later_equals_excluding_at_once(sensor: RobotSensor, end_s: float) -> None:
     steps = simulate(Drive(seconds=8.0), np.random.default_rng(4), SETTINGS)
     exclusion = Exclusion(sensor, 4.0, end_s)
     later, at_once = driven(steps), driven(steps, (exclusion,))
@@ -62,7 +62,7 @@ def test_excluding_later_equals_excluding_at_once(sensor: Sensor, end_s: float) 
 def test_a_suspicion_that_is_dropped_leaves_no_trace() -> None:
     steps = simulate(Drive(seconds=8.0), np.random.default_rng(5), SETTINGS)
     fusion = driven(steps[:120])
-    assert fusion.exclude([Exclusion(Sensor.WHEELS, 5.0)], 5.0)
+    assert fusion.exclude([Exclusion(RobotSensor.WHEELS, 5.0)], 5.0)
     for step in steps[120:]:
         fusion.predict(step.end_s, step.wheels, step.wheel_covariance, step.begin_s)
         if step.measurement is not None:
@@ -78,5 +78,5 @@ def test_a_dead_encoder_is_corrected_in_the_past() -> None:
 
     steps = simulate(Drive(seconds=9.0, wheel_fault=stops), np.random.default_rng(6), SETTINGS)
     fusion = driven(steps)
-    assert fusion.exclude([Exclusion(Sensor.LEFT, 4.0)], 4.0)
+    assert fusion.exclude([Exclusion(RobotSensor.LEFT, 4.0)], 4.0)
     assert np.linalg.norm(pose(fusion)[0][:2, 3] - steps[-1].T_truth[:2, 3]) < 0.1
