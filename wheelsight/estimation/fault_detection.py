@@ -495,9 +495,6 @@ _RATIO_WAY_M, _RATIO_PRIOR_M, _RATIO_STEP = 20.0, 5.0, 0.1
 # Sound way, time and, for a fault that turns show, turn after which a sensor is used again.
 _AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD = 2.0, 3.0, 0.6
 _KEPT_S = 5.0
-# A wheel's speed over two such times jumps if it changes by more than this, and faster than this acceleration, which a
-# tyre on the floor does not reach (a wheel that hits a wall at 0.5 m/s does). For how long it is suspected then.
-_JUMP_S, _LONGEST_JUMP_S, _JUMP_M_S, _JUMP_M_S2, _JUMP_SUSPECT_S = 0.035, 0.15, 0.08, 3.0, 0.6
 _DESCRIBED = 120  # pieces by which a fault is described
 
 
@@ -560,32 +557,33 @@ class Hypothesis(NamedTuple):
     flips: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
 
 
+LEFT, RIGHT, WHEELS, CAMERA, GYRO = RobotSensor
 _ANY, _SOME, _NOTHING = 0.5, 0.1, 10.0
 HYPOTHESES = (
-    Hypothesis(RobotSensor.LEFT, 0.4, (3,), _ANY),
-    Hypothesis(RobotSensor.LEFT, 0.4, (3,), _SOME),
-    Hypothesis(RobotSensor.LEFT, 0.1, flips=(0.0, 1.0, 1.0, 1.0)),
-    Hypothesis(RobotSensor.LEFT, 0.1, flips=(-1.0, 1.0, 1.0, 1.0)),
-    Hypothesis(RobotSensor.RIGHT, 0.4, (4,), _ANY),
-    Hypothesis(RobotSensor.RIGHT, 0.4, (4,), _SOME),
-    Hypothesis(RobotSensor.RIGHT, 0.1, flips=(1.0, 0.0, 1.0, 1.0)),
-    Hypothesis(RobotSensor.RIGHT, 0.1, flips=(1.0, -1.0, 1.0, 1.0)),
-    Hypothesis(RobotSensor.WHEELS, 0.8, (3, 4), _ANY),
-    Hypothesis(RobotSensor.WHEELS, 0.1, flips=(0.0, 0.0, 1.0, 1.0)),
-    Hypothesis(RobotSensor.WHEELS, 0.1, flips=(-1.0, -1.0, 1.0, 1.0)),
-    Hypothesis(RobotSensor.CAMERA, 0.7, (0, 1, 2), _ANY),
-    Hypothesis(RobotSensor.CAMERA, 0.2, (0,), _SOME),
-    Hypothesis(RobotSensor.CAMERA, 0.1, flips=(1.0, 1.0, -1.0, 1.0)),
-    Hypothesis(RobotSensor.GYRO, 0.6, (6,), _ANY),
-    Hypothesis(RobotSensor.GYRO, 0.2, flips=(1.0, 1.0, 1.0, 0.0)),
-    Hypothesis(RobotSensor.GYRO, 0.2, flips=(1.0, 1.0, 1.0, -1.0)),
+    Hypothesis(LEFT, 0.4, (3,), _ANY),
+    Hypothesis(LEFT, 0.4, (3,), _SOME),
+    Hypothesis(LEFT, 0.1, flips=(0.0, 1.0, 1.0, 1.0)),
+    Hypothesis(LEFT, 0.1, flips=(-1.0, 1.0, 1.0, 1.0)),
+    Hypothesis(RIGHT, 0.4, (4,), _ANY),
+    Hypothesis(RIGHT, 0.4, (4,), _SOME),
+    Hypothesis(RIGHT, 0.1, flips=(1.0, 0.0, 1.0, 1.0)),
+    Hypothesis(RIGHT, 0.1, flips=(1.0, -1.0, 1.0, 1.0)),
+    Hypothesis(WHEELS, 0.8, (3, 4), _ANY),
+    Hypothesis(WHEELS, 0.1, flips=(0.0, 0.0, 1.0, 1.0)),
+    Hypothesis(WHEELS, 0.1, flips=(-1.0, -1.0, 1.0, 1.0)),
+    Hypothesis(CAMERA, 0.7, (0, 1, 2), _ANY),
+    Hypothesis(CAMERA, 0.2, (0,), _SOME),
+    Hypothesis(CAMERA, 0.1, flips=(1.0, 1.0, -1.0, 1.0)),
+    Hypothesis(GYRO, 0.6, (6,), _ANY),
+    Hypothesis(GYRO, 0.2, flips=(1.0, 1.0, 1.0, 0.0)),
+    Hypothesis(GYRO, 0.2, flips=(1.0, 1.0, 1.0, -1.0)),
 )
 _PLACES = {
-    RobotSensor.LEFT: [3],
-    RobotSensor.RIGHT: [4],
-    RobotSensor.WHEELS: [3, 4],
-    RobotSensor.CAMERA: [0, 1, 2],
-    RobotSensor.GYRO: [6],
+    LEFT: [3],
+    RIGHT: [4],
+    WHEELS: [3, 4],
+    CAMERA: [0, 1, 2],
+    GYRO: [6],
 }
 _SCALES = np.array([[one.scale if place in one.broken else 0.0 for place in range(7)] for one in HYPOTHESES])
 _FLIPS = np.array([one.flips for one in HYPOTHESES])
@@ -639,13 +637,13 @@ def log_ratios(
     found = {
         sensor: float(np.logaddexp.reduce(logs[places]))
         for sensor, places in _OF_SENSOR.items()
-        if sensor is not RobotSensor.GYRO or turn is not None
+        if sensor is not GYRO or turn is not None
     }
     # The camera's motion out of the plane of the floor: a faulty camera has one in half of the cases.
     usual_off = np.array([_RISE_M + _RISE_SHARE * rolled_m, _TILT_RAD, _TILT_RAD])
     off = np.array([z, roll, pitch]) / usual_off
     out = float((0.5 * (1 - 1 / _FAR_OFF**2) * off**2 - math.log(_FAR_OFF)).sum())
-    found[RobotSensor.CAMERA] += math.log(0.5) + float(np.logaddexp(0.0, out))
+    found[CAMERA] += math.log(0.5) + float(np.logaddexp(0.0, out))
     sound_log = max(sound_log, max(found.values()) - _PIECE_NATS)
     return {sensor: float(max(one - sound_log, _LEAST_NATS)) for sensor, one in found.items() if sensor not in faulty}
 
@@ -694,7 +692,6 @@ class SensorHealth:
     Attributes:
         faults: begin of the current fault of each faulty sensor, stamp.
         exclusions: sensors that are left out, now or earlier; see `update`.
-        warnings: a sentence for each fault so far.
         is_suspicious: whether a sensor may be wrong, without certainty.
         accused: the sensor that is most likely wrong, without certainty; None if all are likely sound.
     """
@@ -702,7 +699,8 @@ class SensorHealth:
     def __init__(self, track_m: float, T_base_camera: FloatArray) -> None:
         self.faults: dict[RobotSensor, float] = {}
         self.exclusions: tuple[Exclusion, ...] = ()
-        self.warnings: tuple[str, ...] = ()
+        # Of each sensor: how often it was left out, and the last time from when, until when, and why.
+        self._found: dict[RobotSensor, tuple[int, float, float, str]] = {}
         self.is_suspicious, self._has_news = False, False
         self.accused: RobotSensor | None = None
         self._half_m = track_m / 2
@@ -715,30 +713,40 @@ class SensorHealth:
         self._pieces: deque[Piece] = deque(maxlen=_DESCRIBED)
         self._usual = Usual(np.ones(2), 0.0, _BIAS_SIGMA_RAD_S)
         self._weights = np.full(2, _RATIO_PRIOR_M)
-        self._jumped: dict[RobotSensor, tuple[float, float]] = {}  # wheels whose speed jumped: suspected from and until
         self._unproven_s: float | None = None  # since when a restarted camera has not agreed yet
         self._sound = {sensor: np.zeros(3) for sensor in RobotSensor}  # way, time and turn over which it agrees again
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence for each sensor that was faulty."""
+        found = []
+        for sensor, (times, begin_s, end_s, cause) in self._found.items():
+            name = "both wheels were" if sensor is WHEELS else f"the {sensor.value} was"
+            name += " left out" if times == 1 else f" left out {times} times, last"
+            first_s = self._first_s or 0.0
+            until = "on" if end_s == math.inf else f"until {end_s - first_s:.1f} s"
+            found.append(f"{name} from {begin_s - first_s:.1f} s after the first frame {until}: {cause}")
+        return tuple(found)
 
     def update(self, stamp_s: float) -> float | None:
         """Update the exclusions at a frame; return the stamp since which they changed, or None.
 
-        A sensor is left out since its fault began. So is one that leads before that is certain, a wheel whose speed has
-        just jumped, and a camera that has just restarted. One that turns out to be sound counts as if nothing had
-        happened.
+        A sensor is left out since its fault began. So is one that leads before that is certain, and a camera that has
+        just restarted. One that turns out to be sound counts as if nothing had happened.
         """
         if not self._has_news:
             return None
-        self._has_news = bool(self._jumped)
+        self._has_news = False
         past = tuple(one for one in self.exclusions if one.is_sure and one.end_s < math.inf)
         current = {one.sensor: one for one in self.exclusions if one.end_s == math.inf}
         wanted = {sensor: Exclusion(sensor, begin_s, is_sure=True) for sensor, begin_s in self.faults.items()}
-        suspects = {sensor: begin_s for sensor, (begin_s, end_s) in self._jumped.items() if stamp_s < end_s}
+        suspects: dict[RobotSensor, float] = {}
         for scale in self._scales:
             leader = scale.leads(_SUSPECT_NATS)
             if leader is not None:
                 suspects.setdefault(leader, scale.zero_s[leader])
         if self._unproven_s is not None:
-            suspects.setdefault(RobotSensor.CAMERA, self._unproven_s)
+            suspects.setdefault(CAMERA, self._unproven_s)
         for sensor, begin_s in suspects.items():
             known = current.get(sensor)
             wanted.setdefault(sensor, Exclusion(sensor, begin_s) if known is None or known.is_sure else known)
@@ -763,31 +771,6 @@ class SensorHealth:
             self._rolled.append((stamp_s, left_m + way_m - aside_m, right_m + way_m + aside_m))
             while self._rolled[0][0] < stamp_s - _KEPT_S:
                 self._rolled.popleft()
-            self._find_jump(stamp_s)
-
-    def _find_jump(self, now_s: float) -> None:
-        """Suspect a wheel for a moment whose speed changed faster than a wheel on the floor can."""
-        middle: tuple[float, float, float] | None = None
-        for one in reversed(self._rolled):
-            if middle is None and now_s - one[0] >= _JUMP_S:
-                middle = one
-            elif middle is not None and middle[0] - one[0] >= _JUMP_S:
-                before, after = middle[0] - one[0], now_s - middle[0]
-                if max(before, after) > _LONGEST_JUMP_S:
-                    return
-                newest = self._rolled[-1]
-                most_m_s = _JUMP_M_S + _JUMP_M_S2 * (before + after) / 2
-                jumps = [
-                    abs((newest[i] - middle[i]) / after - (middle[i] - one[i]) / before) > most_m_s for i in (1, 2)
-                ]
-                if any(jumps):
-                    sensor = RobotSensor.WHEELS if all(jumps) else RobotSensor.LEFT if jumps[0] else RobotSensor.RIGHT
-                    self._has_news = True
-                    self._jumped.setdefault(sensor, (one[0], 0.0))
-                    self._jumped[sensor] = self._jumped[sensor][0], now_s + _JUMP_SUSPECT_S
-                elif self._jumped and now_s > max(end_s for _, end_s in self._jumped.values()):
-                    self._jumped.clear()
-                return
 
     def add_yaw_rate(self, stamp_s: float, rate_rad_s: float) -> None:
         """Add a reading of the gyroscope, the mean since its last one."""
@@ -844,7 +827,7 @@ class SensorHealth:
         self._has_news = True
         if is_first:
             self._pieces.append(piece)
-            if ratio.get(RobotSensor.CAMERA, 0.0) <= 0.0:
+            if ratio.get(CAMERA, 0.0) <= 0.0:
                 self._unproven_s = None
             self._end_faults(piece)
         scale.add(ratio, piece)
@@ -856,7 +839,7 @@ class SensorHealth:
         begin_s = scale.zero_s[sensor]
         self.faults[sensor] = begin_s
         self._sound[sensor][:] = 0.0
-        if sensor is RobotSensor.CAMERA:
+        if sensor is CAMERA:
             self._unproven_s = None
         for one in self._scales:  # what this fault explains accuses no other sensor
             one.clear(piece.end_s)
@@ -864,8 +847,7 @@ class SensorHealth:
         turns_rad = np.array([math.nan if one.turn_rad is None else one.turn_rad for one in pieces])
         camera, ways_m = (np.array(each) for each in ([one.camera for one in pieces], [one.ways_m for one in pieces]))
         cause = cause_of(sensor, camera, ways_m, turns_rad, self._half_m, self._usual.ratios)
-        after_s = begin_s - (self._first_s or 0.0)
-        self.warnings += (f"{_name(sensor)} left out from {after_s:.1f} s after the first frame on: {cause}",)
+        self._found[sensor] = self._found.get(sensor, (0,))[0] + 1, begin_s, math.inf, cause
 
     def _learn(self, piece: Piece) -> None:
         """Update what is usual."""
@@ -897,8 +879,4 @@ class SensorHealth:
                 del self.faults[sensor]
                 for scale in self._scales:
                     scale.clear(piece.end_s)
-                self.warnings += (f"{_name(sensor)} used again, since it agrees with the other sensors",)
-
-
-def _name(sensor: RobotSensor) -> str:
-    return "both wheels are" if sensor is RobotSensor.WHEELS else f"the {sensor.value} is"
+                self._found[sensor] = *self._found[sensor][:2], piece.end_s, self._found[sensor][3]
