@@ -330,6 +330,7 @@ class PoseFinding(StrEnum):
     NOT_LATER = "the stamp is not later than the one before"
     TOO_UNCERTAIN = "the covariance is larger than that of a known pose"
     SILENT = "all sensors were silent for too long, or the filter diverged"
+    TURNS_CONTRADICTED = "wheels and gyroscope turn differently, and no other sensor shows which is wrong"
     SLIP = "the camera or the gyroscope contradicts the wheels, and is accepted"
     DEGENERATE = "the last image does not constrain all directions"
     UNDECIDED = "camera and wheels contradict each other, without a decision"
@@ -374,6 +375,7 @@ DECISIONS = {
     PoseFinding.NOT_LATER: Consequence(Status.FAILING, reason=Reason.CLOCK_BACKWARDS),
     PoseFinding.TOO_UNCERTAIN: Consequence(Status.LOST),
     PoseFinding.SILENT: Consequence(Status.LOST),
+    PoseFinding.TURNS_CONTRADICTED: Consequence(Status.COASTING),
     PoseFinding.SLIP: Consequence(slip=True),
     PoseFinding.DEGENERATE: Consequence(is_degenerate=True),
     PoseFinding.UNDECIDED: Consequence(is_doubtful=True),

@@ -479,6 +479,7 @@ def _shift_of(T_from: FloatArray, T_to: FloatArray) -> FloatArray:
 
 # Sums that find a fault, by which it leads, that leave a sensor out for the moment, and below which ratios are learned.
 _ALARM_NATS, _MARGIN_NATS, _SUSPECT_NATS, _SOUND_NATS = 12.0, 3.0, 6.0, 2.0
+_AGREES_NATS = 0.5  # of one piece, for a sensor that agrees with the others
 # One piece counts at most this much, since errors have longer tails than a Gaussian; sums end at the largest one.
 _PIECE_NATS, _LEAST_NATS, _LARGEST_NATS = 8.0, -6.0, 60.0
 _PIECES_S, _SHORTEST_S, _GAP_S = (0.25, 1.25), 0.15, 2.0
@@ -542,7 +543,6 @@ class Hypothesis(NamedTuple):
 
     Attributes:
         sensor: the sensor.
-        share: probability of this hypothesis, if the sensor is wrong.
         broken: places of the sensor's errors among x, y and yaw of the camera, left and right wheel, gyroscope, whose
             variance grows.
         scale: of that growth, as a share of way or turn.
@@ -551,7 +551,6 @@ class Hypothesis(NamedTuple):
     """
 
     sensor: RobotSensor
-    share: float
     broken: tuple[int, ...] = ()
     scale: float = 0.0
     flips: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
@@ -560,41 +559,33 @@ class Hypothesis(NamedTuple):
 LEFT, RIGHT, WHEELS, CAMERA, GYRO = RobotSensor
 _ANY, _SOME, _NOTHING = 0.5, 0.1, 10.0
 HYPOTHESES = (
-    Hypothesis(LEFT, 0.4, (3,), _ANY),
-    Hypothesis(LEFT, 0.4, (3,), _SOME),
-    Hypothesis(LEFT, 0.1, flips=(0.0, 1.0, 1.0, 1.0)),
-    Hypothesis(LEFT, 0.1, flips=(-1.0, 1.0, 1.0, 1.0)),
-    Hypothesis(RIGHT, 0.4, (4,), _ANY),
-    Hypothesis(RIGHT, 0.4, (4,), _SOME),
-    Hypothesis(RIGHT, 0.1, flips=(1.0, 0.0, 1.0, 1.0)),
-    Hypothesis(RIGHT, 0.1, flips=(1.0, -1.0, 1.0, 1.0)),
-    Hypothesis(WHEELS, 0.8, (3, 4), _ANY),
-    Hypothesis(WHEELS, 0.1, flips=(0.0, 0.0, 1.0, 1.0)),
-    Hypothesis(WHEELS, 0.1, flips=(-1.0, -1.0, 1.0, 1.0)),
-    Hypothesis(CAMERA, 0.7, (0, 1, 2), _ANY),
-    Hypothesis(CAMERA, 0.2, (0,), _SOME),
-    Hypothesis(CAMERA, 0.1, flips=(1.0, 1.0, -1.0, 1.0)),
-    Hypothesis(GYRO, 0.6, (6,), _ANY),
-    Hypothesis(GYRO, 0.2, flips=(1.0, 1.0, 1.0, 0.0)),
-    Hypothesis(GYRO, 0.2, flips=(1.0, 1.0, 1.0, -1.0)),
+    Hypothesis(LEFT, (3,), _ANY),
+    Hypothesis(LEFT, (3,), _SOME),
+    Hypothesis(LEFT, flips=(0.0, 1.0, 1.0, 1.0)),
+    Hypothesis(LEFT, flips=(-1.0, 1.0, 1.0, 1.0)),
+    Hypothesis(RIGHT, (4,), _ANY),
+    Hypothesis(RIGHT, (4,), _SOME),
+    Hypothesis(RIGHT, flips=(1.0, 0.0, 1.0, 1.0)),
+    Hypothesis(RIGHT, flips=(1.0, -1.0, 1.0, 1.0)),
+    Hypothesis(WHEELS, (3, 4), _ANY),
+    Hypothesis(WHEELS, flips=(0.0, 0.0, 1.0, 1.0)),
+    Hypothesis(WHEELS, flips=(-1.0, -1.0, 1.0, 1.0)),
+    Hypothesis(CAMERA, (0, 1, 2), _ANY),
+    Hypothesis(CAMERA, (0,), _SOME),
+    Hypothesis(CAMERA, flips=(1.0, 1.0, -1.0, 1.0)),
+    Hypothesis(GYRO, (6,), _ANY),
+    Hypothesis(GYRO, flips=(1.0, 1.0, 1.0, 0.0)),
+    Hypothesis(GYRO, flips=(1.0, 1.0, 1.0, -1.0)),
 )
-_PLACES = {
-    LEFT: [3],
-    RIGHT: [4],
-    WHEELS: [3, 4],
-    CAMERA: [0, 1, 2],
-    GYRO: [6],
-}
+_PLACES = {LEFT: [3], RIGHT: [4], WHEELS: [3, 4], CAMERA: [0, 1, 2], GYRO: [6]}
+_ANY_CAMERA = HYPOTHESES.index(Hypothesis(CAMERA, (0, 1, 2), _ANY))
 _SCALES = np.array([[one.scale if place in one.broken else 0.0 for place in range(7)] for one in HYPOTHESES])
 _FLIPS = np.array([one.flips for one in HYPOTHESES])
-_LOG_SHARES = np.log([one.share for one in HYPOTHESES])
 _OF_SENSOR = {sensor: [n for n, one in enumerate(HYPOTHESES) if one.sensor is sensor] for sensor in RobotSensor}
 
 
-def log_ratios(
-    piece: Piece, half_m: float, usual: Usual, faulty: Collection[RobotSensor] = ()
-) -> dict[RobotSensor, float]:
-    """Return the log-likelihood ratio of each sensor's fault to no other fault, nats.
+def log_ratios(piece: Piece, half_m: float, usual: Usual, faulty: Collection[RobotSensor] = ()) -> FloatArray:
+    """Return the log-likelihood ratio of each of `HYPOTHESES` to no other fault, nats; 0 for those of faulty sensors.
 
     Args:
         piece: of the drive.
@@ -633,53 +624,56 @@ def log_ratios(
     C = (J * variances[:, None, :]) @ J.T
     chi2 = (apart * np.linalg.solve(C, apart[:, :, None])[:, :, 0]).sum(axis=1)
     logs = -0.5 * (np.linalg.slogdet(C)[1] + chi2)
-    sound_log, logs = logs[0], logs[1:] + _LOG_SHARES
-    found = {
-        sensor: float(np.logaddexp.reduce(logs[places]))
-        for sensor, places in _OF_SENSOR.items()
-        if sensor is not GYRO or turn is not None
-    }
+    sound_log, logs = logs[0], logs[1:]
     # The camera's motion out of the plane of the floor: a faulty camera has one in half of the cases.
     usual_off = np.array([_RISE_M + _RISE_SHARE * rolled_m, _TILT_RAD, _TILT_RAD])
     off = np.array([z, roll, pitch]) / usual_off
     out = float((0.5 * (1 - 1 / _FAR_OFF**2) * off**2 - math.log(_FAR_OFF)).sum())
-    found[CAMERA] += math.log(0.5) + float(np.logaddexp(0.0, out))
-    sound_log = max(sound_log, max(found.values()) - _PIECE_NATS)
-    return {sensor: float(max(one - sound_log, _LEAST_NATS)) for sensor, one in found.items() if sensor not in faulty}
+    logs[_ANY_CAMERA] += math.log(0.5) + float(np.logaddexp(0.0, out))
+    is_judged = np.array(
+        [one.sensor not in faulty and (one.sensor is not GYRO or turn is not None) for one in HYPOTHESES]
+    )
+    sound_log = max(sound_log, logs[is_judged].max() - _PIECE_NATS)
+    return np.where(is_judged, np.maximum(logs - sound_log, _LEAST_NATS), 0.0)
+
+
+def of_sensors(values: FloatArray) -> dict[RobotSensor, int]:
+    """Return the place of the largest value of each sensor among those of `HYPOTHESES`."""
+    return {sensor: max(places, key=values.__getitem__) for sensor, places in _OF_SENSOR.items()}
 
 
 class Sums:
-    """CUSUM of each sensor over pieces of one length.
+    """CUSUM of each hypothesis over pieces of one length.
 
     Attributes:
-        nats: sum of each sensor.
-        zero_s: where it was last zero.
+        nats: largest sum of each sensor.
+        zero_s: where that sum was last zero.
         begin: stamp and pose (4, 4) of the camera at the begin of the current piece.
     """
 
     def __init__(self, piece_s: float) -> None:
         self.piece_s, self.begin = piece_s, (math.nan, np.eye(4))
-        self.nats, self.zero_s = dict.fromkeys(RobotSensor, 0.0), dict.fromkeys(RobotSensor, math.nan)
+        self.clear(math.nan)
 
-    def add(self, ratio: dict[RobotSensor, float], piece: Piece) -> None:
+    def clear(self, now_s: float) -> None:
+        """Start over."""
+        self._sums, self._zero_s = np.zeros(len(HYPOTHESES)), np.full(len(HYPOTHESES), now_s)
+        self.nats, self.zero_s = dict.fromkeys(RobotSensor, 0.0), dict.fromkeys(RobotSensor, now_s)
+
+    def add(self, ratios: FloatArray, piece: Piece) -> None:
         """Add the ratios of a piece."""
-        for sensor, one in ratio.items():
-            if math.isnan(self.zero_s[sensor]):
-                self.zero_s[sensor] = piece.begin_s
-            self.nats[sensor] = max(self.nats[sensor] + one, 0.0)
-            if self.nats[sensor] == 0.0:
-                self.zero_s[sensor] = piece.end_s
-        over = max(0.0, max(self.nats.values()) - _LARGEST_NATS)
-        self.nats = {sensor: max(one - over, 0.0) for sensor, one in self.nats.items()}
+        self._zero_s[np.isnan(self._zero_s)] = piece.begin_s
+        sums = np.maximum(self._sums + ratios, 0.0)
+        self._zero_s[sums == 0.0] = piece.end_s
+        self._sums = np.maximum(sums - max(0.0, sums.max() - _LARGEST_NATS), 0.0)
+        places = of_sensors(self._sums)
+        self.nats = {sensor: float(self._sums[place]) for sensor, place in places.items()}
+        self.zero_s = {sensor: float(self._zero_s[place]) for sensor, place in places.items()}
 
     def leads(self, least_nats: float) -> RobotSensor | None:
         """Return the sensor whose sum passes a value and leads all others; None without one."""
         (sensor, first_nats), (_, second_nats) = sorted(self.nats.items(), key=itemgetter(1), reverse=True)[:2]
         return sensor if first_nats > least_nats and first_nats - second_nats > _MARGIN_NATS else None
-
-    def clear(self, now_s: float) -> None:
-        """Start over."""
-        self.nats, self.zero_s = dict.fromkeys(RobotSensor, 0.0), dict.fromkeys(RobotSensor, now_s)
 
 
 class SensorHealth:
@@ -823,14 +817,14 @@ class SensorHealth:
         return Piece(begin_s, end_s, motions.log(motions.renormalized(T)), ways_m, turn)
 
     def _compare(self, scale: Sums, piece: Piece) -> None:
-        ratio, is_first = log_ratios(piece, self._half_m, self._usual, self.faults), scale is self._scales[0]
+        ratios, is_first = log_ratios(piece, self._half_m, self._usual, self.faults), scale is self._scales[0]
         self._has_news = True
         if is_first:
             self._pieces.append(piece)
-            if ratio.get(CAMERA, 0.0) <= 0.0:
+            if ratios[of_sensors(ratios)[CAMERA]] <= _AGREES_NATS:
                 self._unproven_s = None
             self._end_faults(piece)
-        scale.add(ratio, piece)
+        scale.add(ratios, piece)
         if is_first and not self.faults and all(max(one.nats.values()) < _SOUND_NATS for one in self._scales):
             self._learn(piece)
         sensor = scale.leads(_ALARM_NATS)
@@ -870,7 +864,8 @@ class SensorHealth:
         for sensor in list(self.faults):
             others = self.faults.keys() - {sensor}
             sound = self._sound[sensor]
-            if log_ratios(piece, self._half_m, self._usual, others).get(sensor, 0.0) > 0.0:
+            ratios = log_ratios(piece, self._half_m, self._usual, others)
+            if ratios[of_sensors(ratios)[sensor]] > _AGREES_NATS:
                 sound[:] = 0.0
                 continue
             way_m = max(float(np.abs(piece.ways_m).max()), abs(piece.camera[0]))
