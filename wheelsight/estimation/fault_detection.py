@@ -516,6 +516,7 @@ class Piece(NamedTuple):
         camera: (6,) motion of the base by the camera, ξ.
         ways_m: (2,) of the left and the right wheel.
         turn_rad: of the gyroscope, or None.
+        shows_all: whether all frames showed all directions; else only the camera's turn counts.
     """
 
     begin_s: float
@@ -523,6 +524,7 @@ class Piece(NamedTuple):
     camera: FloatArray
     ways_m: FloatArray
     turn_rad: float | None
+    shows_all: bool = True
 
 
 class Usual(NamedTuple):
@@ -610,6 +612,8 @@ def log_ratios(piece: Piece, half_m: float, usual: Usual, faulty: Collection[Rob
     gyro_rad += math.hypot(_GYRO_RAD_S, usual.bias_sigma_rad_s) * seconds
     sound = np.square([camera_m, camera_m, camera_rad, wheel_m, wheel_m, side_m, gyro_rad])
     sizes = np.array([way_m, way_m, turn_rad, way_m, way_m, 0.0, turn_rad])
+    if not piece.shows_all:
+        sound[:2] += 1.0
     for sensor in faulty:
         sound[_PLACES[sensor]] += np.square(_NOTHING * sizes[_PLACES[sensor]] + 1.0)
     flips = np.vstack([np.ones(4), _FLIPS])
@@ -628,7 +632,7 @@ def log_ratios(piece: Piece, half_m: float, usual: Usual, faulty: Collection[Rob
     # The camera's motion out of the plane of the floor: a faulty camera has one in half of the cases.
     usual_off = np.array([_RISE_M + _RISE_SHARE * rolled_m, _TILT_RAD, _TILT_RAD])
     off = np.array([z, roll, pitch]) / usual_off
-    out = float((0.5 * (1 - 1 / _FAR_OFF**2) * off**2 - math.log(_FAR_OFF)).sum())
+    out = float((0.5 * (1 - 1 / _FAR_OFF**2) * off**2 - math.log(_FAR_OFF)).sum()) if piece.shows_all else 0.0
     logs[_ANY_CAMERA] += math.log(0.5) + float(np.logaddexp(0.0, out))
     is_judged = np.array(
         [one.sensor not in faulty and (one.sensor is not GYRO or turn is not None) for one in HYPOTHESES]
@@ -649,10 +653,11 @@ class Sums:
         nats: largest sum of each sensor.
         zero_s: where that sum was last zero.
         begin: stamp and pose (4, 4) of the camera at the begin of the current piece.
+        shows_all: whether all frames since then showed all directions.
     """
 
     def __init__(self, piece_s: float) -> None:
-        self.piece_s, self.begin = piece_s, (math.nan, np.eye(4))
+        self.piece_s, self.begin, self.shows_all = piece_s, (math.nan, np.eye(4)), True
         self.clear(math.nan)
 
     def clear(self, now_s: float) -> None:
@@ -703,7 +708,7 @@ class SensorHealth:
         self._rolled: deque[tuple[float, float, float]] = deque()  # stamp, and way of both wheels, m
         self._turned: deque[tuple[float, float]] = deque()  # stamp, and angle of the gyroscope, rad
         self._scales = tuple(Sums(piece_s) for piece_s in _PIECES_S)
-        self._waiting: deque[tuple[float, FloatArray]] = deque(maxlen=8)
+        self._waiting: deque[tuple[float, FloatArray, bool]] = deque(maxlen=8)
         self._pieces: deque[Piece] = deque(maxlen=_DESCRIBED)
         self._usual = Usual(np.ones(2), 0.0, _BIAS_SIGMA_RAD_S)
         self._weights = np.full(2, _RATIO_PRIOR_M)
@@ -786,21 +791,23 @@ class SensorHealth:
         if restarted_s is not None and self._unproven_s is None and self._rolled:
             self._unproven_s = restarted_s
 
-    def add_frame(self, stamp_s: float, T_map_camera: FloatArray) -> None:
-        """Add the camera's pose (4, 4) by itself at a frame. A piece is compared once the wheels cover it."""
+    def add_frame(self, stamp_s: float, T_map_camera: FloatArray, *, shows_all: bool = True) -> None:
+        """Add the camera's pose (4, 4) by itself at a frame, and whether the frame shows all directions.
+
+        A piece is compared once the wheels cover it.
+        """
         self._first_s = stamp_s if self._first_s is None else self._first_s
-        self._waiting.append((stamp_s, T_map_camera))
+        self._waiting.append((stamp_s, T_map_camera, shows_all))
         while self._waiting and self._rolled and self._waiting[0][0] <= self._rolled[-1][0]:
-            now_s, T = self._waiting.popleft()
+            now_s, T, shows_all = self._waiting.popleft()
             for scale in self._scales:
-                begin_s, T_begin = scale.begin
-                if not now_s - begin_s <= _GAP_S:
-                    scale.begin = now_s, T
-                elif now_s - begin_s >= (scale.piece_s if self._unproven_s is None else _SHORTEST_S):
-                    scale.begin = now_s, T
-                    piece = self._piece(begin_s, T_begin, now_s, T)
+                (begin_s, T_begin), scale.shows_all = scale.begin, scale.shows_all and shows_all
+                is_over = now_s - begin_s >= (scale.piece_s if self._unproven_s is None else _SHORTEST_S)
+                if is_over or not now_s - begin_s <= _GAP_S:
+                    piece = self._piece(begin_s, T_begin, now_s, T) if now_s - begin_s <= _GAP_S else None
                     if piece is not None:
-                        self._compare(scale, piece)
+                        self._compare(scale, piece._replace(shows_all=scale.shows_all))
+                    scale.begin, scale.shows_all = (now_s, T), shows_all
 
     def _piece(self, begin_s: float, T_begin: FloatArray, end_s: float, T_end: FloatArray) -> Piece | None:
         """Return the motions between two frames; None where the wheels do not cover them."""

@@ -277,10 +277,7 @@ class ByFusion:
         if self._check.verdict.left_out is not None and self._excludes(Culprit.WHEELS):
             return self._begin(frame, seen)
         if self._health is not None:
-            if shows_all:
-                self._health.add_frame(frame.stamp_s, seen.T_odom_body)
-            else:
-                self._health.interrupt()
+            self._health.add_frame(frame.stamp_s, seen.T_odom_body, shows_all=shows_all)
             if self._exclude_faulty(self._health, frame.stamp_s):
                 return self._begin(frame, seen)
         motion = anchor.motion_to(seen.T_odom_body, seen.motion)
