@@ -16,10 +16,8 @@ from wheelsight.core.errors import RecordingError
 from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray
 from wheelsight.core.messages import (
     Event,
-    OdometryReading,
     RgbdFrame,
     SkippedFrame,
-    WheelCounts,
     WheelReading,
     WheelSpeeds,
     WheelTicks,
@@ -321,12 +319,12 @@ class MotionClock:
     earlier or later, by the offset. Events may come in any order of sensors.
 
     Args:
-        calibration: of the cameras, and of the wheels for their counts or speeds.
+        calibration: of the cameras, and of two wheels. A holonomic base shows no offset: its way to the side moves the
+            image as a turn does.
     """
 
     def __init__(self, calibration: Calibration) -> None:
-        self._wheels, self._holonomic = calibration.wheels, calibration.holonomic
-        self._delay_s = 0.0 if calibration.any_wheels is None else calibration.any_wheels.delay_s
+        self._wheels, self._is_holonomic = calibration.wheels, calibration.holonomic is not None
         color, T_base_camera = calibration.color, calibration.T_base_camera
         self._focal_px = None if color is None else (color.fx / color.width, color.fy / color.width)
         up = np.array([0.0, -1.0, 0.0])  # the camera looks ahead
@@ -337,7 +335,7 @@ class MotionClock:
         self._last: tuple[float, Float32Array] | None = None
         self._shifts: list[tuple[float, float, float]] = []
         self._headings: dict[str, list[tuple[float, float]]] = {"wheels": [], "gyroscope": []}
-        self._reading: WheelReading | None = None
+        self._reading: WheelTicks | WheelSpeeds | None = None
         self._rate: YawRate | None = None
         self._hanning: Float32Array | None = None
 
@@ -358,7 +356,7 @@ class MotionClock:
             mean_rad_s = (before.yaw_rate_rad_s + event.yaw_rate_rad_s) / 2
             headings.append((event.stamp_s, (headings[-1][1] if headings else 0.0) + mean_rad_s * step_s))
             self._rate = event
-        elif isinstance(event, WheelReading):
+        elif isinstance(event, WheelTicks | WheelSpeeds):
             self._read(event)
 
     def is_enough(self, compared_s: float) -> bool:
@@ -395,6 +393,8 @@ class MotionClock:
 
     def offset(self, sensor: str = "wheels") -> MotionOffset:
         """The offset of the camera against the "wheels" or the "gyroscope", from all events so far."""
+        if self._is_holonomic:
+            return MotionOffset(None, why_not="the base moves to the side too, which moves the image as a turn does")
         headings, shifts = np.array(self._headings[sensor]).reshape(-1, 2), np.array(self._shifts).reshape(-1, 3)
         if len(headings) < 2 or len(shifts) < _FEWEST:
             return MotionOffset(None, why_not=f"only {len(shifts)} pairs of images and {len(headings)} readings")
@@ -427,31 +427,25 @@ class MotionClock:
         sigma_s = float(np.sqrt(scatter / max(float(slope @ slope), 1e-12)))
         return MotionOffset(offset_s, sigma_s, *shown[1:])
 
-    def _read(self, reading: WheelReading) -> None:
+    def _read(self, reading: WheelTicks | WheelSpeeds) -> None:
         """Integrate the turn of a wheel reading."""
-        before, self._reading = self._reading, reading
-        before, step_rad = before if isinstance(before, type(reading)) else reading, None
-        if isinstance(reading, OdometryReading) and isinstance(before, OdometryReading):
-            step_rad = float(np.remainder(reading.yaw_rad - before.yaw_rad + np.pi, 2 * np.pi) - np.pi)
-        elif isinstance(reading, WheelCounts) and isinstance(before, WheelCounts) and self._holonomic is not None:
-            steps = np.subtract(reading.counts, before.counts)
-            if len(steps) == len(self._holonomic.wheel_names):
-                step_rad = float(self._holonomic.to_base[2] @ steps) * self._holonomic.m_per_tick
-        elif (of := self._wheels) is None:
+        of = self._wheels
+        if of is None:
             return
-        elif isinstance(before, WheelSpeeds):  # from its stamp until the next one
-            rate = (before.right_rad_s * of.right_radius_m - before.left_rad_s * of.left_radius_m) / of.track_width_m
-            step_rad = rate * (reading.stamp_s - before.stamp_s)
-        elif isinstance(reading, WheelTicks) and isinstance(before, WheelTicks):
-            left, right = reading.left - before.left, reading.right - before.right
+        before, self._reading = self._reading, reading
+        if isinstance(reading, WheelSpeeds):  # from its stamp until the next one
+            was = before if isinstance(before, WheelSpeeds) else reading
+            rate = (was.right_rad_s * of.right_radius_m - was.left_rad_s * of.left_radius_m) / of.track_width_m
+            step_rad = rate * (reading.stamp_s - was.stamp_s)
+        else:
+            start = before if isinstance(before, WheelTicks) else reading
+            left, right = reading.left - start.left, reading.right - start.right
             turns_m = (right * of.right_radius_m - left * of.left_radius_m) * 2 * np.pi / of.ticks_per_turn
             step_rad = turns_m / of.track_width_m
-        if step_rad is None:
-            return
         headings = self._headings["wheels"]
         last_rad = headings[-1][1] if headings else 0.0
         step_rad = step_rad if abs(step_rad) < _LARGEST_STEP_RAD else 0.0
-        headings.append((reading.stamp_s - self._delay_s, last_rad + step_rad))
+        headings.append((reading.stamp_s - of.delay_s, last_rad + step_rad))
 
 
 def _turned(headings: FloatArray, shifts: FloatArray, lag_s: float) -> tuple[FloatArray, FloatArray]:
