@@ -102,6 +102,9 @@ def test_a_gyroscope_that_is_apart_by_itself_follows_the_camera(tmp_path: Path) 
 
 def test_clocks_that_agree_and_a_robot_that_hardly_turns_are_left_as_they_are(tmp_path: Path) -> None:
     assert _copy(tmp_path / "same", 0.0).shifts_s == (0.0, 0.0)
+    late = _copy(tmp_path / "late", 0.06)  # as latency is
+    assert late.shifts_s == (0.0, 0.0)
+    assert any("Say `delay_s: -0.07" in warning for warning in inspect_recording(late).warnings)
     recording = _copy(tmp_path / "straight", 0.3)
     path = tmp_path / "straight" / "wheels.csv"
     head, *rows = path.read_text().splitlines()

@@ -19,7 +19,7 @@ from wheelsight.core.errors import CalibrationError, RecordingError
 from wheelsight.core.messages import Event, RgbdFrame, WheelReading, YawRate
 from wheelsight.core.stamps import associate, unit_of
 from wheelsight.core.trajectory import Trajectory
-from wheelsight.io.recordings.clock_checks import MOST_COMPARED_S, MotionClock
+from wheelsight.io.recordings.clock_checks import MOST_COMPARED_S, MotionClock, MotionOffset
 from wheelsight.io.recordings.images import (
     DepthEncoding,
     corrected_depth,
@@ -32,6 +32,9 @@ from wheelsight.io.recordings.recording import AssociationReport, ListedFrame, e
 from wheelsight.io.recordings.tables import ListedFile
 
 _Reading = TypeVar("_Reading", bound=WheelReading | YawRate)
+# Least offset of clocks that is removed, s, and its multiple of σ. Of 35 simulated drives whose clocks agree, one
+# showed 0.06 s (σ 0.012 s).
+_LEAST_REMOVED_S, _SURE_SIGMAS = 0.1, 5.0
 _BY_TURNS = "By the turns that camera and "
 _FRAMES_READ_AHEAD = 4
 _FRAMES_TRIED = 8
@@ -167,9 +170,7 @@ def on_one_clock(recording: ImageRecording, *, is_gyro_beside_wheels: bool) -> I
     wheels, gyro = turns.offset(), turns.offset("gyroscope")
     if gyro.offset_s is None and is_gyro_beside_wheels:
         gyro = wheels
-    moved = recording.moved(
-        wheels.offset_s or 0.0 if wheels.is_apart else 0.0, gyro.offset_s or 0.0 if gyro.is_apart else 0.0
-    )
+    moved = recording.moved(*(_sure_offset_s(offset) for offset in (wheels, gyro)))
     if moved.shifts_s == (0.0, 0.0):
         return recording
     delay_s = calibration.any_wheels.delay_s - moved.shifts_s[0]
@@ -179,9 +180,15 @@ def on_one_clock(recording: ImageRecording, *, is_gyro_beside_wheels: bool) -> I
         f"{_BY_TURNS}{what} show, the camera's stamps are {offset}: the clocks are apart. "
         f"The difference is removed{how}."
         for what, offset, how in found
-        if offset.is_apart
+        if _sure_offset_s(offset)
     ]
     return replace(moved, warnings=(*recording.warnings, *warnings))
+
+
+def _sure_offset_s(offset: MotionOffset) -> float:
+    """The offset, or 0 if it is unknown or may be latency: one computer stamps most recordings."""
+    found_s = offset.offset_s or 0.0
+    return found_s if abs(found_s) > max(_LEAST_REMOVED_S, _SURE_SIGMAS * offset.sigma_s) else 0.0
 
 
 class PairedImages(NamedTuple):
