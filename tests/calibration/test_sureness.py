@@ -40,7 +40,7 @@ AROUND = (np.pi / 4, 3 * np.pi / 4, 5 * np.pi / 4, 7 * np.pi / 4)
 
 
 def test_the_drift_of_a_holonomic_base_by_its_data_sheet_is_that_of_its_wheels() -> None:
-    """The spread of turns by a metre ahead with radii of which two differ by 1 %."""
+    """The spread of turns by a metre ahead with radii, two of them 1 % apart."""
     rng, settings = np.random.default_rng(1), ErrorStateSettings()
     for wheels in (
         HolonomicWheels("mecanum", 0.05, 0.2, 0.18, ticks_per_turn=4096),

@@ -411,7 +411,7 @@ class HolonomicWheels:
 
     @property
     def nominal_drift_sigma_rad_per_m(self) -> float:
-        """Standard deviation of the turn per metre ahead of wheels by a data sheet, of which two differ by 1 %.
+        """Standard deviation of the turn per metre ahead of data-sheet wheels, two of them 1 % apart.
 
         For increments that of four wheels at `distance_m`: the base's own odometry has such wheels.
         """

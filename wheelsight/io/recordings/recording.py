@@ -128,7 +128,7 @@ class HasClocksOfItsOwn(Protocol):
     """A recording whose stamps are on one clock, though its sensors had several."""
 
     def as_stamped(self) -> Recording:
-        """The recording with the stamps of each sensor's own clock, by which a delay is calibrated."""
+        """The recording with the stamps of each sensor's own clock, as calibration of a delay needs them."""
 
 
 @runtime_checkable
