@@ -11,6 +11,6 @@ from wheelsight import Config, open_recording, run
 recording, out = sys.argv[1:]
 record = run(open_recording(recording), Config(), Path(out))
 
-print(f"{len(record.estimate)} of {len(record.frames)} frames have a pose, over {record.estimate.length_m:.2f} m")
+print(f"{record.posed} of {len(record.frames)} frames have a pose, over {record.estimate.length_m:.2f} m")
 if record.evaluation is not None:
     print(f"ATE {record.evaluation.ate.translation.rmse:.4f} m RMSE")

@@ -14,10 +14,11 @@ for event in recording.events():
     estimate = localizer.process(event)
     if estimate is None:  # not answered: a gyroscope's reading, or a sensor that `localizer.warnings` names
         continue
-    if estimate.T_map_body is None:
+    if estimate.T_filter_body is None:
         print(f"{estimate.stamp_s:.3f} s  {estimate.status}: {estimate.reason} {localizer.note}")
         continue
-    x, y, z = estimate.T_map_body[:3, 3]
+    # As in trajectory.txt. T_odom_body has no jumps, as odom.txt; T_map_body is the place in a map or among loops.
+    x, y, z = estimate.T_filter_body[:3, 3]
     print(f"{estimate.stamp_s:.3f} s  {estimate.body} at {x:+.3f} {y:+.3f} {z:+.3f} m, {estimate.status}")
 
 for warning in localizer.warnings:

@@ -34,7 +34,7 @@ class Ceiling(NamedTuple):
 
 
 CEILINGS = {
-    "modules": Ceiling(264, 330),
+    "modules": Ceiling(266, 330),
     "lines without the simulator": Ceiling(78_000, 78_000),
     "lines of the simulator": Ceiling(11_000, 11_000),
     "share of private functions used in one place": Ceiling(0.39, 0.40),

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from documentation_blocks import python_blocks
-from narrowing import not_none
 from room_drive import make_room_drive
 from synthetic import make_tum_recording
 from typer.testing import CliRunner
@@ -96,8 +95,9 @@ def test_readme_examples_and_command_line_give_the_same_poses(
     for name in ("trajectory.txt", "odom.txt", "covariances.csv"):
         assert (cli / name).read_bytes() == (by_example / name).read_bytes()
     assert without_times(cli / "status.csv") == without_times(by_example / "status.csv")
-    odom = read_tum(cli / "odom.txt")
-    assert told.startswith(f"{len(odom)} of ")
+    odom, best = read_tum(cli / "odom.txt"), read_tum(cli / "trajectory.txt")
+    frames = len((cli / "status.csv").read_text().splitlines()) - 1
+    assert told.startswith(f"{frames} of {frames} frames have a pose")
 
     class Watched(Localizer):
         def process(self, event: Event) -> Estimate | None:
@@ -112,11 +112,12 @@ def test_readme_examples_and_command_line_give_the_same_poses(
     by_stamp = {estimate.stamp_s: estimate.T_odom_body for estimate in answered}
     np.testing.assert_allclose(list(by_stamp), odom.stamps_s, atol=1e-6)
     np.testing.assert_allclose(np.array(list(by_stamp.values())), odom.T_frame_body, atol=2e-6)  # as files have them
-    in_map = [estimate for estimate in answered if estimate.T_map_body is not None]
+    of_filter = {estimate.stamp_s: estimate.T_filter_body for estimate in answered}
+    np.testing.assert_allclose(np.array(list(of_filter.values())), best.T_frame_body, atol=2e-6)
     lines = [line for line in example("frame_by_frame.py", drive).splitlines() if " base at " in line]
-    printed = np.array([re.findall(r"[+-]?\d+\.\d{3}", line)[:4] for line in lines], float)
-    places = [(estimate.stamp_s, *not_none(estimate.T_map_body)[:3, 3]) for estimate in in_map]
-    np.testing.assert_allclose(printed, np.array(places), atol=5.1e-4)
+    printed = {values[0]: values[1:] for values in (re.findall(r"[+-]?\d+\.\d{3}", line)[:4] for line in lines)}
+    places = np.array([[float(value) for value in printed[f"{stamp_s:.3f}"]] for stamp_s in best.stamps_s])
+    np.testing.assert_allclose(places, best.positions_m, atol=5.1e-4)
     assert len(lines) > 100
 
 

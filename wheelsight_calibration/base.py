@@ -19,7 +19,7 @@ from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera, se
 from wheelsight.core.messages import RgbdFrame, SkippedFrame
 from wheelsight.core.settings.calibration import ExtrinsicsSettings, MountSigmaSettings
 from wheelsight.core.trajectory import Trajectory
-from wheelsight.io.recordings import Recording
+from wheelsight.io.recordings import HasClocksOfItsOwn, Recording
 from wheelsight.io.recordings.clock_checks import apart, refuse_if_apart
 from wheelsight.vision.dense import DenseOdometry
 from wheelsight_calibration.motion_errors import motion_errors
@@ -311,6 +311,7 @@ def calibrate_base(
         RecordingError: wheels and camera hardly overlap in time.
         CalibrationError: no wheels or no camera, or an unobservable quantity; the fix says what to drive.
     """
+    recording = recording.as_stamped() if isinstance(recording, HasClocksOfItsOwn) else recording
     nominal = recording.calibration
     if nominal.wheels is None:
         raise CalibrationError(

@@ -20,7 +20,7 @@ from wheelsight.core.errors import CalibrationError, EvaluationError
 from wheelsight.core.geometry import BoolArray, FloatArray, se3
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import Evaluation, evaluate
-from wheelsight.io.recordings import Recording
+from wheelsight.io.recordings import HasClocksOfItsOwn, Recording
 from wheelsight.io.recordings.recording import express_for
 from wheelsight_calibration.motion_errors import typical_motion_errors
 from wheelsight_calibration.parameters import LARGEST_DELAY_S, WHEELS_BY_REFERENCE, DriveProblem, stated
@@ -229,6 +229,7 @@ def try_calibration(
     """
     if not 0 < train_share < 1:
         raise CalibrationError(f"the share to calibrate on is {train_share:g}, not between 0 and 1")
+    recording = recording.as_stamped() if isinstance(recording, HasClocksOfItsOwn) else recording
     nominal = recording.calibration.wheels
     if nominal is None:
         raise CalibrationError(

@@ -1,4 +1,4 @@
-"""Methods of the papers kept for comparison, training and trials of place models, pages that compare odometries.
+"""Methods of the papers kept for comparison, training and trials of place models.
 
 Each name is loaded at its first use.
 """
@@ -8,18 +8,6 @@ from typing import TYPE_CHECKING, Any
 from wheelsight.core.runtime import public_name
 
 if TYPE_CHECKING:
-    from wheelsight_papers.comparison import comparison_rows, error_rows, write_comparison
-    from wheelsight_papers.comparison_figures import (
-        Overlay,
-        area_map_figure,
-        area_time_figure,
-        bands_figure,
-        errors_figure,
-        map_error_figure,
-        overlay_figure,
-        overlay_of,
-        trust_figure,
-    )
     from wheelsight_papers.dataset import (
         ContactSheet,
         LabelFile,
@@ -75,23 +63,16 @@ __all__ = [
     "LabelledDrive",
     "LigockiFilter",
     "Mistake",
-    "Overlay",
     "PaperRectifier",
     "PlaceTrial",
     "TrainingDrive",
     "answer_all",
-    "area_map_figure",
-    "area_time_figure",
-    "bands_figure",
     "calibration_curve",
     "check_every_area",
     "chosen_frames",
-    "comparison_rows",
     "coordinates_of",
     "describe_all",
     "describe_drive",
-    "error_rows",
-    "errors_figure",
     "fit_scale",
     "fit_weights",
     "frames_of",
@@ -101,24 +82,19 @@ __all__ = [
     "labels_on_the_way",
     "log_loss",
     "make_sheet",
-    "map_error_figure",
     "names_of_all",
-    "overlay_figure",
-    "overlay_of",
     "predictions_csv",
     "read_labels",
     "rectify_drive",
     "stamps_of",
     "train_on_drives",
     "train_places",
-    "trust_figure",
     "try_places",
-    "write_comparison",
     "write_places_page",
     "write_sheet",
 ]
 
-_MODULES = ("comparison", "comparison_figures", "dataset", "ligocki", "paper_rectifier", "places_page", "training")
+_MODULES = ("dataset", "ligocki", "paper_rectifier", "places_page", "training")
 
 
 def __getattr__(name: str) -> Any:

@@ -13,7 +13,7 @@ import numpy as np
 from wheelsight import __version__
 from wheelsight.app.report import drawing, html
 from wheelsight.app.report import plotly as go
-from wheelsight.app.report.drawing import BLUE, GREY, VERMILLION
+from wheelsight.app.report.drawing import AREA_COLOURS, BLUE, GREY, VERMILLION
 from wheelsight.app.report.pictures import jpeg_uri
 from wheelsight.app.run import words
 from wheelsight.core.files import StrPath
@@ -309,23 +309,6 @@ def curve_rows(curve: CalibrationCurve) -> list[tuple[str, ...]]:
     return [(words.percent(said), words.percent(right), f"{count:,}") for said, right, count in bins]
 
 
-# Areas are labelled by number and name too; the first eight are neighbours on the colour circle as little as can be.
-AREA_COLOURS = (
-    "#0072B2",
-    "#E69F00",
-    "#009E73",
-    "#CC79A7",
-    "#56B4E9",
-    "#D55E00",
-    "#8E63B5",
-    "#B8A800",
-    "#6B4F3A",
-    "#2F9E9E",
-    "#C25B5B",
-    "#7A869A",
-)
-
-
 def write_sheet(sheet: ContactSheet, path: StrPath, source: str = "") -> None:
     """Write the page to `path`, atomically; it needs no network, and a file opened by a double click serves.
 
@@ -377,8 +360,3 @@ def render_sheet(sheet: ContactSheet, source: str = "") -> str:
         data=data,
         script=html.asset("sheet.js"),
     )
-
-
-def area_colour(index: int) -> str:
-    """The colour of an area by its index; after twelve they begin again."""
-    return AREA_COLOURS[index % len(AREA_COLOURS)]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
-from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.calibration_parts import HolonomicWheels, Wheels
 from wheelsight.core.errors import CalibrationError
 from wheelsight.estimation import ErrorStateSettings
 from wheelsight_calibration.parameters import DAILY_DRIFT_RAD_PER_M, stated
@@ -34,6 +34,29 @@ def test_the_filter_goes_by_what_is_stated() -> None:
     assert told.turn_sigma == 0.004
     assert told.scale_sigma == settings.scale_sigma
     assert settings.with_wheels(SURE).drift_sigma_rad_per_m == 0.001
+
+
+AROUND = (np.pi / 4, 3 * np.pi / 4, 5 * np.pi / 4, 7 * np.pi / 4)
+
+
+def test_the_drift_of_a_holonomic_base_by_its_data_sheet_is_that_of_its_wheels() -> None:
+    """The spread of turns by a metre ahead with radii, two of them 1 % apart."""
+    rng, settings = np.random.default_rng(1), ErrorStateSettings()
+    for wheels in (
+        HolonomicWheels("mecanum", 0.05, 0.2, 0.18, ticks_per_turn=4096),
+        HolonomicWheels("omni", 0.05, distance_m=0.2, angles_rad=AROUND, ticks_per_turn=4096),
+    ):
+        errors = 0.01 / np.sqrt(2) * rng.standard_normal((20_000, 4))
+        turns_rad = (errors * wheels.jacobian[:, 0]) @ wheels.to_base[2]
+        found = settings.with_wheels(wheels)
+        assert found.drift_sigma_rad_per_m == pytest.approx(turns_rad.std(), rel=0.03)
+        assert found.scale_sigma == settings.scale_sigma
+        stated_wheels = replace(wheels, drift_sigma_rad_per_m=0.004)
+        assert settings.with_wheels(stated_wheels).drift_sigma_rad_per_m == 0.004
+        chosen = ErrorStateSettings(drift_sigma_rad_per_m=0.03)
+        assert chosen.with_wheels(wheels).drift_sigma_rad_per_m == 0.03
+    increments = settings.with_wheels(HolonomicWheels("increments", distance_m=0.2))
+    assert increments.drift_sigma_rad_per_m == pytest.approx(found.drift_sigma_rad_per_m)
 
 
 def test_a_fit_is_never_surer_than_tyres_are_from_day_to_day() -> None:

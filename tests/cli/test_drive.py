@@ -78,6 +78,16 @@ def test_what_means_nothing_is_refused_in_a_line(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_world_that_is_none_is_refused_before_kernels_are_compiled(
+    refusal: Refusal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def compile_missing(parts: object) -> None:
+        raise AssertionError(parts)
+
+    monkeypatch.setattr("wheelsight.app.cli.compiling.compile_missing", compile_missing)
+    assert refusal("drive", "--sim", "nowhere", "--explore", "--out", tmp_path / "out").startswith("--sim is 'nowhere'")
+
+
 def test_a_map_and_a_goal_are_needed(refusal: Refusal, kept: Path, tmp_path: Path) -> None:
     assert refusal("drive", "--sim", "flat", "--to", "kitchen").startswith("there is no map to drive in (--map DIR")
     assert refusal("drive", "--sim", "flat", "--map", kept).startswith("there is no goal (--to NAME")

@@ -39,6 +39,8 @@ SHUT = (*ROOM, ((4.0, 0.0), (4.0, 6.0)))
 CORRIDOR = (*ROOM, ((0.0, 2.0), (8.0, 2.0)), ((0.0, 4.0), (8.0, 4.0)))
 # So thick that nothing within the planner's reach of its middle is free.
 PILLAR = tuple(((x, 2.0), (x, 4.0)) for x in np.arange(5.0, 7.0, 0.05))
+# A wall as homes have it: beside it the robot fits.
+THIN = ((5.0, 2.0), (5.0, 4.0))
 HASTY = NavigatorSettings(tries=1, held_s=1.0, lost_s=8.0)
 QUICK = BehaviourSettings(wait_s=0.5)
 quick = patched({"behaviours._LOOK": (0.2, -0.4, 0.2), "behaviours._SEARCH_RAD": 0.3})
@@ -62,16 +64,21 @@ def end_of(ride: Ride, seconds: float) -> NavigationResult:
     return result
 
 
+NO_ROOM = "the map has no room for the robot at the goal"
+IN_WALL = f"{NO_ROOM}: a wall, an obstacle or forbidden floor is at (5.00, 3.00) m"
+
+
 @pytest.mark.parametrize(
     ("walls", "goal", "why"),
     [
-        ((*ROOM, *PILLAR), (6.0, 3.0, 0.0), "the map has no room for the robot at the goal"),
-        ((*ROOM, *PILLAR), (6.0, 3.0), "the map has no room for the robot at the goal"),
-        (ROOM, (7.999, 3.0, 0.0), "the map has no room for the robot at the goal"),
-        (ROOM, (9.0, 3.0, 0.0), "outside the map"),
-        (ROOM, (-1e9, 3.0), "outside the map"),
+        pytest.param((*ROOM, *PILLAR), (6.0, 3.0, 0.0), NO_ROOM, id="in a pillar"),
+        pytest.param((*ROOM, *PILLAR), (6.0, 3.0), NO_ROOM, id="in a pillar, of any heading"),
+        pytest.param((*ROOM, THIN), (5.0, 3.0, 0.0), IN_WALL, id="in a wall"),
+        pytest.param((*ROOM, THIN), (5.0, 3.0), IN_WALL, id="in a wall, of any heading"),
+        pytest.param(ROOM, (7.999, 3.0, 0.0), NO_ROOM, id="in the map's edge"),
+        pytest.param(ROOM, (9.0, 3.0, 0.0), "outside the map", id="outside"),
+        pytest.param(ROOM, (-1e9, 3.0), "outside the map", id="far outside"),
     ],
-    ids=["in a wall", "in a wall, of any heading", "in the map's edge", "outside", "far outside"],
 )
 def test_where_the_map_has_no_room_it_says_so_at_once_and_does_not_move(
     walls: tuple, goal: tuple[float, ...], why: str

@@ -80,7 +80,7 @@ def test_a_slow_tracker_costs_frames_not_delay_and_the_run_says_so(
     (found,) = (one for one in figures["verdict"]["findings"] if one["about"] == "drops")
     assert found["tone"] == "red"
     assert f"{dropped} of 21 frames dropped" in found["sentence"]
-    assert "lower the camera's rate or size, or end other programs: the computer is too slow" in found["remedy"]
+    assert "end other programs, or give --profile pi: the computer is too slow" in found["remedy"]
     before = [after - one - 1 for one, after in zip([-1, *answered], answered, strict=False)]
     rows = [int(row["dropped"]) for row in status_in(tmp_path)]
     assert rows == [*before[:-1], before[-1] + 1]

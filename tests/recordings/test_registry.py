@@ -9,10 +9,11 @@ import pytest
 from narrowing import not_none
 
 from wheelsight.core.calibration import load_calibration
-from wheelsight.core.errors import CalibrationError, RecordingError
+from wheelsight.core.errors import CalibrationError, ConfigError, RecordingError
 from wheelsight.core.geometry import se3
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.recordings import (
+    OpenOptions,
     camera_names,
     express_for,
     find_recordings,
@@ -146,3 +147,8 @@ def test_a_link_that_leads_to_itself_is_no_recording(tmp_path):
     assert find_recordings(tmp_path) == []
     with pytest.raises(RecordingError, match="no reader recognises this folder"):
         open_recording(tmp_path)
+
+
+def test_topics_mean_nothing_where_there_is_no_bag(tum_folder):
+    with pytest.raises(ConfigError, match=r"--topic truth=/mocap is of a bag, which .* is not"):
+        open_recording(tum_folder, OpenOptions(topics=("truth=/mocap",)))

@@ -15,7 +15,7 @@ from joined_example import joined_runs
 from run_example import example_map, example_run, wheel_run
 
 from wheelsight.app.report import time_figure, time_histogram_figure, write_report
-from wheelsight_papers import write_comparison
+from wheelsight.app.report.comparison import write_comparison
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "wheelsight" / "app" / "report"
 # Of plotly.js-cartesian-dist-min 4.1.1 on npm.

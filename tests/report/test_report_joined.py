@@ -10,15 +10,14 @@ from narrowing import not_none
 from run_example import empty_run, example_map
 
 from wheelsight.app.report import summarise
+from wheelsight.app.report.comparison import render_comparison
+from wheelsight.app.report.comparison_figures import ellipses_m, overlay_figure, overlay_of, trust_figure
 from wheelsight.app.report.figures import STATUS_COLOURS
 from wheelsight.app.run import best_alone_of, facts_of, verdict_of, words
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import se3
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import THREE_SIGMA_RADIUS, consistency, position_covariances_m2
-from wheelsight_papers import overlay_figure, overlay_of, trust_figure
-from wheelsight_papers.comparison import render_comparison
-from wheelsight_papers.comparison_figures import ellipses_m
 
 
 def trace(figure, name: str):

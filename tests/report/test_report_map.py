@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from run_example import empty_run, example_map, example_run, wheel_run
 
 from wheelsight.app.report import plan_figure, write_report
+from wheelsight.app.report.comparison import write_comparison
 from wheelsight.app.report.sections import bar_length_m, draw_view
 from wheelsight.app.run import MapPicture
-from wheelsight_papers import write_comparison
 
 
 def _page(folder: Path) -> Page:

@@ -122,6 +122,8 @@ _OF_WHEELS = {
     "drift_sigma_rad_per_m": Range(0.0, 1.0, "rad/m"),
     "turn_sigma": Range(0.0, 1.0, "", "0.01 for a track width that is known to 1 %"),
 }
+# Error of each radius as a share, so that two wheels differ by 1 %: see `ErrorStateSettings.drift_sigma_rad_per_m`.
+_NOMINAL_RADIUS_SIGMA = 0.01 / math.sqrt(2)
 # Optional: 0 is unknown.
 WHEEL_SIGMAS = ("scale_sigma", "drift_sigma_rad_per_m", "turn_sigma")
 # No robot makes ten turns a second, and no working gyroscope has such a bias.
@@ -406,6 +408,16 @@ class HolonomicWheels:
             return math.hypot(self.half_length_m, self.half_width_m)
         assert self.distance_m is not None
         return self.distance_m
+
+    @property
+    def nominal_drift_sigma_rad_per_m(self) -> float:
+        """Standard deviation of the turn per metre ahead of data-sheet wheels, two of them 1 % apart.
+
+        For increments that of four wheels at `distance_m`: the base's own odometry has such wheels.
+        """
+        if self.layout == "increments":
+            return _NOMINAL_RADIUS_SIGMA / (self.lever_m * math.sqrt(8))
+        return _NOMINAL_RADIUS_SIGMA * float(np.linalg.norm(self.to_base[2] * self.jacobian[:, 0]))
 
     @property
     def turn_variance_per_m(self) -> float:

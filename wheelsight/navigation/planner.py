@@ -296,7 +296,7 @@ class PlanReason(StrEnum):
     GOAL_OUTSIDE = "the goal is outside the map"
     GOAL_UNKNOWN = "the floor at the goal is unknown"
     GOAL_OCCUPIED = "the robot does not fit at the goal, nor near to it"
-    GOAL_IN_WALL = "the map has no room for the robot at the goal, nor near to it"
+    GOAL_IN_WALL = "the map has no room for the robot at the goal"
     STANDS = "its limits let the robot neither forward nor backward"
     UNREACHABLE = "no way leads to the goal"
     NO_WAY_IN_MAP = "no way leads to the goal by the map itself"

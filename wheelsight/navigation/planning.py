@@ -32,6 +32,7 @@ ONWARD_M = 1.5
 _JUMP_M, _JUMP_RAD = 0.1, 0.06
 # Rounds of planning; each avoids the unseen floor that the plan before would have crossed.
 _ROUNDS = 5
+_IN_WALL = "a wall, an obstacle or forbidden floor"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,6 +103,10 @@ class Planning:
                 return Planned(None, floor.T_map_odom)
             made, is_blind = self._planner.plan(costmap, floor.costmap, hidden, pose, ahead)
             found = self._judged(made, costmap, floor, pose, ahead[-1])
+            if isinstance(found, Plan) and found.goal_change and len(ahead) == 1 and self._senses.floor.is_fixed:
+                mapped = Costmap.of(floor.layer, floor.footprint, floor.settings)
+                in_wall = self._planner.route.why_in_wall(mapped, ahead[0])
+                found = found if in_wall is None else in_wall
             return Planned(found, floor.T_map_odom, is_blind)
 
         self._asked_s = now_s
@@ -295,13 +300,27 @@ class RoutePlanner:
             states=sum(plan.states for plan in plans),
         )
 
+    def why_in_wall(self, costmap: Costmap, goal: FloatArray) -> PlanFailure | None:
+        """Return the failure `GOAL_IN_WALL` for a goal (2,) or (3,) in an obstacle of a map, thin or thick."""
+        row, column = costmap.cells_at(goal[:2]).tolist()
+        is_inside = 0 <= row < costmap.state.shape[0] and 0 <= column < costmap.state.shape[1]
+        if is_inside and costmap.state[row, column] == CellState.OCCUPIED:
+            return PlanFailure(PlanReason.GOAL_IN_WALL, f"{_IN_WALL} is at ({goal[0]:.2f}, {goal[1]:.2f}) m")
+        return None
+
     def why_no_room_near(self, costmap: Costmap, goal: FloatArray) -> PlanFailure | None:
-        """Return the failure `GOAL_IN_WALL` for a goal in an obstacle or on unknown floor of a map; None if one may."""
+        """Return the failure `GOAL_IN_WALL` for a goal in an obstacle or on unknown floor of a map; None if one may.
+
+        Beside a wall one may: the plan then ends as near as the robot fits.
+        """
+        failure = self.why_in_wall(costmap, goal)
+        if failure is not None:
+            return failure
         failure = self.planner.why_no_room_near(costmap, goal)
         if failure is None or failure.reason is PlanReason.GOAL_OUTSIDE:
             return failure
         is_unknown = failure.reason is PlanReason.GOAL_UNKNOWN
-        what = "unknown floor" if is_unknown else "a wall, an obstacle or forbidden floor"
+        what = "unknown floor" if is_unknown else _IN_WALL
         return PlanFailure(PlanReason.GOAL_IN_WALL, f"{what} is at ({goal[0]:.2f}, {goal[1]:.2f}) m")
 
     def blocked_at(self, costmap: Costmap, plan: Plan, pose: FloatArray, reach_m: float) -> FloatArray | None:

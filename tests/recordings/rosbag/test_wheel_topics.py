@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import pytest
 from narrowing import not_none
-from written_bags import LOOKS_AHEAD, OPTICAL, Drive, camera_drive, circle, odometry_drive
+from written_bags import LOOKS_AHEAD, OPTICAL, Drive, camera_drive, circle, odometry_drive, write_bag
 
 from wheelsight.app.run import Tone, run_each, verdict_of_run
 from wheelsight.config import Config
@@ -18,6 +21,7 @@ from wheelsight.core.errors import CalibrationError, ConfigError, RecordingError
 from wheelsight.core.geometry import se2
 from wheelsight.core.messages import OdometryReading, WheelCounts, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.evaluation import evaluate
+from wheelsight.io.recordings import OpenOptions, open_recording
 from wheelsight.wheels import HolonomicOdometry, WheelOdometry
 
 OWN = Wheels(0.1, 0.1, 0.4, 1000.0)
@@ -110,6 +114,27 @@ def test_counts_and_speeds_of_wheels_lead_where_they_rolled(opened, own_wheels: 
 def test_places_of_an_array_can_be_named(opened, own_wheels: str) -> None:
     recording = opened(in_array((3, 1)), calibration=own_wheels, topics=("wheels=/robot/encoder_status:3,1",))
     assert end_of(recording) == pytest.approx(circle(2.95), abs=5e-3)
+
+
+@pytest.mark.parametrize("places", ["3,4", "3,-1", "left,right"])
+def test_a_place_that_an_array_does_not_have_is_refused(opened, own_wheels: str, places: str) -> None:
+    with pytest.raises(ConfigError, match=r"its array has 4 numbers, and no place '(4|-1|left)'"):
+        opened(in_array(), calibration=own_wheels, topics=(f"wheels=/robot/encoder_status:{places}",))
+
+
+@pytest.mark.parametrize("chosen", [(), ("wheels=/mobile_base/sensors",)])
+def test_a_type_that_an_old_bag_does_not_define_is_named_with_what_to_do(
+    tmp_path: Path, own_wheels: str, chosen: tuple[str, ...]
+) -> None:
+    """sqlite3 bags had no definitions before ROS 2 Iron."""
+    bag = write_bag(tmp_path / "old", kobuki(), storage="sqlite3")
+    (file,) = bag.glob("*.db3")
+    with closing(sqlite3.connect(file)) as tables:
+        tables.execute("DELETE FROM message_definitions")
+        tables.commit()
+    said = r"the bag does not define its type kobuki_msgs/msg/SensorState \(.* ros2 bag convert into mcap"
+    with pytest.raises(RecordingError, match=said):
+        open_recording(bag, OpenOptions(calibration=own_wheels, topics=chosen))
 
 
 def test_two_topics_can_be_named(opened, own_wheels: str) -> None:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from wheelsight.core.robots import Robot
     from wheelsight.navigation import Feedback, NavigationResult
     from wheelsight.slam.maps import MapFolder
+    from wheelsight_sim import SimulationSettings
 
 
 @takes(DriveOptions)
@@ -316,6 +317,8 @@ def check_robot(options: RobotOptions, check_task: Callable[[], None] = lambda: 
             raise ConfigError("--robot needs to know how the robot is built", fix="--calibration FILE")
         if options.start is not None:
             raise ConfigError("--start is of a simulated robot", fix="--known-start X,Y,YAW_DEG")
+        return
+    _simulated(options)  # before kernels are compiled, which takes minutes
 
 
 def drive_settings(options: DriveOptions) -> Config:
@@ -407,10 +410,20 @@ def robot_words(options: RobotOptions) -> str:
 
 
 def _simulator(options: RobotOptions, config: Config) -> Robot:
+    from wheelsight_sim.simulator import Simulator
+
+    settings, start = _simulated(options)
+    robot = Simulator(settings, start=start, limits=config.navigation.limits)
+    for warning in robot.world.warnings:
+        print_warning(warning)
+    return robot
+
+
+def _simulated(options: RobotOptions) -> tuple[SimulationSettings, tuple[float, float, float] | None]:
+    """The settings of the simulation, and where the robot starts. Raises ConfigError."""
     from wheelsight.app.cli.simulate import size_of
     from wheelsight.core.runtime import needed
     from wheelsight_sim import FloorPlan, SimulationSettings, world_names
-    from wheelsight_sim.simulator import Simulator
 
     needed("mujoco")
     assert options.sim is not None
@@ -431,11 +444,7 @@ def _simulator(options: RobotOptions, config: Config) -> Robot:
     how: dict[str, Any] = {"seed": options.seed, "day": options.day, "passersby": options.people}
     how |= {"realism": options.realism, "rate_hz": options.rate, "camera": camera}
     settings = SimulationSettings(**where, **how, size=size_of(options.size, camera))
-    start = None if options.start is None else start_of("--start", options.start)
-    robot = Simulator(settings, start=start, limits=config.navigation.limits)
-    for warning in robot.world.warnings:
-        print_warning(warning)
-    return robot
+    return settings, None if options.start is None else start_of("--start", options.start)
 
 
 def start_of(option: str, text: str) -> tuple[float, float, float]:

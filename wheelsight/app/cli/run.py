@@ -357,7 +357,7 @@ def _results(records: Sequence[RunRecord]) -> Iterator[Group | Table | str]:
     """Recognition in a known map, figures, and results of loop closing."""
     from wheelsight.app.cli.console import facts_table, rows_table
     from wheelsight.app.cli.evaluate import evaluation_table
-    from wheelsight_papers.comparison import error_rows
+    from wheelsight.app.report.comparison import error_rows
 
     for known in (record.known_map for record in records if record.known_map is not None):
         yield f"{known.sentence}."
@@ -392,7 +392,7 @@ def _joint_table(records: Sequence[RunRecord]) -> Table:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from wheelsight_papers.comparison import comparison_rows
+    from wheelsight.app.report.comparison import comparison_rows
 
     head, rows = comparison_rows(records)
     missing = [f"{r.odometry} not evaluated: {r.evaluation_problem}" for r in records if r.evaluation is None]

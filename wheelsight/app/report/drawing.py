@@ -205,3 +205,25 @@ def alone(values: FloatArray) -> BoolArray:
     before, after = np.roll(known, 1), np.roll(known, -1)
     before[:1], after[-1:] = False, False
     return known & ~before & ~after
+
+
+# Areas are labelled by number and name too. Neighbours among the first eight differ as much as possible.
+AREA_COLOURS = (
+    "#0072B2",
+    "#E69F00",
+    "#009E73",
+    "#CC79A7",
+    "#56B4E9",
+    "#D55E00",
+    "#8E63B5",
+    "#B8A800",
+    "#6B4F3A",
+    "#2F9E9E",
+    "#C25B5B",
+    "#7A869A",
+)
+
+
+def area_colour(index: int) -> str:
+    """The colour of an area by its index; after twelve they begin again."""
+    return AREA_COLOURS[index % len(AREA_COLOURS)]

@@ -117,6 +117,6 @@ def write_page(records: Sequence[RunRecord], path: StrPath) -> None:
     if len(records) == 1:
         write_report(records[0], path)
     else:
-        from wheelsight_papers.comparison import write_comparison
+        from wheelsight.app.report.comparison import write_comparison
 
         write_comparison(records, path)

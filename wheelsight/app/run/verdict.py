@@ -384,7 +384,7 @@ def _drops(e: Evidence) -> Iterator[Finding]:
     tone = max(tone, _graded(drops.share, (1.0, _DROPPED[1])), key=_BADNESS.__getitem__)
     if drops.overtaken >= max(drops.unpaired, drops.unreadable):
         slow = "disk or decoding of images is" if drops.undecoded > drops.overtaken / 2 else "computer is"
-        remedy = f"lower the camera's rate or size, or end other programs: the {slow} too slow"
+        remedy = f"lower the camera's rate or size, end other programs, or give --profile pi: the {slow} too slow"
     elif drops.unpaired >= drops.unreadable:
         remedy = "see in wheelsight info how far apart the stamps of colour and depth are, or which images are missing"
     else:

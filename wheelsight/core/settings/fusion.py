@@ -78,9 +78,16 @@ class ErrorStateSettings(Settings):
     confidence: float = setting(0.999, "share of good measurements that pass a gate", CHOSEN, gt=0, lt=1)
 
     def with_wheels(self, wheels: Wheels | HolonomicWheels | None) -> ErrorStateSettings:
-        """Return the settings with the accuracy of the wheels' sizes that a calibration states."""
+        """Return the settings with the accuracy of the wheels' sizes that a calibration states.
+
+        The default drift is that of two wheels. Without a stated one, it becomes that of a holonomic base's wheels.
+        """
         stated = {} if wheels is None else {name: getattr(wheels, name) for name in WHEEL_SIGMAS}
-        return self.model_copy(update={name: sigma for name, sigma in stated.items() if sigma > 0})
+        known = {name: sigma for name, sigma in stated.items() if sigma > 0}
+        is_default = self.drift_sigma_rad_per_m == type(self).model_fields["drift_sigma_rad_per_m"].default
+        if isinstance(wheels, HolonomicWheels) and is_default:
+            known.setdefault("drift_sigma_rad_per_m", wheels.nominal_drift_sigma_rad_per_m)
+        return self.model_copy(update=known)
 
 
 class AreaRectifierSettings(Settings):

@@ -11,6 +11,7 @@ from wheelsight.io.recordings.native import (
 )
 from wheelsight.io.recordings.recording import (
     AssociationReport,
+    HasClocksOfItsOwn,
     HasEndStamps,
     HasMatches,
     ListedFrame,
@@ -31,6 +32,7 @@ __all__ = [
     "SAMPLE_NAME",
     "TRUTH_FILES",
     "AssociationReport",
+    "HasClocksOfItsOwn",
     "HasEndStamps",
     "HasMatches",
     "ListedFrame",

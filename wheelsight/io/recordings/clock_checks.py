@@ -16,7 +16,6 @@ from wheelsight.core.errors import RecordingError
 from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray
 from wheelsight.core.messages import (
     Event,
-    OdometryReading,
     RgbdFrame,
     SkippedFrame,
     WheelReading,
@@ -278,6 +277,8 @@ _LARGEST_STEP_RAD = 1.0
 _LONGEST_STEP_S = 1.0
 # Smallest offset of different clocks: drivers delay messages by less.
 LEAST_OFFSET_S = 0.05
+# How long the turns at a beginning are compared, or less once the robot has turned enough: a second of work.
+MOST_COMPARED_S, _COMPARED_S, _ENOUGH_TURNED_RAD = 60.0, 20.0, 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,11 +319,12 @@ class MotionClock:
     earlier or later, by the offset. Events may come in any order of sensors.
 
     Args:
-        calibration: of the cameras, and of two wheels for ticks or wheel speeds.
+        calibration: of the cameras, and of two wheels. A holonomic base shows no offset: its way to the side moves the
+            image as a turn does.
     """
 
     def __init__(self, calibration: Calibration) -> None:
-        self._wheels = calibration.wheels
+        self._wheels, self._is_holonomic = calibration.wheels, calibration.holonomic is not None
         color, T_base_camera = calibration.color, calibration.T_base_camera
         self._focal_px = None if color is None else (color.fx / color.width, color.fy / color.width)
         up = np.array([0.0, -1.0, 0.0])  # the camera looks ahead
@@ -333,7 +335,7 @@ class MotionClock:
         self._last: tuple[float, Float32Array] | None = None
         self._shifts: list[tuple[float, float, float]] = []
         self._headings: dict[str, list[tuple[float, float]]] = {"wheels": [], "gyroscope": []}
-        self._reading: WheelTicks | WheelSpeeds | OdometryReading | None = None
+        self._reading: WheelTicks | WheelSpeeds | None = None
         self._rate: YawRate | None = None
         self._hanning: Float32Array | None = None
 
@@ -354,8 +356,18 @@ class MotionClock:
             mean_rad_s = (before.yaw_rate_rad_s + event.yaw_rate_rad_s) / 2
             headings.append((event.stamp_s, (headings[-1][1] if headings else 0.0) + mean_rad_s * step_s))
             self._rate = event
-        elif isinstance(event, WheelTicks | WheelSpeeds | OdometryReading):
+        elif isinstance(event, WheelTicks | WheelSpeeds):
             self._read(event)
+
+    def is_enough(self, compared_s: float) -> bool:
+        """Whether turns were compared for long enough at the beginning of a recording."""
+        turned = compared_s > _COMPARED_S and self.turned_rad > _ENOUGH_TURNED_RAD
+        return turned or compared_s > MOST_COMPARED_S
+
+    @property
+    def may_show(self) -> bool:
+        """Whether the wheels have turned the robot enough to show an offset."""
+        return self.turned_rad >= _LEAST_TURN_RAD
 
     def needs_image(self, stamp_s: float) -> bool:
         """Whether an image of a stamp is long enough after the last one."""
@@ -381,6 +393,8 @@ class MotionClock:
 
     def offset(self, sensor: str = "wheels") -> MotionOffset:
         """The offset of the camera against the "wheels" or the "gyroscope", from all events so far."""
+        if self._is_holonomic:
+            return MotionOffset(None, why_not="the base moves to the side too, which moves the image as a turn does")
         headings, shifts = np.array(self._headings[sensor]).reshape(-1, 2), np.array(self._shifts).reshape(-1, 3)
         if len(headings) < 2 or len(shifts) < _FEWEST:
             return MotionOffset(None, why_not=f"only {len(shifts)} pairs of images and {len(headings)} readings")
@@ -413,32 +427,25 @@ class MotionClock:
         sigma_s = float(np.sqrt(scatter / max(float(slope @ slope), 1e-12)))
         return MotionOffset(offset_s, sigma_s, *shown[1:])
 
-    def _read(self, reading: WheelTicks | WheelSpeeds | OdometryReading) -> None:
+    def _read(self, reading: WheelTicks | WheelSpeeds) -> None:
         """Integrate the turn of a wheel reading."""
-        before, self._reading = self._reading, reading
-        if isinstance(reading, OdometryReading):
-            last = reading if not isinstance(before, OdometryReading) else before
-            step_rad = float(np.remainder(reading.yaw_rad - last.yaw_rad + np.pi, 2 * np.pi) - np.pi)
-            self._step(reading.stamp_s, step_rad)
-            return
         of = self._wheels
         if of is None:
             return
+        before, self._reading = self._reading, reading
         if isinstance(reading, WheelSpeeds):  # from its stamp until the next one
             was = before if isinstance(before, WheelSpeeds) else reading
             rate = (was.right_rad_s * of.right_radius_m - was.left_rad_s * of.left_radius_m) / of.track_width_m
-            self._step(reading.stamp_s, rate * (reading.stamp_s - was.stamp_s))
-            return
-        start = before if isinstance(before, WheelTicks) else reading
-        left, right = reading.left - start.left, reading.right - start.right
-        turns_m = (right * of.right_radius_m - left * of.left_radius_m) * 2 * np.pi / of.ticks_per_turn
-        self._step(reading.stamp_s, turns_m / of.track_width_m)
-
-    def _step(self, stamp_s: float, step_rad: float) -> None:
+            step_rad = rate * (reading.stamp_s - was.stamp_s)
+        else:
+            start = before if isinstance(before, WheelTicks) else reading
+            left, right = reading.left - start.left, reading.right - start.right
+            turns_m = (right * of.right_radius_m - left * of.left_radius_m) * 2 * np.pi / of.ticks_per_turn
+            step_rad = turns_m / of.track_width_m
         headings = self._headings["wheels"]
-        delay_s = 0.0 if self._wheels is None else self._wheels.delay_s
         last_rad = headings[-1][1] if headings else 0.0
-        headings.append((stamp_s - delay_s, last_rad + (step_rad if abs(step_rad) < _LARGEST_STEP_RAD else 0.0)))
+        step_rad = step_rad if abs(step_rad) < _LARGEST_STEP_RAD else 0.0
+        headings.append((reading.stamp_s - of.delay_s, last_rad + step_rad))
 
 
 def _turned(headings: FloatArray, shifts: FloatArray, lag_s: float) -> tuple[FloatArray, FloatArray]:

@@ -38,7 +38,7 @@ from wheelsight.core.messages import (
 from wheelsight.core.stamps import StampCheck
 from wheelsight.core.threads import Closing, OneCaller, one_at_a_time
 from wheelsight.core.trajectory import Trajectory, tum_header, tum_lines, write_tum
-from wheelsight.io.recordings.image_recording import ImageRecording, recording_of
+from wheelsight.io.recordings.image_recording import ImageRecording, on_one_clock, recording_of
 from wheelsight.io.recordings.images import SUFFIXES, ColorFormat, DepthEncoding, write_color, write_units
 from wheelsight.io.recordings.recording import (
     HasMatches,
@@ -126,7 +126,8 @@ class NativeReader:
             truth or by_frame_clock(read_truth(folder / "groundtruth.txt", warnings), images.frames, options),
             warnings,
         )
-        return replace(made, wheels=wheels, yaw_rates=tuple(yaw_rates))
+        made = replace(made, wheels=wheels, yaw_rates=tuple(yaw_rates))
+        return on_one_clock(made, is_gyro_beside_wheels=is_there(folder / "gyro.csv"))
 
 
 def _read_readings(

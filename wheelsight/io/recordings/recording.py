@@ -124,6 +124,14 @@ class ListsFrames(Protocol):
 
 
 @runtime_checkable
+class HasClocksOfItsOwn(Protocol):
+    """A recording whose stamps are on one clock, though its sensors had several."""
+
+    def as_stamped(self) -> Recording:
+        """The recording with the stamps of each sensor's own clock, as calibration of a delay needs them."""
+
+
+@runtime_checkable
 class HasMatches(Protocol):
     """A recording with matches of places from an external source, or with variances of its odometry's speeds."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from wheelsight.core.errors import RecordingError
+from wheelsight.core.errors import ConfigError, RecordingError
 from wheelsight.core.files import StrPath
 from wheelsight.core.inputs import is_there
 from wheelsight.io.recordings.azure_kinect import AzureKinectReader
@@ -71,7 +71,8 @@ def open_recording(path: StrPath, options: OpenOptions | None = None) -> Recordi
         options: information that the files do not contain; None for the defaults.
 
     Raises:
-        InputError: the folder does not exist, has no known format, or cannot be read; one line with file and fix.
+        InputError: the folder does not exist, has no known format, or cannot be read, or topics are given and it is no
+            bag; one line with file and fix.
     """
     folder = Path(path)
     if is_sample(folder):
@@ -82,7 +83,10 @@ def open_recording(path: StrPath, options: OpenOptions | None = None) -> Recordi
         reader = _reader_of(folder)
         if reader is None:
             raise _unknown(folder)
-        recording = reader.open(folder, options or OpenOptions())
+        given = options or OpenOptions()
+        if given.topics and not isinstance(reader, BagReader):
+            raise ConfigError(f"--topic {given.topics[0]} is of a bag, which {folder} is not", fix="leave out --topic")
+        recording = reader.open(folder, given)
     except OSError as error:  # no permission, or a name that is too long
         raise RecordingError(f"cannot be read: {error.strerror}", path=folder, fix="check the path") from error
     except ValueError as error:

@@ -139,7 +139,11 @@ def _open(bag: OpenBag, roles: Roles, options: OpenOptions) -> BagRecording:
     if roles.wheels is None:
         return opened  # the gyroscope is used together with wheels only
     clocks, of_motions = _clocks_by_motion(opened.turns(bag), roles, clocks)
-    return recording(clocks, of_motions) if of_motions else opened
+    if not of_motions:
+        return opened
+    on_one_clock = recording(clocks, of_motions)
+    on_one_clock.stamped = opened
+    return on_one_clock
 
 
 def _heads(bag: OpenBag, topics: Sequence[str]) -> dict[str, list[tuple[float, float]]]:

@@ -44,8 +44,6 @@ _WHEELS = ("wheels", "right wheel")
 _MOST_LOST = 0.02
 # At walking pace the view moves by centimetres in this time; colour and depth further apart do not form a frame.
 _LARGEST_SENSIBLE_GAP_S = 0.1
-# How long the turns of camera and wheels are compared, or less once the robot has turned enough: a second of work.
-_MOST_COMPARED_S, _COMPARED_S, _ENOUGH_TURNED_RAD = 60.0, 20.0, 4.0
 # How long a message waits for older ones of its own topic, by receipt. Later ones are left out and counted.
 _ORDER_S = 0.5
 # How long frames wait for the next wheel reading at most, by stamps: an increment is known only with it.
@@ -86,6 +84,7 @@ class BagRecording:
 
     Attributes in addition to the protocol's:
         topics: all topics of the bag, with their use.
+        stamped: the same without offsets of clocks that turns show, if any was removed; see `as_stamped`.
     """
 
     format = "rosbag"
@@ -105,6 +104,7 @@ class BagRecording:
         self.path, self.calibration, self.topics = path, calibration, topics
         self.ground_truth, self.speed_variances = ground_truth, speed_variances
         self.wheel_faults = plan.roles.faults
+        self.stamped: BagRecording | None = None
         self._plan, self._ends = plan, dict(ends)
         self._counts = {topic.used_as: topic.count for topic in topics if topic.used_as}
         self._found: AssociationReport | None = None
@@ -143,6 +143,10 @@ class BagRecording:
     def warnings(self) -> tuple[str, ...]:
         """Warnings of opening and of the last complete pass."""
         return (*self._open_warnings, *self._pass_warnings)
+
+    def as_stamped(self) -> BagRecording:
+        """See `HasClocksOfItsOwn`."""
+        return self.stamped or self
 
     def end_stamps(self) -> Mapping[str, FloatArray]:
         """See `HasEndStamps`."""
@@ -200,8 +204,7 @@ class BagRecording:
                         turns.add_image(item.stamp_s, color_of(bag.decode(item.color), self.path))
             else:
                 turns.add(item)
-            compared_s = item.stamp_s - begin_s
-            if compared_s > _MOST_COMPARED_S or (compared_s > _COMPARED_S and turns.turned_rad > _ENOUGH_TURNED_RAD):
+            if turns.is_enough(item.stamp_s - begin_s):
                 break
         return turns
 

@@ -127,10 +127,12 @@ class OpenBag:
         """The names and types, such as "int32", of plain fields of a topic's messages. Raises RecordingError."""
         connection = self._of_topic[topic]
         try:
-            known = self._store(connection).fielddefs[connection.msgtype][1]
+            known = self._store(connection).fielddefs.get(connection.msgtype)
         except Exception as error:
             raise _refusal(self.path, error) from error
-        return {name: of[1][0] for name, of in known if of[0].name == "BASE"}
+        if known is None:
+            raise RecordingError(_undefined(connection.msgtype), path=self.path, fix=_DEFINED)
+        return {name: of[1][0] for name, of in known[1] if of[0].name == "BASE"}
 
     def messages(
         self, topics: Sequence[str], start_ns: int | None = None, stop_ns: int | None = None
@@ -245,6 +247,8 @@ class OpenBag:
         try:
             store, data = self._store(connection), message.data
             data = data[:-4] if type_ == IMAGE and self.has_units(message.topic, data) else data
+            if type_ not in store.fielddefs:
+                raise RecordingError(_undefined(type_))
             return (store.deserialize_ros1 if self.is_ros1 else store.deserialize_cdr)(data, type_)
         except Exception as error:  # rosbags raises errors of struct, numpy, its parser and its asserts
             why = error.problem if isinstance(error, RecordingError) else f"{type(error).__name__} {error}"
@@ -293,6 +297,14 @@ def _decompressed_file(part: Path, stack: ExitStack) -> Path:
             problem = f"cannot be unpacked into {folder}: {error.strerror}"
             raise RecordingError(problem, path=part, fix="set TMPDIR to a folder with more room") from error
     return target
+
+
+# sqlite3 bags of ROS 2 before Iron have no definitions of messages; MCAP bags always have.
+_DEFINED = "where ROS has this type, ros2 bag convert into mcap stores its definition; or record /odom or /joint_states"
+
+
+def _undefined(type_: str) -> str:
+    return f"the bag does not define its type {type_}"
 
 
 def _refusal(path: Path, error: Exception) -> Exception:

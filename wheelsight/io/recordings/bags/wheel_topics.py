@@ -63,6 +63,7 @@ _COUNTED = re.compile(r"enc|tick|count|pulse|wheel|whl|motor|odom", re.IGNORECAS
 _COUNTED_FIELD = re.compile(r"enc|tick|count|pulse", re.IGNORECASE)
 _ROLLED_FIELD = re.compile(r"position_?in_?mm|dist\w*_?mm|_mm$", re.IGNORECASE)
 _SPEED_FIELD = re.compile(r"vel|speed|omega|rad_?s", re.IGNORECASE)
+_MAYBE_WHEELS = re.compile(r"wheel|whl|enc|tick|odom|motor|vel|sensor_?s|state|core", re.IGNORECASE)
 _ONE_SIDE = re.compile(r"(^|[/_])l(?=[/_]|wheel|whl|enc|tick|motor|count|$)", re.IGNORECASE)
 _ODOM_FRAME, _BASE_FRAME = re.compile(r"(?:.*/)?(odom\w*|wheel_odom)"), re.compile(r"(?:.*/)?base(_footprint|_link)?")
 _MOST_SAMPLES, _TF_SAMPLES = 20, 400
@@ -359,6 +360,7 @@ def chosen_source(bag: OpenBag, name: str, right: str | None, sides: Joints | No
         transform = counted_transform(bag, topic, sides.left[0].lstrip("/"), sides.right[0].lstrip("/"))
         return WheelTopic(Topic(transform.name, topic.type, transform.count), "tf", 0, transform=transform)
     if match := _ARRAY.fullmatch(topic.type):
+        _need_places(bag, name, () if sides is None else (*sides.left, *sides.right))
         places = sides or _places(bag, name) or _refuse(bag, name, "not two numbers that change", "0,1")
         return WheelTopic(topic, "columns", 0, places, bits=_bits(match))
     if not _OF_ROS.match(topic.type):
@@ -379,6 +381,16 @@ def _chosen_counts(topic: Topic, right: str | None, known: Mapping[str, Topic]) 
         fix = "two topics of std_msgs Int16, Int32 or Int64"
         raise ConfigError(f"--topic wheels={topic.name},{right}: {types}", fix=fix)
     return WheelTopic(topic, "counts", 0, right=right, bits=_bits(match))
+
+
+def _need_places(bag: OpenBag, name: str, places: Sequence[str]) -> None:
+    """Raise ConfigError for a place that an array does not have."""
+    length = len(bag.decode(bag.first(name)[0]).data)
+    known = {str(place) for place in range(length)}
+    for place in places:
+        if place not in known:
+            problem = f"--topic wheels={name}: its array has {length} numbers, and no place {place!r}"
+            raise ConfigError(problem, fix="places are counted from 0")
 
 
 def _refuse(bag: OpenBag, name: str, why: str, form: str) -> Any:
@@ -410,6 +422,11 @@ def unread_topics(bag: OpenBag, topics: Sequence[Topic], found: Sequence[WheelTo
         ):
             how = f"--topic wheels={topic.name}:LEFT,RIGHT, or write a wheels.csv of stamp_s,left,right"
             warnings.append(f"{topic.name} may be of wheels, but its numbers are unknown: {how}.")
+        elif not _OF_ROS.match(topic.type) and _MAYBE_WHEELS.search(f"{topic.name} {topic.type}"):
+            try:
+                bag.fields(topic.name)
+            except RecordingError as error:
+                warnings.append(f"{topic.name} may be of wheels, but {error.problem} ({error.fix}).")
     return warnings
 
 
@@ -430,6 +447,8 @@ def holonomic_source(
                 return WheelTopic(topic, "joints", 0, is_holonomic=True, places=found)
         elif match := _ARRAY.fullmatch(topic.type):
             first = bag.decode(bag.first(topic.name)[0]).data
+            if named is not None:
+                _need_places(bag, named, places)
             found = tuple(places) or (tuple(map(str, range(count))) if len(first) == count else ())
             if len(found) == count and (named is not None or _is_counted(topic.name)):
                 return WheelTopic(topic, "columns", 0, bits=_bits(match), is_holonomic=True, places=found)

@@ -13,7 +13,7 @@ import numpy as np
 
 from wheelsight.app.report import drawing
 from wheelsight.app.report import plotly as go
-from wheelsight.app.report.drawing import GREY, INK, VERMILLION, keep_shape, poseless_stamps_s, with_gaps
+from wheelsight.app.report.drawing import GREY, INK, VERMILLION, area_colour, keep_shape, poseless_stamps_s, with_gaps
 from wheelsight.app.report.figures import STATUS_COLOURS, add_band, estimated_path_m, status_labels, truth_path_m
 from wheelsight.app.report.plotly import make_subplots
 from wheelsight.app.run.run_record import RectificationRecord, RunRecord
@@ -29,7 +29,6 @@ from wheelsight.evaluation import (
     position_covariances_m2,
     start_alignment,
 )
-from wheelsight_papers.places_page import area_colour
 
 _TIME = "seconds since the first event"
 

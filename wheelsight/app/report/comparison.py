@@ -11,8 +11,17 @@ from pathlib import Path
 import numpy as np
 
 from wheelsight import __version__
+from wheelsight.app.report import comparison_figures as figures
 from wheelsight.app.report import figures as joined_figures
 from wheelsight.app.report import html, sections
+from wheelsight.app.report.comparison_figures import (
+    Overlay,
+    area_map_figure,
+    area_time_figure,
+    map_error_figure,
+    overlay_of,
+    trust_figure,
+)
 from wheelsight.app.report.page import finished, settings, shown_findings
 from wheelsight.app.report.sections import files_section, loop_section, map_section, map_tile
 from wheelsight.app.run import words
@@ -35,15 +44,6 @@ from wheelsight.app.run.verdict import (
 )
 from wheelsight.core.estimates import Status
 from wheelsight.core.files import StrPath
-from wheelsight_papers import comparison_figures as figures
-from wheelsight_papers.comparison_figures import (
-    Overlay,
-    area_map_figure,
-    area_time_figure,
-    map_error_figure,
-    overlay_of,
-    trust_figure,
-)
 
 _MOST_OF_THE_TIME = 0.95
 _STEPS = ("second", "metre")
