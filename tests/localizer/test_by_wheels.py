@@ -144,7 +144,7 @@ def test_a_gyroscope_that_contradicts_the_wheels_is_named_and_moves_nothing(faul
         angle = np.unwrap([np.arctan2(T[1, 0], T[0, 0]) for T in (not_none(one.T_odom_body) for one in alone)])
         factor = 2.0 if fault == "twice" else 0.5
         apart_rad = abs((angle[-1] - angle[0]) * (1 - factor))
-        assert np.sqrt(turned[0] - turned[1]) > 0.8 * apart_rad  # the gyroscope also has a bias
+        assert np.sqrt(turned[0] - turned[1]) > 0.5 * apart_rad  # the gyroscope also has a bias
 
 
 @pytest.mark.parametrize("rate_rad_s", [0.0, 0.4, -3.0])

@@ -692,6 +692,7 @@ class SensorHealth:
         faults: begin of the current fault of each faulty sensor, stamp.
         exclusions: sensors that are left out, now or earlier; see `update`.
         is_suspicious: whether a sensor may be wrong, without certainty.
+        is_without_wheels: whether a wheel is left out.
         accused: the sensor that is most likely wrong, without certainty; None if all are likely sound.
     """
 
@@ -700,7 +701,7 @@ class SensorHealth:
         self.exclusions: tuple[Exclusion, ...] = ()
         # Of each sensor: how often it was left out, and the last time from when, until when, and why.
         self._found: dict[RobotSensor, tuple[int, float, float, str]] = {}
-        self.is_suspicious, self._has_news = False, False
+        self.is_suspicious = self.is_without_wheels = self._has_news = False
         self.accused: RobotSensor | None = None
         self._half_m = track_m / 2
         self._T_base_camera, self._T_camera_base = T_base_camera, motions.inverse(T_base_camera)
@@ -752,6 +753,7 @@ class SensorHealth:
         largest = max((one for scale in self._scales for one in scale.nats.items()), key=itemgetter(1))
         self.accused = largest[0] if largest[1] > _SOUND_NATS else None
         self.is_suspicious = not all(one.is_sure for one in wanted.values()) or largest[1] > _ALARM_NATS
+        self.is_without_wheels = not wanted.keys().isdisjoint((LEFT, RIGHT, WHEELS))
         since_s = stamp_s
         for sensor in {*wanted, *current}:
             now, before = wanted.get(sensor), current.get(sensor)

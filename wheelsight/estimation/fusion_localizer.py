@@ -79,7 +79,7 @@ _LEFT_MAP_M = 0.15
 # Speed at which the pose in odom moves to the corrected one: slow enough for a controller.
 _CORRECTION_M_S, _CORRECTION_RAD_S = 0.1, math.radians(5.0)
 _REMEMBERED_POSES = 600  # of the map in odom, one a frame: as long as the filter remembers, at 30 frames a second
-_SUSPICION = PoseEvidence(PoseFinding.SENSOR_SUSPECTED)
+_SUSPICION, _SLIP = PoseEvidence(PoseFinding.SENSOR_SUSPECTED), PoseEvidence(PoseFinding.SLIP)
 # After a longer gap without frames, seconds, the camera may be right, and the wheels may have drifted.
 _LONGEST_GAP_S = 0.5
 
@@ -185,6 +185,8 @@ class ByFusion:
             watched = [self._restart.evidence(T, C), self._kidnap.evidence(T, C), *found]
             if self._health is not None and self._health.is_suspicious:
                 watched.append(_SUSPICION)
+            if self._health is not None and self._health.is_without_wheels:
+                watched.append(_SLIP)
             decided = decide(watched, decided) if any(watched) else decided
             if self.loops is not None:
                 in_map = self.loops.evidence(decided.status, T, decided.covariance, T_map_filter)
