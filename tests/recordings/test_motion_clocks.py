@@ -16,7 +16,7 @@ from wheelsight.core.calibration_parts import HolonomicWheels
 from wheelsight.core.messages import Event, RgbdFrame, WheelCounts, WheelTicks
 from wheelsight.io.recordings import SAMPLE, Recording, open_recording
 from wheelsight.io.recordings.clock_checks import MotionClock, MotionOffset
-from wheelsight.io.recordings.image_recording import ImageRecording
+from wheelsight.io.recordings.image_recording import ImageRecording, _sure_offset_s
 from wheelsight.io.recordings.inspection import inspect_recording
 from wheelsight_calibration.wheels import try_calibration
 
@@ -129,3 +129,14 @@ def test_of_a_base_that_moves_to_the_side_nothing_is_claimed(sample: tuple[Recor
         turns.add(WheelCounts(event.stamp_s, (0, 0, 0, 0)) if isinstance(event, WheelTicks) else event)
     assert turns.offset().offset_s is None
     assert "to the side" in turns.offset().why_not
+
+
+@pytest.mark.parametrize(
+    ("agreement", "as_stamped", "removed_s"), [(0.99, 0.94, -0.284), (0.894, 0.749, 0.0), (0.99, 0.97, 0.0)]
+)
+def test_an_offset_is_removed_only_where_it_explains_clearly_more(
+    agreement: float, as_stamped: float, removed_s: float
+) -> None:
+    """The second: three people pass in a drive whose clocks agree."""
+    offset = MotionOffset(-0.284, 0.01, agreement, 4.8, as_stamped=as_stamped)
+    assert _sure_offset_s(offset) == removed_s

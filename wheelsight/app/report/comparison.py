@@ -56,7 +56,7 @@ def write_comparison(records: Sequence[RunRecord], path: StrPath) -> None:
     html.save(render_comparison(records, Path(path).parent), path)
 
 
-def render_comparison(records: Sequence[RunRecord], folder: Path | None = None) -> str:
+def render_comparison(records: Sequence[RunRecord], folder: StrPath | None = None) -> str:
     """The page about several odometries as self-contained HTML, with links to results in `folder`."""
     joined, verdict = joined_of(records), verdict_of_run(records)
     judged = [(record, summarise(record), verdict_of(record, records)) for record in records]

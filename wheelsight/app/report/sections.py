@@ -31,6 +31,7 @@ from wheelsight.app.report.pictures import OrbitView, draw_cloud, draw_matches, 
 from wheelsight.app.run import words
 from wheelsight.app.run.run_record import MapPicture, MapRecord, RunRecord
 from wheelsight.app.run.verdict import Summary, cold_frames
+from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import ByteArray, FloatArray, se3
 from wheelsight.evaluation import Statistics
 
@@ -275,13 +276,13 @@ _FILES = {
 }
 
 
-def files_section(folder: Path | None, odometries: Sequence[str] = ()) -> str:
+def files_section(folder: StrPath | None, odometries: Sequence[str] = ()) -> str:
     """Links to the files in `folder`, and in folders of its odometries; "" without files."""
     if folder is None:
         return ""
     rows = []
     for shown in (f"{place}/{name}" if place else name for place in ("", *odometries) for name in _FILES):
-        path = folder / shown
+        path = Path(folder) / shown
         if path.exists():
             slash, parts = ("/", [*path.iterdir()]) if path.is_dir() else ("", [path])
             link = f'<a href="{quote(shown)}{slash}">{escape(shown)}{slash}</a>'

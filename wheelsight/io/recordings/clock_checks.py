@@ -291,6 +291,7 @@ class MotionOffset:
         agreement: correlation of the turns at this offset, 0 to 1.
         turned_rad: the sum of the absolute turns that were compared.
         why_not: why it is unknown; empty where it is known.
+        as_stamped: correlation of the turns at no offset.
     """
 
     offset_s: float | None
@@ -298,6 +299,7 @@ class MotionOffset:
     agreement: float = 0.0
     turned_rad: float = 0.0
     why_not: str = ""
+    as_stamped: float = 0.0
 
     @property
     def is_apart(self) -> bool:
@@ -425,7 +427,7 @@ class MotionClock:
         slope = gain * (ends[1][:count] - ends[0][:count]) / (2 * _STEP_S)
         scatter = float(np.mean((seen - gain * turns) ** 2))
         sigma_s = float(np.sqrt(scatter / max(float(slope @ slope), 1e-12)))
-        return MotionOffset(offset_s, sigma_s, *shown[1:])
+        return MotionOffset(offset_s, sigma_s, *shown[1:], as_stamped=_agreement(headings, shifts, 0.0))
 
     def _read(self, reading: WheelTicks | WheelSpeeds) -> None:
         """Integrate the turn of a wheel reading."""
