@@ -47,6 +47,9 @@ _WAYS, _TURNS, _WHEELS = slice(2, 5), slice(5, 8), slice(2)
 _STEEP, _BIN_LOG, _RANGE_LOG, _PEAK_SHARE, _FEWEST_POINTS, _STEEPEST_DEG = 0.2, 0.08, 2.3, 0.2, 40, 45.0
 
 
+_LEAST_MIRRORED_RAD = 0.05  # turn of the wheels that distinguishes mirrored images from noise
+
+
 class Culprit(Enum):
     """The sensor whose motions are wrong."""
 
@@ -335,10 +338,10 @@ def cause_of(
     if sensor is RobotSensor.GYRO:
         factor = times(turns_rad[np.isfinite(turns_rad)], camera[np.isfinite(turns_rad), 5])
         return f"it measures {factor:.2f} times the turns of camera and wheels; check its mounting and scale"
-    if times(camera[:, 5], wheel_turns) < -0.5:
-        return "it turns the other way than the wheels; check whether its images are mirrored"
     if np.abs(camera[:, 1]).sum() > 0.3 * np.abs(ways_m).max(axis=1).sum():
         return "it moves sideways, which the robot cannot; something that moves may fill its view"
+    if np.abs(wheel_turns).sum() > _LEAST_MIRRORED_RAD and times(camera[:, 5], wheel_turns) < -0.5:
+        return "it turns the other way than the wheels; check whether its images are mirrored"
     factor = times(camera[:, 0], ways_m.mean(axis=1))
     return f"it moves {factor:.2f} times the way of the wheels; check its mount and depth"
 

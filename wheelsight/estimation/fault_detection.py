@@ -494,7 +494,7 @@ _RISE_M, _RISE_SHARE, _TILT_RAD, _FAR_OFF = 0.03, 0.15, 0.06, 5.0
 _BIAS_SIGMA_RAD_S, _BIAS_WALK_RAD_S, _BIAS_PIECE_RAD_S = 0.05, 0.0003, 0.02
 _RATIO_WAY_M, _RATIO_PRIOR_M, _RATIO_STEP = 20.0, 5.0, 0.1
 # Sound way, time and, for a fault that turns show, turn after which a sensor is used again.
-_AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD = 2.0, 3.0, 0.6
+_AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD = 1.0, 2.0, 0.6
 _KEPT_S = 5.0
 _DESCRIBED = 120  # pieces by which a fault is described
 
@@ -581,6 +581,7 @@ HYPOTHESES = (
 )
 _PLACES = {LEFT: [3], RIGHT: [4], WHEELS: [3, 4], CAMERA: [0, 1, 2], GYRO: [6]}
 _ANY_CAMERA = HYPOTHESES.index(Hypothesis(CAMERA, (0, 1, 2), _ANY))
+_MIRRORED = HYPOTHESES.index(Hypothesis(CAMERA, flips=(1.0, 1.0, -1.0, 1.0)))
 _SCALES = np.array([[one.scale if place in one.broken else 0.0 for place in range(7)] for one in HYPOTHESES])
 _FLIPS = np.array([one.flips for one in HYPOTHESES])
 _OF_SENSOR = {sensor: [n for n, one in enumerate(HYPOTHESES) if one.sensor is sensor] for sensor in RobotSensor}
@@ -650,7 +651,7 @@ class Sums:
     """CUSUM of each hypothesis over pieces of one length.
 
     Attributes:
-        nats: largest sum of each sensor.
+        nats: largest sum of each sensor, and `places`, whose sum that is among `HYPOTHESES`.
         zero_s: where that sum was last zero.
         begin: stamp and pose (4, 4) of the camera at the begin of the current piece.
         shows_all: whether all frames since then showed all directions.
@@ -663,6 +664,7 @@ class Sums:
     def clear(self, now_s: float) -> None:
         """Start over."""
         self._sums, self._zero_s = np.zeros(len(HYPOTHESES)), np.full(len(HYPOTHESES), now_s)
+        self.places = of_sensors(self._sums)
         self.nats, self.zero_s = dict.fromkeys(RobotSensor, 0.0), dict.fromkeys(RobotSensor, now_s)
 
     def add(self, ratios: FloatArray, piece: Piece) -> None:
@@ -671,9 +673,9 @@ class Sums:
         sums = np.maximum(self._sums + ratios, 0.0)
         self._zero_s[sums == 0.0] = piece.end_s
         self._sums = np.maximum(sums - max(0.0, sums.max() - _LARGEST_NATS), 0.0)
-        places = of_sensors(self._sums)
-        self.nats = {sensor: float(self._sums[place]) for sensor, place in places.items()}
-        self.zero_s = {sensor: float(self._zero_s[place]) for sensor, place in places.items()}
+        self.places = of_sensors(self._sums)
+        self.nats = {sensor: float(self._sums[place]) for sensor, place in self.places.items()}
+        self.zero_s = {sensor: float(self._zero_s[place]) for sensor, place in self.places.items()}
 
     def leads(self, least_nats: float) -> RobotSensor | None:
         """Return the sensor whose sum passes a value and leads all others; None without one."""
@@ -714,7 +716,9 @@ class SensorHealth:
         self._usual = Usual(np.ones(2), 0.0, _BIAS_SIGMA_RAD_S)
         self._weights = np.full(2, _RATIO_PRIOR_M)
         self._unproven_s: float | None = None  # since when a restarted camera has not agreed yet
-        self._sound = {sensor: np.zeros(3) for sensor in RobotSensor}  # way, time and turn over which it agrees again
+        # Way, time and turn over which a faulty sensor agrees again, and over which it has to.
+        self._sound = {sensor: np.zeros(3) for sensor in RobotSensor}
+        self._again: dict[RobotSensor, tuple[float, float, float]] = {}
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -832,7 +836,7 @@ class SensorHealth:
             self._pieces.append(piece)
             if ratios[of_sensors(ratios)[CAMERA]] <= _AGREES_NATS:
                 self._unproven_s = None
-            self._end_faults(piece)
+        self._end_faults(piece, is_first)
         scale.add(ratios, piece)
         if is_first and not self.faults and all(max(one.nats.values()) < _SOUND_NATS for one in self._scales):
             self._learn(piece)
@@ -842,6 +846,8 @@ class SensorHealth:
         begin_s = scale.zero_s[sensor]
         self.faults[sensor] = begin_s
         self._sound[sensor][:] = 0.0
+        shows_in_turns = sensor is GYRO or scale.places[sensor] == _MIRRORED
+        self._again[sensor] = (_AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD if shows_in_turns else 0.0)
         if sensor is CAMERA:
             self._unproven_s = None
         for one in self._scales:  # what this fault explains accuses no other sensor
@@ -868,8 +874,8 @@ class SensorHealth:
             sigma = math.sqrt((1 - gain) * variance)
         self._usual = Usual(ratios, bias, sigma)
 
-    def _end_faults(self, piece: Piece) -> None:
-        """End each fault whose sensor has agreed with the others for long enough."""
+    def _end_faults(self, piece: Piece, is_first: bool) -> None:
+        """End each fault whose sensor has agreed with the others for long enough, over pieces of all lengths."""
         for sensor in list(self.faults):
             others = self.faults.keys() - {sensor}
             sound = self._sound[sensor]
@@ -877,9 +883,11 @@ class SensorHealth:
             if ratios[of_sensors(ratios)[sensor]] > _AGREES_NATS:
                 sound[:] = 0.0
                 continue
+            if not is_first:
+                continue
             way_m = max(float(np.abs(piece.ways_m).max()), abs(piece.camera[0]))
             sound += way_m, piece.end_s - piece.begin_s, abs(piece.camera[5])
-            if (sound >= (_AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD)).all():
+            if (sound >= self._again[sensor]).all():
                 del self.faults[sensor]
                 for scale in self._scales:
                     scale.clear(piece.end_s)
