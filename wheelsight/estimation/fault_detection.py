@@ -528,7 +528,7 @@ class Piece(NamedTuple):
 
 
 class Usual(NamedTuple):
-    """What is usual in a drive.
+    """Usual values in a drive.
 
     Attributes:
         ratios: (2,) of each wheel to the camera.
@@ -859,7 +859,7 @@ class SensorHealth:
         self._found[sensor] = self._found.get(sensor, (0,))[0] + 1, begin_s, math.inf, cause
 
     def _learn(self, piece: Piece) -> None:
-        """Update what is usual."""
+        """Update the usual values."""
         ratios, (_, bias, sigma), seconds = self._usual.ratios.copy(), self._usual, piece.end_s - piece.begin_s
         by_camera = piece.camera[0] + self._half_m * piece.camera[5] * np.array([-1, 1])
         for i, way_m in enumerate(np.abs(by_camera)):
