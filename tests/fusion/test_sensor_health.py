@@ -60,7 +60,7 @@ def driven(
 ) -> tuple[SensorHealth, dict[RobotSensor, float]]:
     """Drive curves of up to 0.5 m/s and 0.5 rad/s, with noise; a fault begins at `FAULT_S`. Also when it was found."""
     rng, health, T = np.random.default_rng(seed), SensorHealth(2 * HALF_M, T_BASE_CAMERA), np.eye(4)
-    step_s, found = 0.05, {}
+    step_s, found = 0.05, dict[RobotSensor, float]()
     for n in range(round(until_s / step_s)):
         now_s = 100.0 + n * step_s
         speed, rate = 0.4 + 0.1 * math.sin(0.3 * n * step_s), 0.5 * math.sin(0.7 * n * step_s)
@@ -72,9 +72,9 @@ def driven(
             motion = fault(motion)
         noise = rng.normal(0.0, (0.001, 0.001, 0.001, 0.001, 0.001, 0.0015))
         ways_m = motion.ways_m * (1 + rng.normal(0.0, 0.01, 2))
-        health.add_wheels(now_s, float(ways_m.mean()), float(np.diff(ways_m)[0] / (2 * HALF_M)))
+        health.steps.append((now_s, float(ways_m.mean()), float(np.diff(ways_m)[0] / (2 * HALF_M))))
         if with_gyro:
-            health.add_yaw_rate(now_s, motion.rate_rad_s + 0.002 * rng.standard_normal())
+            health.rates.append((now_s, motion.rate_rad_s + 0.002 * rng.standard_normal()))
         T = T @ se3.exp(motion.camera)
         if n % 2 == 0:
             seen = T @ se3.exp(noise) @ T_BASE_CAMERA
@@ -156,7 +156,7 @@ def test_a_restarted_camera_is_left_out_until_it_agrees() -> None:
     assert health.update(105.1) is None
     for n in range(8):
         now_s = 105.0 + 0.05 * n
-        health.add_wheels(now_s, 0.02, 0.0)
+        health.steps.append((now_s, 0.02, 0.0))
         T = np.ascontiguousarray(se3.from_parts(np.eye(3), [0.02 * n, 0.0, 0.0]) @ T_BASE_CAMERA)
         health.add_frame(now_s, T)
     assert health.update(105.4) == 105.0

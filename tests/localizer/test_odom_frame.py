@@ -52,7 +52,7 @@ def off_m(answers: list[FusedEstimate], made: Drive, name: str) -> FloatArray:
 def test_where_the_filter_leaps_odom_moves_as_the_robot_does(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     made = LEAPING[name]()
     answers = answers_of(made, monkeypatch)
-    assert off_m(answers, made, "T_filter_body").max() > 3 * POSSIBLE_M
+    assert off_m(answers, made, "T_filter_body").max() > 2 * POSSIBLE_M
     assert off_m(answers, made, "T_odom_body").max() < POSSIBLE_M
 
 

@@ -26,10 +26,8 @@ log-likelihood ratio of each sensor to "all sound" accumulates in a one-sided CU
 short pieces for large errors and over longer ones for small errors. A fault is found when one sum passes `_ALARM_NATS`
 and leads all others by `_MARGIN_NATS`. It began where its sum was last zero. Two sensors that agree name the third.
 
-A chair cannot move sideways, rise, or tilt as fast as it drives. The camera's motion in these directions counts against
-the camera. A camera that turns the other way than both wheels is mirrored, since slip does not reverse a turn.
-
-Slow differences are calibration: the ratio of each wheel to the camera is learned along 20 m, and its changes count.
+A chair cannot move sideways, rise, or tilt as fast as it drives, so such motion counts against the camera. Slow
+differences are calibration: the ratio of each wheel to the camera is learned along 20 m, and its changes count.
 """
 
 from __future__ import annotations
@@ -495,7 +493,7 @@ _BIAS_SIGMA_RAD_S, _BIAS_WALK_RAD_S, _BIAS_PIECE_RAD_S = 0.05, 0.0003, 0.02
 _RATIO_WAY_M, _RATIO_PRIOR_M, _RATIO_STEP = 20.0, 5.0, 0.1
 # Sound way, time and, for a fault that turns show, turn after which a sensor is used again.
 _AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD = 1.0, 2.0, 0.6
-_KEPT_S = 5.0
+_KEPT_S, _MOST_WAITING = 5.0, 4096  # of readings; while the camera is dark, older ones are dropped
 _DESCRIBED = 120  # pieces by which a fault is described
 
 
@@ -691,16 +689,22 @@ class SensorHealth:
         T_base_camera: (4, 4).
 
     Attributes:
+        steps: of the wheels, to which the caller appends: stamp of the end, way in metres and turn in radians.
+        rates: of the gyroscope, to which the caller appends: stamp, and mean rate since the last one in rad/s.
         faults: begin of the current fault of each faulty sensor, stamp.
         exclusions: sensors that are left out, now or earlier; see `update`.
+        warnings: a sentence for each sensor that was faulty.
         is_suspicious: whether a sensor may be wrong, without certainty.
         is_without_wheels: whether a wheel is left out.
         accused: the sensor that is most likely wrong, without certainty; None if all are likely sound.
     """
 
     def __init__(self, track_m: float, T_base_camera: FloatArray) -> None:
+        self.steps: deque[tuple[float, float, float]] = deque(maxlen=_MOST_WAITING)
+        self.rates: deque[tuple[float, float]] = deque(maxlen=_MOST_WAITING)
         self.faults: dict[RobotSensor, float] = {}
         self.exclusions: tuple[Exclusion, ...] = ()
+        self.warnings: tuple[str, ...] = ()
         # Of each sensor: how often it was left out, and the last time from when, until when, and why.
         self._found: dict[RobotSensor, tuple[int, float, float, str]] = {}
         self.is_suspicious = self.is_without_wheels = self._has_news = False
@@ -719,18 +723,6 @@ class SensorHealth:
         # Way, time and turn over which a faulty sensor agrees again, and over which it has to.
         self._sound = {sensor: np.zeros(3) for sensor in RobotSensor}
         self._again: dict[RobotSensor, tuple[float, float, float]] = {}
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """A sentence for each sensor that was faulty."""
-        found = []
-        for sensor, (times, begin_s, end_s, cause) in self._found.items():
-            name = "both wheels were" if sensor is WHEELS else f"the {sensor.value} was"
-            name += " left out" if times == 1 else f" left out {times} times, last"
-            first_s = self._first_s or 0.0
-            until = "on" if end_s == math.inf else f"until {end_s - first_s:.1f} s"
-            found.append(f"{name} from {begin_s - first_s:.1f} s after the first frame {until}: {cause}")
-        return tuple(found)
 
     def update(self, stamp_s: float) -> float | None:
         """Update the exclusions at a frame; return the stamp since which they changed, or None.
@@ -768,23 +760,6 @@ class SensorHealth:
         self.exclusions = (*past, *wanted.values())
         return None if wanted == current else since_s
 
-    def add_wheels(self, stamp_s: float, way_m: float, turn_rad: float) -> None:
-        """Add a step of the wheels."""
-        last_s, left_m, right_m = self._rolled[-1] if self._rolled else (-math.inf, 0.0, 0.0)
-        if stamp_s > last_s:
-            aside_m = self._half_m * turn_rad
-            self._rolled.append((stamp_s, left_m + way_m - aside_m, right_m + way_m + aside_m))
-            while self._rolled[0][0] < stamp_s - _KEPT_S:
-                self._rolled.popleft()
-
-    def add_yaw_rate(self, stamp_s: float, rate_rad_s: float) -> None:
-        """Add a reading of the gyroscope, the mean since its last one."""
-        last_s, angle_rad = self._turned[-1] if self._turned else (stamp_s, 0.0)
-        if stamp_s >= last_s:
-            self._turned.append((stamp_s, angle_rad + rate_rad_s * (stamp_s - last_s)))
-            while self._turned[0][0] < stamp_s - _KEPT_S:
-                self._turned.popleft()
-
     def interrupt(self, restarted_s: float | None = None) -> None:
         """Note that the next pose of the camera does not continue the previous ones.
 
@@ -794,7 +769,7 @@ class SensorHealth:
         self._has_news = True
         for scale in self._scales:
             scale.begin = math.nan, scale.begin[1]
-        if restarted_s is not None and self._unproven_s is None and self._rolled:
+        if restarted_s is not None and self._unproven_s is None and (self._rolled or self.steps):
             self._unproven_s = restarted_s
 
     def add_frame(self, stamp_s: float, T_map_camera: FloatArray, *, shows_all: bool = True) -> None:
@@ -803,6 +778,7 @@ class SensorHealth:
         A piece is compared once the wheels cover it.
         """
         self._first_s = stamp_s if self._first_s is None else self._first_s
+        self._gather(stamp_s)
         self._waiting.append((stamp_s, T_map_camera, shows_all))
         while self._waiting and self._rolled and self._waiting[0][0] <= self._rolled[-1][0]:
             now_s, T, shows_all = self._waiting.popleft()
@@ -814,6 +790,23 @@ class SensorHealth:
                     if piece is not None:
                         self._compare(scale, piece._replace(shows_all=scale.shows_all))
                     scale.begin, scale.shows_all = (now_s, T), shows_all
+
+    def _gather(self, now_s: float) -> None:
+        """Add up the steps and rates since the last call."""
+        while self.steps:
+            end_s, way_m, turn_rad = self.steps.popleft()
+            last_s, left_m, right_m = self._rolled[-1] if self._rolled else (-math.inf, 0.0, 0.0)
+            if end_s > last_s:
+                aside_m = self._half_m * turn_rad
+                self._rolled.append((end_s, left_m + way_m - aside_m, right_m + way_m + aside_m))
+        while self.rates:
+            rate_s, rate_rad_s = self.rates.popleft()
+            last_s, angle_rad = self._turned[-1] if self._turned else (rate_s, 0.0)
+            if rate_s >= last_s:
+                self._turned.append((rate_s, angle_rad + rate_rad_s * (rate_s - last_s)))
+        for known in (self._rolled, self._turned):
+            while known and known[0][0] < now_s - _KEPT_S:
+                known.popleft()
 
     def _piece(self, begin_s: float, T_begin: FloatArray, end_s: float, T_end: FloatArray) -> Piece | None:
         """Return the motions between two frames; None where the wheels do not cover them."""
@@ -857,6 +850,18 @@ class SensorHealth:
         camera, ways_m = (np.array(each) for each in ([one.camera for one in pieces], [one.ways_m for one in pieces]))
         cause = cause_of(sensor, camera, ways_m, turns_rad, self._half_m, self._usual.ratios)
         self._found[sensor] = self._found.get(sensor, (0,))[0] + 1, begin_s, math.inf, cause
+        self._warn()
+
+    def _warn(self) -> None:
+        """Update the warnings."""
+        found = []
+        for sensor, (times, begin_s, end_s, cause) in self._found.items():
+            name = "both wheels were" if sensor is WHEELS else f"the {sensor.value} was"
+            name += " left out" if times == 1 else f" left out {times} times, last"
+            first_s = self._first_s or 0.0
+            until = "on" if end_s == math.inf else f"until {end_s - first_s:.1f} s"
+            found.append(f"{name} from {begin_s - first_s:.1f} s after the first frame {until}: {cause}")
+        self.warnings = tuple(found)
 
     def _learn(self, piece: Piece) -> None:
         """Update the usual values."""
@@ -892,3 +897,4 @@ class SensorHealth:
                 for scale in self._scales:
                     scale.clear(piece.end_s)
                 self._found[sensor] = *self._found[sensor][:2], piece.end_s, self._found[sensor][3]
+                self._warn()

@@ -196,7 +196,7 @@ class ErrorStateFilter:
         return True
 
     def _used(self, event: FilterEvent) -> FilterEvent:
-        """Return an event, or what is left of it without the sensors that are left out."""
+        """Return an event, without the measurement of a sensor that is left out."""
         event = event.original or event
         for sensor, begin_s, end_s, _ in self._exclusions:
             if not begin_s <= event.since_s < end_s:

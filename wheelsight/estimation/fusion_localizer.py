@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,7 +53,7 @@ from wheelsight.estimation.consistency_check import (
     ReadmissionCheck,
     UncertainRestart,
 )
-from wheelsight.estimation.fault_detection import SensorHealth
+from wheelsight.estimation.fault_detection import Exclusion, SensorHealth
 from wheelsight.estimation.filter import ErrorStateFilter
 from wheelsight.estimation.loop_updates import LoopsBeside, begin_in, loops_beside
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
@@ -77,7 +78,7 @@ _LONGEST_READING_GAP = 256  # stamps kept: frames are hardly ever delayed by mor
 # turn by a radian counts as 1.5 m. The wheels err by less in the second or two of a contradiction.
 _LEFT_MAP_M = 0.15
 # Speed at which the pose in odom moves to the corrected one: slow enough for a controller.
-_CORRECTION_M_S, _CORRECTION_RAD_S = 0.1, math.radians(5.0)
+_CORRECTION_M_S, _CORRECTION_RAD_S = 0.1, math.radians(10.0)
 _REMEMBERED_POSES = 600  # of the map in odom, one a frame: as long as the filter remembers, at 30 frames a second
 _SUSPICION, _SLIP = PoseEvidence(PoseFinding.SENSOR_SUSPECTED), PoseEvidence(PoseFinding.SLIP)
 # After a longer gap without frames, seconds, the camera may be right, and the wheels may have drifted.
@@ -142,7 +143,7 @@ class ByFusion:
         if isinstance(event, YawRate):  # it counts once the gyroscope agrees with the wheels
             counts = self._base.add_yaw_rate(event)
             if self._health is not None:
-                self._health.add_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
+                self._health.rates.append((event.stamp_s, event.yaw_rate_rad_s))
             if self._base.uses_gyro:
                 self._check.add_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
             if counts and not self._is_early(event.stamp_s):
@@ -226,7 +227,7 @@ class ByFusion:
                 return self.filter.drop(wheels.stamp_s, ""), note  # the camera's velocity predicts the pose
         if self._health is not None and wheels.step is not None and wheels.reason is None:
             T = wheels.step.T_before_now
-            self._health.add_wheels(wheels.step.end_s, float(T[0, 3]), math.atan2(T[1, 0], T[0, 0]))
+            self._health.steps.append((wheels.step.end_s, float(T[0, 3]), math.atan2(T[1, 0], T[0, 0])))
         fused = self.filter.predict_to(wheels)
         self._base.problem = f"the wheels are not used: {fused.reason}" if fused.reason is Reason.TOO_LATE else ""
         return fused, note
@@ -267,8 +268,9 @@ class ByFusion:
         if self._has_prior and self._map.anchor is None:  # the prior is of the first event; the robot may have moved
             self.odometry.begin_at(self._map.camera_at(self.filter.when_imaged(frame.stamp_s)))
         twist = self._camera.twist(self.filter.estimate)
-        suspected = [one.culprit for one in self._check.verdict.found]
-        seen = self._camera.process(frame, expected, twist, ask_wheels=Culprit.WHEELS not in suspected)
+        found = self._check.verdict.found
+        ask_wheels = not found or Culprit.WHEELS not in [one.culprit for one in found]
+        seen = self._camera.process(frame, expected, twist, ask_wheels=ask_wheels)
         if seen.T_odom_body is None:
             return self._lose(frame, seen)
         anchor = self._map.anchor
@@ -280,7 +282,9 @@ class ByFusion:
             return self._begin(frame, seen)
         if self._health is not None:
             self._health.add_frame(frame.stamp_s, seen.T_odom_body, shows_all=shows_all)
-            if self._exclude_faulty(self._health, frame.stamp_s):
+            before = self._health.exclusions
+            since_s = self._health.update(frame.stamp_s)
+            if since_s is not None and self._exclude_faulty(before, self._health.exclusions, since_s):
                 return self._begin(frame, seen)
         motion = anchor.motion_to(seen.T_odom_body, seen.motion)
         motion = blurred(motion, twist, self._base.noise_s)
@@ -289,17 +293,13 @@ class ByFusion:
             return self._lose(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         return self._measure(frame, seen, motion)
 
-    def _exclude_faulty(self, health: SensorHealth, stamp_s: float) -> bool:
-        """Leave out a sensor that was found faulty, also in the past; return whether the camera is used again."""
-        before = health.exclusions
-        since_s = health.update(stamp_s)
-        if since_s is None:
-            return False
-        if self.filter.exclude(health.exclusions, since_s):
-            is_camera_out = any(one.sensor is RobotSensor.CAMERA and one.end_s == math.inf for one in health.exclusions)
+    def _exclude_faulty(self, before: Sequence[Exclusion], now: Sequence[Exclusion], since_s: float) -> bool:
+        """Apply exclusions of sensors that changed since a stamp; return whether the camera is used again."""
+        if self.filter.exclude(now, since_s):
+            is_camera_out = any(one.sensor is RobotSensor.CAMERA and one.end_s == math.inf for one in now)
             self._map.correct(since_s, None if is_camera_out else self.filter.last_frame())
             self._odom.correct(since_s)
-        ended = {one.sensor for one in before if one.is_sure and one not in health.exclusions}
+        ended = {one.sensor for one in before if one.is_sure and one not in now}
         return RobotSensor.CAMERA in ended
 
     def _apply_loops(self, loops: LoopsBeside, stamp_s: float) -> None:
