@@ -251,7 +251,7 @@ def drive(recording: Recording, case: SensorFaultCase, odometry: str, **override
             answer = localizer.process(event)
             if event.stamp_s - begin_s > _COMPILED_S:
                 run.slowest_s = max(run.slowest_s, time.perf_counter() - started_s)
-            named = [one for one in localizer.warnings if case.named and f"{case.named} " in one and "left out" in one]
+            named = [one for one in localizer.warnings if case.named and f"{case.named} w" in one and "left out" in one]
             if math.isnan(run.found_s) and named:
                 run.found_s = event.stamp_s - begin_s - case.begin_s
             is_judged = isinstance(event, RgbdFrame) or odometry == "wheels"
