@@ -16,7 +16,7 @@ from wheelsight.core.calibration_parts import HolonomicWheels
 from wheelsight.core.messages import Event, RgbdFrame, WheelCounts, WheelTicks
 from wheelsight.io.recordings import SAMPLE, Recording, open_recording
 from wheelsight.io.recordings.clock_checks import MotionClock, MotionOffset
-from wheelsight.io.recordings.image_recording import ImageRecording, _sure_offset_s
+from wheelsight.io.recordings.image_recording import ImageRecording, sure_offset_s
 from wheelsight.io.recordings.inspection import inspect_recording
 from wheelsight_calibration.wheels import try_calibration
 
@@ -139,4 +139,4 @@ def test_an_offset_is_removed_only_where_it_explains_clearly_more(
 ) -> None:
     """The second: three people pass in a drive whose clocks agree."""
     offset = MotionOffset(-0.284, 0.01, agreement, 4.8, as_stamped=as_stamped)
-    assert _sure_offset_s(offset) == removed_s
+    assert sure_offset_s(offset) == removed_s

@@ -1,5 +1,6 @@
 """The report of a run: figures of its records, and the page that shows them."""
 
+from wheelsight.app.report.comparison import write_page
 from wheelsight.app.report.drive_page import write_drive_page, write_drive_picture
 from wheelsight.app.report.figures import (
     certainty_figure,
@@ -11,7 +12,7 @@ from wheelsight.app.report.figures import (
     time_histogram_figure,
     trajectory_figure,
 )
-from wheelsight.app.report.page import why_no_page, write_page, write_report
+from wheelsight.app.report.page import why_no_page, write_report
 from wheelsight.app.report.pictures import draw_matches
 from wheelsight.app.report.sections import plan_figure
 from wheelsight.app.run.verdict import summarise

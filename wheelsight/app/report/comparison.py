@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wheelsight import __version__
+from wheelsight._version import __version__
 from wheelsight.app.report import comparison_figures as figures
 from wheelsight.app.report import figures as joined_figures
 from wheelsight.app.report import html, sections
@@ -22,7 +22,7 @@ from wheelsight.app.report.comparison_figures import (
     overlay_of,
     trust_figure,
 )
-from wheelsight.app.report.page import finished, settings, shown_findings
+from wheelsight.app.report.page import finished, settings, shown_findings, write_report
 from wheelsight.app.report.sections import files_section, loop_section, map_section, map_tile
 from wheelsight.app.run import words
 from wheelsight.app.run.run_record import RectificationRecord, RunRecord
@@ -49,6 +49,19 @@ _MOST_OF_THE_TIME = 0.95
 _STEPS = ("second", "metre")
 _MOST_LINES = 3
 Judged = tuple[RunRecord, Summary, RunVerdict]
+
+
+def write_page(records: Sequence[RunRecord], path: StrPath) -> None:
+    """Write the page of one odometry, or that of several side by side.
+
+    Raises:
+        OutputError: it cannot be written.
+        ConfigError: plotly is not installed.
+    """
+    if len(records) == 1:
+        write_report(records[0], path)
+    else:
+        write_comparison(records, path)
 
 
 def write_comparison(records: Sequence[RunRecord], path: StrPath) -> None:

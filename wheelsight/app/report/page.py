@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 
 from wheelsight._version import __version__
@@ -105,18 +104,3 @@ def settings(record: RunRecord) -> str:
 def why_no_page() -> str | None:
     """Why no page can be written: plotly is not installed. None if it is."""
     return why_missing("plotly")
-
-
-def write_page(records: Sequence[RunRecord], path: StrPath) -> None:
-    """Write the page of one odometry, or that of several side by side.
-
-    Raises:
-        OutputError: it cannot be written.
-        ConfigError: plotly is not installed.
-    """
-    if len(records) == 1:
-        write_report(records[0], path)
-    else:
-        from wheelsight.app.report.comparison import write_comparison
-
-        write_comparison(records, path)

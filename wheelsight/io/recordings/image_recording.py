@@ -171,7 +171,7 @@ def on_one_clock(recording: ImageRecording, *, is_gyro_beside_wheels: bool) -> I
     wheels, gyro = turns.offset(), turns.offset("gyroscope")
     if gyro.offset_s is None and is_gyro_beside_wheels:
         gyro = wheels
-    moved = recording.moved(*(_sure_offset_s(offset) for offset in (wheels, gyro)))
+    moved = recording.moved(*(sure_offset_s(offset) for offset in (wheels, gyro)))
     if moved.shifts_s == (0.0, 0.0):
         return recording
     delay_s = calibration.any_wheels.delay_s - moved.shifts_s[0]
@@ -181,12 +181,12 @@ def on_one_clock(recording: ImageRecording, *, is_gyro_beside_wheels: bool) -> I
         f"{_BY_TURNS}{what} show, the camera's stamps are {offset}: the clocks are apart. "
         f"The difference is removed{how}."
         for what, offset, how in found
-        if _sure_offset_s(offset)
+        if sure_offset_s(offset)
     ]
     return replace(moved, warnings=(*recording.warnings, *warnings))
 
 
-def _sure_offset_s(offset: MotionOffset) -> float:
+def sure_offset_s(offset: MotionOffset) -> float:
     """The offset, or 0 if it is unknown or may be latency: one computer stamps most recordings."""
     found_s, left = offset.offset_s or 0.0, 1 - offset.agreement**2
     is_large = abs(found_s) > max(_LEAST_REMOVED_S, _SURE_SIGMAS * offset.sigma_s)
