@@ -1,13 +1,21 @@
 """`python -m benchmarks.special_cases`: what each rule gains that was found on one or two drives.
 
 Each rule is turned off by itself, on drives on which it was not found: simulated buildings of other seeds with the
-errors of real sensors, the real recordings, fields of obstacles of another seed, and goals in a known map. The switch
-replaces a method of the package from outside. A first run with all rules counts how often each one acts. Where a rule
-never acts, its result is the same, and no second run is made. Rules that cannot be counted run on all drives.
+errors of real sensors, the real recordings, days in a known map, fields of obstacles of another seed, and goals in a
+known map. The switch replaces a method of the package from outside. A first run with all rules counts how often each
+one acts. Where a rule never acts, its result is the same, and no second run is made. Rules that cannot be counted run
+on all drives, or on those that show them.
+
+Some drives are made for one rule: late colour, an elevator, a bus that hangs, a cover, depth that is wrong by a
+factor, laps with a small cache, and a camera without wheels. "Crowd" and `studio-91` to `studio-98` are drives among
+four people, measured after the misfit was left out beside wheels; "camera's place is not learned after slip" has only
+drives with slip in its row.
 
 A drive is "better" with a rule if its error is smaller by more than 1 mm and 2 %, and "worse" if it is larger by as
 much. The gain is the mean difference over the drives on which the rule acts, with its standard error. A rule gains
-something if that is more than two standard errors, or if it avoids wrong poses or contacts, or reaches more goals.
+something if that is more than two standard errors, or if it avoids wrong poses or contacts, or reaches more goals. A
+tracked frame is wrong if it is off by more than three of its standard deviations and 0.1 m, in a known map by more than
+0.2 m.
 """
 
 from __future__ import annotations
@@ -15,6 +23,7 @@ from __future__ import annotations
 import argparse
 import statistics
 import time
+import unittest.mock
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -27,34 +36,22 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks import machine
-from benchmarks.barn import crossed
-from benchmarks.barn_worlds import field_of
-from benchmarks.golden import command, commit
+from benchmarks.golden import commit
 from benchmarks.kept_records import KeptRecords
-from benchmarks.navigation_courses import KnownBuilding
-from benchmarks.navigation_drives import Hardness, drives_from
 from benchmarks.sequences import default_data_folder
-from benchmarks.session_maps import kept_day
-from benchmarks.session_starts import Building
+from benchmarks.special_cases_drives import FIELDS, GOALS, Drive, drives_of
 from benchmarks.table import Sheet
-from wheelsight import Localizer, Status, load_config, open_recording
-from wheelsight.core.estimates import Estimate
 from wheelsight.core.files import write_text
-from wheelsight.core.geometry import se3
-from wheelsight.core.messages import Event, RgbdFrame, WheelTicks
-from wheelsight.core.trajectory import Trajectory
-from wheelsight.estimation import FusedEstimate, consistency_check, fusion_localizer, loop_updates
-from wheelsight.evaluation import ate
-from wheelsight.navigation import CostmapSettings, NavigationSettings, planning, senses
+from wheelsight.estimation import consistency_check, fault_detection, fusion_localizer, loop_updates
+from wheelsight.estimation import filter as error_state
+from wheelsight.estimation.pose_belief import changed
+from wheelsight.navigation import navigator, planning, senses
 from wheelsight.vision.dense import odometry as dense_odometry
 from wheelsight.vision.dense import tracking
 
 ALL = "all rules"
-_WRONG_M, _WRONG_CHI2 = 0.1, 14.2  # three standard deviations of a position, 99.73 %
 _BETTER_M, _BETTER_SHARE = 0.001, 0.02
-_LATE_FRAMES = 2
-# Of `elevator`: when the robot stops, for how long, and the time at which the drive continues.
-_STANDS_FROM_S, STANDS_S, _OTHER_PLACE_S = 8.0, 3.0, 16.0
+_UNSURE_IN_MAP_M = 0.2  # of `loop_updates`
 
 
 @dataclass(frozen=True)
@@ -69,6 +66,7 @@ class Rule:
         owner, attribute: method, property or function that is replaced.
         off: called with the original and its arguments; its result without the rule.
         acts: whether a result with the rule, given the one without it, shows that the rule acted.
+        is_pure: whether counting may call the original a second time, as it has no state.
     """
 
     name: str
@@ -79,6 +77,7 @@ class Rule:
     attribute: str
     off: Callable[..., Any]
     acts: Callable[[Any, Any], bool] = lambda with_it, without: bool(with_it != without)
+    is_pure: bool = False
 
 
 def _by_name(*_: Any, value: Any) -> Any:
@@ -105,6 +104,46 @@ def _is_given(with_it: Any, _: Any) -> bool:
 
 def _is_other(with_it: Any, without: Any) -> bool:
     return with_it is not without
+
+
+def _always(*_: Any) -> bool:
+    return True
+
+
+def _no_hint(original: Callable[..., Any], found: Any, prior: Any, *more: Any) -> Any:
+    """Judge an alignment as if no direction had information in the reference alone."""
+    return original(replace(found, compared=np.zeros((6, 6))), prior, *more)
+
+
+def _any_speed(original: Callable[..., Any], self: Any, *arguments: Any) -> Any:
+    fastest, self._fastest = self._fastest, (np.inf, np.inf)
+    try:
+        return original(self, *arguments)
+    finally:
+        self._fastest = fastest
+
+
+def _no_room(original: Callable[..., Any], self: Any) -> Any:
+    """Hand keyframes over at once, as if the filter had no room to remember them."""
+    with unittest.mock.patch.object(error_state, "_OTHERS", np.inf):
+        return original(self)
+
+
+def _slip_alone(original: Callable[..., Any], detection: Any, stamp_s: float, settings: Any) -> Any:
+    """Decide for slip without covering the wheels' pose."""
+    found = original(detection, stamp_s, settings)
+    is_by_time = detection.fault is fault_detection.Fault.VISION and found.fault is fault_detection.Fault.WHEEL_SLIP
+    return changed(found, primary=detection.alternative) if is_by_time else found
+
+
+def _learn_at_once(
+    original: Callable[..., Any], detection: Any, stamp_s: float, measurement: Any, settings: Any
+) -> Any:
+    return original(detection, stamp_s, measurement, replace(settings, slippery_s=0.0))
+
+
+def _certain_enough(original: Callable[..., Any], T: Any, covariance: Any, most_m: float, most_rad: float) -> Any:
+    return most_m == _UNSURE_IN_MAP_M or original(T, covariance, most_m, most_rad)
 
 
 RULES = (
@@ -151,9 +190,10 @@ RULES = (
         "dense-alignment",
         "one person at 0.5 m",
         "recordings",
-        tracking.Misfits,
-        "pose_error",
-        lambda original, self: (0.0, original(self)[1]),
+        tracking.Locator,
+        "by_regions",
+        lambda original, *arguments, **more: (np.zeros((6, 6)), original(*arguments, **more)[1]),
+        lambda with_it, _: bool(with_it[0].any()),
     ),
     Rule(
         "0.75 of the regions agree",
@@ -233,6 +273,92 @@ RULES = (
         _constant(False),
     ),
     Rule(
+        "information of 0.4 is confirmed",
+        "dense-alignment",
+        "one drive along a bare wall, one test",
+        "recordings",
+        tracking,
+        "judge",
+        _no_hint,
+        lambda with_it, without: not np.array_equal(with_it.covariance, without.covariance),
+        is_pure=True,
+    ),
+    Rule(
+        "gaps with wheels without keypoints",
+        "features",
+        "two flats, a cover of 1 s",
+        "recordings",
+        dense_odometry.FaultDetector,
+        "is_bridged",
+        _constant(False),
+    ),
+    Rule(
+        "half of the keypoints after 2 s",
+        "features",
+        "two of eight cameras alone",
+        "recordings",
+        dense_odometry.Verifier,
+        "_is_unambiguous",
+        _constant(True),
+    ),
+    Rule(
+        "limit on the speed of keypoints",
+        "localization-starts",
+        "repeating paint",
+        "recordings",
+        tracking.KeypointTracker,
+        "track",
+        _any_speed,
+    ),
+    Rule(
+        "hidden directions end a piece",
+        "controller",
+        "starts beside walls",
+        "recordings",
+        consistency_check.MotionSegments,
+        "skip",
+        _constant(None),
+        _always,
+    ),
+    Rule(
+        "keyframes wait while undecided",
+        "filter",
+        "Freiburg79, first day",
+        "recordings",
+        error_state.ErrorStateFilter,
+        "settled_motions",
+        _no_room,
+        lambda with_it, _: with_it is None,
+    ),
+    Rule(
+        "slip by time covers the wheels' pose",
+        "filter",
+        "one person who walks past, Willow",
+        "recordings",
+        fault_detection,
+        "_settled",
+        _slip_alone,
+    ),
+    Rule(
+        "known again within 0.7 m after darkness",
+        "localization-starts",
+        "one of 104 robots",
+        "recordings",
+        consistency_check,
+        "_is_within",
+        lambda original, way_m, T: original(min(way_m, 0.3), T),
+        is_pure=True,
+    ),
+    Rule(
+        "camera's place is not learned after slip",
+        "filter",
+        "drives over ice",
+        "recordings",
+        fault_detection,
+        "updated",
+        _learn_at_once,
+    ),
+    Rule(
         "CautiousPlanner with PlanView",
         "planner",
         "BARN worlds 3 to 11, one drive each",
@@ -246,7 +372,7 @@ RULES = (
         "HeldPlace",
         "localization-starts",
         "one drive of 53 s, Willow",
-        "goals",
+        "places",
         senses.HeldPlace,
         "holds",
         _constant(False),
@@ -270,50 +396,128 @@ RULES = (
         "keeps_clear",
         _constant(True),
     ),
+    Rule(
+        "uncertain in a known map is coasting",
+        "localization-starts",
+        "one misled robot, 12 frames",
+        "places",
+        loop_updates,
+        "_is_within",
+        _certain_enough,
+        is_pure=True,
+    ),
+    Rule(
+        "waits before a long way round",
+        "planner",
+        "one goal among people, Willow",
+        "goals",
+        navigator.NavigationTask,
+        "await_way",
+        _constant(False),
+    ),
+    Rule(
+        "backs up before unseen floor",
+        "planner",
+        "two rooms with a door",
+        "goals",
+        navigator,
+        "when_unseen",
+        lambda original, attempt, *, was_backward: original(1, was_backward=was_backward),
+        is_pure=True,
+    ),
 )
 # What each rule gains, by the tables of `docs/benchmarks/special-cases.md`.
 VERDICTS = {
     "DepthDelay": (
-        "Stays, undecided: +1.2 ± 2.2 mm. Where it was found, but with the calibrated delay set to 0 (by hand), "
-        "freiburg1_desk errs by 20.9 mm with it and 23.9 mm without, freiburg1_rpy by 16.9 and 18.0 mm."
+        "Stays: with the calibrated delay set to 0 (by hand), freiburg1_desk errs by 20.9 mm with it and 23.9 mm "
+        "without, freiburg1_rpy by 16.9 and 18.0 mm. Elsewhere +1.2 ± 2.2 mm."
     ),
     "two references": (
-        "Stays, undecided: +2.6 ± 1.6 mm over 14 drives. freiburg1_desk, which must not become worse, "
-        "errs by 20.9 mm with it and 22.4 mm without."
+        "Stays: freiburg1_desk errs by 20.9 mm with it and 22.4 mm without; 14 drives +2.6 ± 1.6 mm. Eight further "
+        "crowds change by 1.1 mm at most."
     ),
-    "EvictedViews": "Stays, not judged: no drive here returns after its keyframes left the cache.",
+    "EvictedViews": (
+        "Stays for its purpose, a map that does not grow in known rooms: 163 keyframes instead of 190 after two "
+        "drives of four laps with a cache of six. The error is 7 ± 4 mm larger."
+    ),
     "moving regions left out": (
-        "Stays, undecided: +1.6 ± 2.7 mm. In the four crowds, which are its subject, 462 frames are tracked "
-        "instead of 437."
+        "Stays: 682 frames of eleven crowds are tracked instead of 625, at +17 ± 27 mm; freiburg1_desk errs by "
+        "20.9 mm with it and 21.9 mm without."
     ),
     "misfit in the covariance": (
-        "Stays, undecided: -4.0 ± 3.8 mm, 1843 frames tracked instead of 1815. Its subject, the "
-        "covariance of a camera alone, is not judged."
+        "Stays for a camera alone: 127 tracked frames of twelve crowds are wrong instead of 172, though its error is "
+        "29 ± 21 mm larger. Removed beside wheels."
     ),
-    "0.75 of the regions agree": "Stays, undecided: acts on nine drives and changes two, both crowds (+2 and +131 mm).",
+    "0.75 of the regions agree": (
+        "Stays: +33 ± 17 mm in eleven crowds (seven better, two worse). No other drive changes."
+    ),
     "corrected keyframes (`_laid_anew`)": (
-        "Stays, undecided: +34 ± 23 mm. In the four crowds +44, +167, +32 and -7 mm; on three other drives "
-        "between -0.7 and +1.2 mm."
+        "Gains 50 ± 16 mm in eleven crowds (eight better, two worse). Three other drives change by -0.7 to +1.2 mm."
     ),
-    "camera restarts in its map": "Stays, undecided: acts on two drives, both crowds: +112 and +9 mm.",
+    "camera restarts in its map": (
+        "Stays for its subject, repeating paint: 1 of 42 drives is wrong instead of 5, where it was found. Crowds "
+        "do not show a gain."
+    ),
     "UncertainRestart": (
-        "Stays, not judged: no drive makes the wheels as uncertain as 0.25 m, not even 4 s without readings and camera."
+        "Gains: after 5 s without any event, no tracked frame of `flat-53` is wrong instead of 110. Three other such "
+        "drives do not make the wheels uncertain by 0.25 m, though 92 frames of `office_b-58` are wrong."
     ),
     "KidnapDetection beside standing wheels": (
-        "Stays: after four elevators 192 tracked frames are wrong instead of 424; one is not detected."
+        "Gains: after four elevators 192 tracked frames are wrong instead of 424; one is not detected."
     ),
     "ColorCheck": (
-        "Stays: with colour two frames late +204 ± 69 mm on four drives, 0 wrong frames instead of 20; "
-        "one is not detected. No other drive changes."
+        "Gains 204 ± 69 mm with colour two frames late (four drives), 0 wrong frames instead of 20; one is not "
+        "detected. No other drive changes."
     ),
-    "floor at a wrong distance": "Stays, not judged: it acts on no drive here.",
-    "ReadmissionCheck (`SecondCheck`)": "Stays, not judged: no camera is left out here.",
+    "floor at a wrong distance": (
+        "Stays: with a mount that looks 30° lower, a tracked pose is wrong without it "
+        "(`tests/localizer/test_base_check.py`). With depth of 0.2 and 1.4, 48 more frames of six drives are tracked "
+        "without it, none wrong."
+    ),
+    "ReadmissionCheck (`SecondCheck`)": (
+        "Gains 22 ± 7 mm where depth is 1.4 times too large for 6 s: 223 frames of two drives are tracked "
+        "afterwards, without it none."
+    ),
+    "information of 0.4 is confirmed": (
+        "Stays, undecided: +22 mm behind a cover (`flat-57`, 211 frames tracked instead of 206); four other drives do "
+        "not change."
+    ),
+    "gaps with wheels without keypoints": (
+        "Stays, not judged: it acts on no drive here, not even after covers of 1.2, 3 and 4 s. Rooms without features "
+        "were not driven."
+    ),
+    "half of the keypoints after 2 s": (
+        "Stays, not judged: no camera alone here matches few keypoints after two seconds without a pose."
+    ),
+    "limit on the speed of keypoints": (
+        "Stays, not judged: nothing changes here. Its subject, repeating paint, was not simulated with other seeds."
+    ),
+    "hidden directions end a piece": (
+        "Stays, undecided: acts on five drives and changes none. Its subject, a start beside a wall, was not driven."
+    ),
+    "keyframes wait while undecided": ("Gains 41 ± 15 mm in eleven crowds (nine better, one worse); over ice -1 mm."),
+    "slip by time covers the wheels' pose": (
+        "Stays, not judged: no drive here decides for slip by time alone, also not the one with a lifted wheel."
+    ),
+    "known again within 0.7 m after darkness": (
+        "Stays, not judged: no robot here moved between 0.3 and 0.7 m in the dark."
+    ),
+    "camera's place is not learned after slip": (
+        "Stays, undecided: +0.3 mm over ice and 0.0 mm in eight crowds and with a lifted wheel. Where it was found, "
+        "ten drives over ice gained 3 mm."
+    ),
     "CautiousPlanner with PlanView": (
-        "Stays, undecided: one field, 37.6 s with it and 26.5 s without, both beside `BlockedWays`."
+        "Stays, not judged: one field is crossed in 18.8 s with and without it. Five further fields took too long."
     ),
-    "HeldPlace": "Stays, not run.",
-    "OpenWay": "Stays, not run.",
-    "behaviours keep clear of the map": "Stays, not run.",
+    "HeldPlace": ("Gains 11 ± 3 mm on three days among six people in a known map, 1 wrong frame instead of 3."),
+    "OpenWay": ("Stays, not judged: two goals from one start were ended after four minutes of processor time."),
+    "behaviours keep clear of the map": ("Stays, not judged, as `OpenWay`. It keeps a robot off the map's obstacles."),
+    "uncertain in a known map is coasting": (
+        "Gains: 1 tracked frame of three days in a known map is wrong instead of 8; 569 frames are tracked instead of "
+        "590."
+    ),
+    "waits before a long way round": "Stays, not judged, as `OpenWay`.",
+    "backs up before unseen floor": "Stays, not judged, as `OpenWay`.",
 }
 # Rules that were removed, as measured with the code that had them: found on, acts on, gain, better and worse, and more.
 REMOVED = (
@@ -332,6 +536,14 @@ REMOVED = (
         "+0.0001 ± 0.0002 m",
         "0, 0",
         "ice of `floor4-56`; a wheel that spins twice, 0.4 m each, in `flat-53` and `square-54`",
+    ),
+    (
+        "misfit in the covariance, beside wheels",
+        "one person at 0.5 m",
+        "17 of 22 drives",
+        "-0.0149 ± 0.0072 m",
+        "2, 8",
+        "twelve crowds: RMSE 84 mm with it, 63 mm without; 1054 and 983 tracked frames, none wrong",
     ),
 )
 # Replaced together with a rule's own method.
@@ -376,7 +588,8 @@ def counted(rules: Sequence[Rule]) -> Iterator[Counter[str]]:
     def watch(rule: Rule, original: Callable[..., Any], *arguments: Any, **more: Any) -> Any:
         found = original(*arguments, **more)
         # A planner is not asked twice: its plans take long.
-        other = found if rule.off is _plain_plan else rule.off(_constant(found), *arguments, **more)
+        again = original if rule.is_pure else _constant(found)
+        other = found if rule.off is _plain_plan else rule.off(again, *arguments, **more)
         counts[rule.name] += rule.acts(found, other)
         return found
 
@@ -386,258 +599,27 @@ def counted(rules: Sequence[Rule]) -> Iterator[Counter[str]]:
         yield counts
 
 
-# Drives --------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Figures:
-    """Of one drive.
-
-    Attributes:
-        error_m: RMSE in the map from the true start, or after rigid alignment for a camera alone; driven time for
-            goals and fields.
-        end_m: of the last pose; NaN for a camera alone; way for goals and fields.
-        posed, tracking, wrong: frames; goals, reached goals, contacts.
-        total: frames, or goals.
-        seconds: of the run.
-    """
-
-    error_m: float
-    end_m: float
-    posed: int
-    tracking: int
-    wrong: int
-    total: int
-    seconds: float
-
-
-@dataclass(frozen=True)
-class Drive:
-    """A drive on disk, or one that is simulated while it is driven.
-
-    Attributes:
-        name: of it.
-        family: see `Rule`.
-        run: gives its figures.
-        rules: names of the rules that are judged by it; empty for all of its family.
-    """
-
-    name: str
-    family: str
-    run: Callable[[], Figures]
-    rules: tuple[str, ...] = ()
-
-
-Change = Callable[[Iterator[Event], Trajectory], tuple[Iterator[Event], Trajectory]]
-
-
-def late_color(events: Iterator[Event], truth: Trajectory) -> tuple[Iterator[Event], Trajectory]:
-    """The events with the colour of two frames before."""
-
-    def changed_events() -> Iterator[Event]:
-        colors: list[Any] = []
-        for event in events:
-            if isinstance(event, RgbdFrame):
-                colors.append(event.color)
-                yield replace(event, color=colors[max(0, len(colors) - 1 - _LATE_FRAMES)])
-            else:
-                yield event
-
-    return changed_events(), truth
-
-
-def elevator(events: Iterator[Event], truth: Trajectory) -> tuple[Iterator[Event], Trajectory]:
-    """Events and truth of a robot that stands before a known view, and then sees another place of the same drive."""
-    all_events = list(events)
-    begin_s = all_events[0].stamp_s
-    from_s, to_s = begin_s + _STANDS_FROM_S, begin_s + _OTHER_PLACE_S
-    shift_s = from_s + STANDS_S - to_s
-    is_before, is_after = truth.stamps_s < from_s, truth.stamps_s >= to_s
-    stamps_s = np.concatenate([truth.stamps_s[is_before], truth.stamps_s[is_after] + shift_s])
-    T = np.concatenate([truth.T_frame_body[is_before], truth.T_frame_body[is_after]])
-    return _standing(all_events, from_s, to_s, shift_s), Trajectory(stamps_s, T, body=truth.body)
-
-
-def _standing(events: list[Event], from_s: float, to_s: float, shift_s: float) -> Iterator[Event]:
-    before = [event for event in events if event.stamp_s < from_s]
-    after = [event for event in events if event.stamp_s >= to_s]
-    stood = next(event for event in reversed(before) if isinstance(event, WheelTicks))
-    first = next(event for event in after if isinstance(event, WheelTicks))
-    view = next(event for event in reversed(before) if isinstance(event, RgbdFrame))
-    yield from before
-    rng = np.random.default_rng(0)
-    for event in events:
-        stamp_s = event.stamp_s - events[0].stamp_s + from_s
-        if stamp_s >= from_s + STANDS_S:
-            break
-        if isinstance(event, RgbdFrame):  # with noise, as equal images count as one
-            color = np.clip(view.color + rng.integers(-2, 3, view.color.shape), 0, 255).astype(np.uint8)
-            yield replace(view, stamp_s=stamp_s, color=color, index=event.index)
-        elif isinstance(event, WheelTicks):
-            yield replace(stood, stamp_s=stamp_s)
-    for event in after:
-        if isinstance(event, WheelTicks):
-            left, right = event.left - first.left + stood.left, event.right - first.right + stood.right
-            yield WheelTicks(event.stamp_s + shift_s, left, right)
-        else:
-            yield replace(event, stamp_s=event.stamp_s + shift_s)
-
-
-def replay(path: Callable[[], Path], until_s: float, change: Change | None = None) -> Figures:
-    """Figures of a recording, joined with loops if it has wheels, else by the camera alone."""
-    recording = open_recording(path())
-    truth = recording.ground_truth
-    assert truth is not None
-    joined = bool(recording.wheel_count)
-    chosen = {"odometry": "wheels,dense" if joined else "dense", "loops.source": "keyframes"}
-    if not joined:
-        chosen["loops.source"] = "none"
-    localizer = Localizer(recording.calibration, load_config(overrides=chosen), waits=True)
-    begun_s, first_s, found, frames = time.process_time(), None, list[Estimate](), 0
-    events = recording.events()
-    if change is not None:
-        events, truth = change(events, truth)
-    for event in events:
-        first_s = event.stamp_s if first_s is None else first_s
-        if event.stamp_s - first_s > until_s:
-            break
-        estimate = localizer.process(event)
-        if isinstance(event, RgbdFrame):
-            frames += 1
-            if estimate is not None and estimate.T_odom_body is not None:
-                found.append(estimate)
-    localizer.close()
-    return _judged(found, frames, truth, time.process_time() - begun_s, joined=joined)
-
-
-def _judged(found: list[Estimate], frames: int, truth: Trajectory, seconds: float, *, joined: bool) -> Figures:
-    tracking = [one.status is Status.TRACKING for one in found]
-    stamps_s = np.array([one.stamp_s for one in found])
-    if not joined:
-        T = np.array([one.T_odom_body for one in found])
-        error_m = ate(Trajectory(stamps_s, T), truth).translation.rmse
-        return Figures(error_m, float("nan"), len(found), sum(tracking), 0, frames, seconds)
-    inside = (stamps_s >= truth.stamps_s[0]) & (stamps_s <= truth.stamps_s[-1])
-    kept = [one for one, is_inside in zip(found, inside, strict=True) if is_inside]
-    T_true = truth.at(stamps_s[inside])
-    in_map, in_odom = (np.array([getattr(one, name) for one in kept]) for name in ("T_map_body", "T_filter_body"))
-    off_map, off_odom = ((T[0] @ se3.invert(T_true[0]) @ T_true)[:, :3, 3] - T[:, :3, 3] for T in (in_map, in_odom))
-    assert all(isinstance(one, FusedEstimate) for one in kept)
-    P = se3.position_covariance(in_odom, np.array([one.filter_covariance for one in kept]))
-    chi2 = np.einsum("ni,nij,nj->n", off_odom, np.linalg.inv(P + 1e-6 * np.eye(3)), off_odom)
-    is_tracking = np.array(tracking)[inside]
-    wrong = is_tracking & (chi2 > _WRONG_CHI2) & (np.linalg.norm(off_odom, axis=1) > _WRONG_M)
-    off_m = np.linalg.norm(off_map, axis=1)
-    error_m = float(np.sqrt(np.mean(off_m**2)))
-    return Figures(error_m, float(off_m[-1]), len(kept), int(is_tracking.sum()), int(wrong.sum()), frames, seconds)
-
-
-def field_figures(number: int, seed: int) -> Figures:
-    """Figures of a field of obstacles without a map (see `benchmarks.barn`)."""
-    begun_s, settings = time.process_time(), NavigationSettings(costmap=CostmapSettings(unknown="costly"))
-    one = crossed(field_of(number, seed, settings), seed, settings, 10.0)
-    taken_s = time.process_time() - begun_s
-    return Figures(one.time_s, one.way_m, 1, int(one.is_success), len(one.contacts), 1, taken_s)
-
-
-def goal_figures(known: Callable[[], KnownBuilding], number: int, seed: int) -> Figures:
-    """Figures of two goals among people and things in a known map (see `benchmarks.navigation`)."""
-    begun_s = time.process_time()
-    goals = drives_from(known(), number, 2, seed, Hardness(people=4, things=3), lambda _: None)
-    reached, touched = sum(one.has_arrived for one in goals), sum(len(one.contacts) for one in goals)
-    times = sum(one.time_s for one in goals), sum(one.way_m for one in goals)
-    return Figures(*times, len(goals), reached, touched, len(goals), time.process_time() - begun_s)
-
-
-# Simulated by `wheelsight simulate`, 25 s at 10 frames a second.
-SIMULATED = {
-    "floor4-51": ("floor4", "--seed", "51"),
-    "studio-52": ("studio", "--seed", "52", "--passers-by", "4"),
-    "flat-53": ("flat", "--seed", "53", "--passers-by", "3"),
-    "square-54": ("square", "--seed", "54"),
-    "studio-55": ("studio", "--seed", "55", "--lift", "8:10"),
-    "floor4-56": ("floor4", "--seed", "56", "--ice", "4,0,1.5", "--reverse"),
-    "flat-57": ("flat", "--seed", "57", "--cover", "8:11"),
-    "office_b-58": ("--plan", "maps/office_b.png", "--resolution", "0.05", "--seed", "58"),
-    "studio-61": ("studio", "--seed", "61", "--passers-by", "4"),
-    "flat-71": ("flat", "--seed", "71", "--cover", "8:12", "--dropout", "8:12"),
-    "studio-65": ("studio", "--seed", "65", "--passers-by", "4", "--reverse"),
-    "flat-63": ("flat", "--seed", "63", "--passers-by", "5", "--reverse"),
-    "square-72": ("square", "--seed", "72", "--cover", "6:10", "--dropout", "6:10"),
-    "floor4-62": ("floor4", "--seed", "62", "--passers-by", "6"),
-    "square-64": ("square", "--seed", "64", "--passers-by", "4"),
-    "flat-66": ("flat", "--seed", "66", "--ice", "2,0,2"),
-    "office_b-67": ("--plan", "maps/office_b.png", "--resolution", "0.05", "--seed", "67", "--passers-by", "6"),
-}
-_HOW = ("--rate", "10", "--duration", "25")
-# Seconds of each real recording; a rule is not judged by the one on which it was found.
-REAL = {"rgbd_dataset_freiburg1_desk": 20.0, "freiburg1_rpy_part": 9.0, "red_kitchen": 12.0}
-_OF_CAMERA = ("DepthDelay", "two references", "moving regions left out", "misfit in the covariance")
-FIELDS_SEED, GOALS_SEED = 7, 11
-# Those of 30 and 25 % fill first.
-_FIELDS = (3, 2, 7, 6, 11, 10, 1, 0, 5, 4, 9, 8)
-_ALL_GOALS = 6
-
-
-def simulated(path: Path, words: Sequence[str], data: Path) -> Path:
-    """A simulated recording, which is written once."""
-    if not path.exists():
-        command("simulate", *(str(data / one) if "/" in one else one for one in words), *_HOW, "--out", str(path))
-    return path
-
-
-def drives_of(keep: Path, data: Path, fields: int, starts: int) -> list[Drive]:
-    """All drives, those of recordings first."""
-    found = []
-    for name, until_s in REAL.items():
-        if (data / "rgbd" / name).exists():
-            rules = tuple(rule for rule in _OF_CAMERA if rule != "DepthDelay" or "desk" not in name)
-            found.append(
-                Drive(name, "recordings", partial(replay, partial(Path, data / "rgbd" / name), until_s), rules)
-            )
-    for name, words in SIMULATED.items():
-        path = partial(simulated, keep / "recordings" / name, words, data)
-        found.append(Drive(name, "recordings", partial(replay, path, np.inf)))
-        if name in ("floor4-51", "flat-53", "square-54", "office_b-58"):
-            late = partial(replay, path, np.inf, late_color)
-            found.append(Drive(f"{name}, colour late", "recordings", late, ("ColorCheck",)))
-            carried = partial(replay, path, np.inf, elevator)
-            of_kidnap = ("KidnapDetection beside standing wheels",)
-            found.append(Drive(f"{name}, elevator", "recordings", carried, of_kidnap))
-    for number in _FIELDS[:fields]:
-        run = partial(field_figures, number, FIELDS_SEED)
-        found.append(Drive(f"field {FIELDS_SEED}-{number}", "fields", run))
-    for name in ("flat", "studio"):
-        known = partial(known_building, name, keep / "maps")
-        for number in range(starts):
-            run = partial(goal_figures, known, number, GOALS_SEED)
-            found.append(Drive(f"{name}, goals {GOALS_SEED}-{number}", "goals", run))
-    return found
-
-
-def known_building(name: str, folder: Path) -> KnownBuilding:
-    """The map of the first day of a world, made once."""
-    building = Building(name, name, None)
-    return KnownBuilding(building, kept_day(building, folder, {}, 10.0), NavigationSettings())
-
-
 # Measurement ---------------------------------------------------------------------------------------------------------
 
 
 def applies(rule: Rule, drive: Drive) -> bool:
     """Whether a rule is judged by a drive."""
-    return rule.family == drive.family and (not drive.rules or rule.name in drive.rules)
+    is_listed = rule.name in drive.rules if drive.rules else rule.name not in _LISTED_ONLY
+    return rule.family == drive.family and is_listed and rule.name not in drive.leaves
 
 
 def measure(drive: Drive, rules: Sequence[Rule], kept: KeptRecords, console: Console, until: float) -> None:
     """Run a drive with all rules, and once without each rule that acts; results are kept."""
     rules = [rule for rule in rules if applies(rule, drive)]
-    base = kept.of(f"{drive.name}, {ALL}")
-    if base is None:
-        with counted(rules) as counts:
-            base = {**asdict(drive.run()), "acted": dict(counts), "commit": commit()}
+    base = kept.of(f"{drive.name}, {ALL}") or {"acted": {}}
+    uncounted = [rule for rule in rules if rule.name not in (*base["acted"], *_UNCOUNTED)]
+    if uncounted or "commit" not in base:
+        with counted(uncounted) as counts:
+            found = asdict(drive.run())
+        before, acted = base.get("error_m"), {rule.name: counts[rule.name] for rule in uncounted}
+        base = {**found, "acted": base["acted"] | acted, "commit": commit()}
         kept.keep(f"{drive.name}, {ALL}", base)
-        console.print(f"{drive.name}: {base}")
+        console.print(f"{drive.name}: {base}" + ("" if before in (None, base["error_m"]) else f" (was {before})"))
     for rule in rules:
         name = f"{drive.name}, without {file_name(rule)}"
         if not acts_on(rule, base) or kept.of(name) is not None or time.time() > until:
@@ -653,7 +635,19 @@ def acts_on(rule: Rule, base: dict[str, Any]) -> bool:
     return rule.name in _UNCOUNTED or bool(base["acted"].get(rule.name))
 
 
-_UNCOUNTED = ("KidnapDetection beside standing wheels", "ColorCheck", "CautiousPlanner with PlanView")
+# Rules that run only on drives that list them, as they cannot be counted and change nothing elsewhere.
+_LISTED_ONLY = (
+    "limit on the speed of keypoints",
+    "camera's place is not learned after slip",
+    "misfit in the covariance",
+)
+_UNCOUNTED = (
+    "KidnapDetection beside standing wheels",
+    "ColorCheck",
+    "CautiousPlanner with PlanView",
+    "limit on the speed of keypoints",
+    "camera's place is not learned after slip",
+)
 
 
 def file_name(rule: Rule) -> str:
@@ -687,7 +681,7 @@ def row_of(rule: Rule, pairs: Sequence[Comparison], usual_s: Mapping[str, float]
     """Of the table; `usual_s` is the processor time of each drive, as the first run also compiles."""
     compared = [pair for pair in pairs if pair.off is not None]
     mean, scatter = difference(compared)
-    unit, places = ("m", 4) if rule.family == "recordings" else ("s", 1)
+    unit, places = ("m", 4) if rule.family in ("recordings", "places") else ("s", 1)
     better = worse = 0
     for pair in compared:
         assert pair.off is not None
@@ -723,7 +717,7 @@ def sheets_of(drives: Sequence[Drive], kept: KeptRecords) -> list[Sheet]:
         if pair.off is not None:
             seconds.setdefault(pair.drive, []).append(pair.off["seconds"])
     usual_s = {drive: statistics.median(of_drive) for drive, of_drive in seconds.items() if len(of_drive) > 2}
-    for family, header in (("recordings", HEADER), ("fields", NAVIGATION), ("goals", NAVIGATION)):
+    for family, header in (("recordings", HEADER), ("places", HEADER), ("fields", NAVIGATION), ("goals", NAVIGATION)):
         rows = tuple(row_of(rule, pairs_of[rule.name], usual_s) for rule in RULES if rule.family == family)
         sheets.append(Sheet(f"Rules on {family}", header, rows))
     single = []
@@ -757,10 +751,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.special_cases", description=__doc__)
     parser.add_argument("--data", type=Path, default=default_data_folder(), help="folder with rgbd and maps in it")
     parser.add_argument("--keep", type=Path, required=True, metavar="DIR", help="recordings, maps and figures")
-    parser.add_argument("--families", nargs="+", default=["recordings", "fields", "goals"], help="drives to run")
+    parser.add_argument(
+        "--families", nargs="+", default=["recordings", "places", "fields", "goals"], help="drives to run"
+    )
+    parser.add_argument("--drives", default="", help="parts of the names of the drives to run, with commas between")
     parser.add_argument("--rules", nargs="+", help="names of rules; default all")
-    parser.add_argument("--fields", type=int, default=len(_FIELDS), help="fields of obstacles")
-    parser.add_argument("--starts", type=int, default=_ALL_GOALS, help="starts in each known map")
+    parser.add_argument("--fields", type=int, default=FIELDS, help="fields of obstacles")
+    parser.add_argument("--starts", type=int, default=GOALS, help="starts in each known map")
     parser.add_argument("--minutes", type=float, default=np.inf, help="no run begins later")
     parser.add_argument("--out", type=Path, help="page that is written, docs/benchmarks/special-cases.md")
     asked = parser.parse_args()
@@ -769,7 +766,8 @@ def main() -> None:
     console, kept = Console(width=180), KeptRecords(asked.keep / "figures", {})
     drives, until = drives_of(asked.keep, asked.data, asked.fields, asked.starts), time.time() + 60 * asked.minutes
     for drive in drives:
-        if drive.family in asked.families and time.time() < until:
+        is_asked = drive.family in asked.families and any(one in drive.name for one in asked.drives.split(","))
+        if is_asked and time.time() < until:
             rules = [rule for rule in RULES if asked.rules is None or rule.name in asked.rules]
             measure(drive, rules, kept, console, until)
     bases = [kept.of(f"{drive.name}, {ALL}") for drive in drives]

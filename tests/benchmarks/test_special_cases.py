@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import special_cases
-from benchmarks.special_cases import RULES, Comparison, Rule, counted, difference, elevator, late_color, row_of, without
+from benchmarks import special_cases_drives
+from benchmarks.special_cases import RULES, Comparison, Rule, counted, difference, row_of, without
+from benchmarks.special_cases_drives import elevator, late_color, silence, wrong_depth
 from wheelsight import Trajectory
 from wheelsight.core.messages import RgbdFrame, WheelTicks
 
@@ -94,6 +95,21 @@ def test_an_elevator_stops_the_wheels_and_then_shows_another_place() -> None:
     stamps_s = np.array([event.stamp_s for event in events])
     assert (np.diff(stamps_s) > 0).all()
     ticks = np.array([event.left for event in events if isinstance(event, WheelTicks)])
-    stands = int(special_cases.STANDS_S * 10)
+    stands = int(special_cases_drives.STANDS_S * 10)
     assert np.count_nonzero(np.diff(ticks) == 0) == stands + 1
     assert np.diff(truth.T_frame_body[:, 0, 3]).max() > 7
+
+
+def test_a_bus_that_hangs_gives_no_events_for_a_while() -> None:
+    events, truth = drive()
+    stamps_s = np.array([event.stamp_s for event in silence(iter(events), truth)[0]])
+    assert np.diff(stamps_s).max() == pytest.approx(special_cases_drives.SILENT_S, abs=0.2)
+    assert np.sort(np.diff(stamps_s))[-2] < 0.2
+
+
+def test_depth_is_wrong_by_a_factor_until_a_time() -> None:
+    events, truth = drive()
+    changed = wrong_depth(iter(events), truth, 1.4, 5.0)[0]
+    depths_m = {round(event.stamp_s, 2): event.depth_m.max() for event in changed if isinstance(event, RgbdFrame)}
+    assert depths_m[4.91] == pytest.approx(1.4)
+    assert depths_m[5.01] == 1.0

@@ -6,13 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from odometry.dense.scenes import SMALL, Bench, apart, bench
+from odometry.dense.scenes import EXACT, SMALL, Bench, apart, bench
 from odometry.views import room_frame
 
 from wheelsight.core.calibration_parts import DepthNoise
 from wheelsight.core.geometry import BoolArray, FloatArray, se3
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.vision.dense.tracking import REGION_COLUMNS, REGION_ROWS, Misfits, misfits, without
+from wheelsight.core.threads import Stopwatch
+from wheelsight.vision.dense.settings import DenseSettings
+from wheelsight.vision.dense.tracking import (
+    REGION_COLUMNS,
+    REGION_ROWS,
+    Locator,
+    Misfits,
+    ViewCache,
+    misfits,
+    without,
+)
 
 MOTION = se3.exp([0.02, -0.01, 0.03, 0.004, 0.01, -0.006])
 # Columns of the image that a person hides: two of eight regions' width.
@@ -67,6 +77,19 @@ def test_a_pose_that_the_room_contradicts_may_be_as_far_off_as_that_says(parts: 
     with_person = se3.exp([0.0, 0.0, 0.2, 0.0, 0.0, 0.0]) @ MOTION
     assert misfits_of(parts, first, second, MOTION).pose_error()[0] == 0
     assert 0.05 < misfits_of(parts, first, second, with_person).pose_error()[0] < 0.4
+
+
+def test_a_misfit_enlarges_the_covariance_of_a_camera_alone(parts: Bench) -> None:
+    """Beside wheels it does not, so that they contradict the camera."""
+    settings, watch = DenseSettings(threads=1), Stopwatch()
+    views = ViewCache(settings, parts.gridder, parts.maker, watch)
+    locator = Locator(EXACT, settings, parts.aligner, views, watch)
+    first, second = seen(np.eye(4), 0.0, 1.0), seen(MOTION, 0.1, 0.8)
+    asked = parts.grid(second), parts.reference(first), se3.exp([0.0, 0.0, 0.2, 0.0, 0.0, 0.0]) @ MOTION
+    alone, beside_wheels = (locator.by_regions(*asked, is_helped=is_helped) for is_helped in (False, True))
+    assert 0.05**2 < alone[0][0, 0] < 0.4**2
+    assert not beside_wheels[0].any()
+    assert alone[1] == beside_wheels[1]
 
 
 def test_the_share_of_regions_that_fit_is_all_but_the_persons_at_the_true_pose_and_few_at_his(parts: Bench) -> None:

@@ -490,7 +490,7 @@ class Verifier:
         settings: DenseSettings,
         keypoints: KeypointTracker,
         views: ViewCache,
-        by_regions: Callable[[GridFrame, Reference, FloatArray], tuple[FloatArray, float | None]],
+        by_regions: Callable[..., tuple[FloatArray, float | None]],
         watch: Stopwatch,
     ) -> None:
         self._settings, self._watch = settings, watch
@@ -540,7 +540,7 @@ class Verifier:
             self.faults.unseen_s = 0.0  # keypoints show all motion
             return replace(found, keypoint_pose=pose)
         if pose is not None and pose.is_clear:
-            return self._by_keypoints(grid, pose)
+            return self._by_keypoints(grid, pose, is_helped=ahead.is_helped)
         if ahead.is_helped and found.motion.shows_all and self.faults.is_bridged(found, ahead):
             return found
         is_steady = ahead.is_helped or bool(ahead.last.twist.any())
@@ -567,15 +567,15 @@ class Verifier:
             return failure
         if ahead.is_helped and not pose.is_clear and not pose.agrees_with(ahead.T_map_camera[0]):
             return failure
-        return self._by_keypoints(grid, pose)
+        return self._by_keypoints(grid, pose, is_helped=ahead.is_helped)
 
-    def _by_keypoints(self, grid: GridFrame, pose: KeypointPose) -> Tracked:
+    def _by_keypoints(self, grid: GridFrame, pose: KeypointPose, *, is_helped: bool) -> Tracked:
         """The pose by keypoints, relative to the nearest keyframe and with the pose error by regions."""
         self.faults.unseen_s = 0.0
         nearest = self._views.nearest(pose.T_map_camera)
         T_map_camera, T_map_reference = se3.nearest(pose.T_map_camera), nearest.reference.T_map_reference
         T_reference_camera = se3.invert(T_map_reference) @ T_map_camera
-        frame_error, fitting = self._by_regions(grid, nearest.reference, T_reference_camera)
+        frame_error, fitting = self._by_regions(grid, nearest.reference, T_reference_camera, is_helped=is_helped)
         motion = replace(pose.motion_from(T_map_reference), fitting=fitting)
         known = (grid, T_map_camera, pose.covariance, motion, nearest.keyframe, grid.twist)
         is_near = nearest.distance_m(pose.T_map_camera) < self._settings.keyframe_way_m

@@ -669,7 +669,9 @@ class Locator:
         turning = judged.T_reference_frame[:3, :3] @ twist[3:] - view.turning_rad_s
         counts = (None, found.pairs, found.planes, judged.degenerate)
         spread = with_frame_error(judged.covariance, judged.T_reference_frame, self.of_frame)
-        frame_error, fitting = self.by_regions(grid, view.reference, judged.T_reference_frame)
+        frame_error, fitting = self.by_regions(
+            grid, view.reference, judged.T_reference_frame, is_helped=ahead.is_helped
+        )
         motion = MotionEstimate(judged.T_reference_frame, spread, *counts, fitting)
         fine = fine_share(grid, judged.T_reference_frame, _FINENESS)
         fit = (found.planes / max(found.points, 1) * fine, view in self._views.keyframes, found.residual)
@@ -678,15 +680,19 @@ class Locator:
         return replace(tracked, joint=joint, turning_rad_s=turning)
 
     def by_regions(
-        self, grid: GridFrame, reference: Reference, T_reference_frame: FloatArray
+        self, grid: GridFrame, reference: Reference, T_reference_frame: FloatArray, *, is_helped: bool
     ) -> tuple[FloatArray, float | None]:
         """The pose error T_reference_frame (4, 4) by the regions of a frame.
+
+        With a prior by other sensors (`is_helped`) the error is 0: they contradict a camera that follows a person, as
+        long as its covariance is not enlarged (docs/decisions/dense-alignment.md).
 
         Returns:
             Covariance (6, 6) of the error in the frame's own axes, with rotations as distances at 2 m; 0 if most
             regions agree with the pose. Then the share of regions that agree, or None if too few are compared.
         """
         error_m, fitting = misfits(grid, reference, T_reference_frame, self._noise).pose_error()
+        error_m = 0.0 if is_helped else error_m
         return np.diag((error_m / DEGENERATE_SCALE) ** 2), fitting
 
     def _start(
