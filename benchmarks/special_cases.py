@@ -268,7 +268,7 @@ RULES = (
         "controller",
         "starts beside walls",
         "recordings",
-        consistency_check.ReadmissionCheck,
+        fusion_localizer.ReadmissionCheck,
         "agrees",
         _constant(False),
     ),

@@ -98,27 +98,24 @@ def late_color(events: Iterator[Event], truth: Trajectory) -> tuple[Iterator[Eve
     return changed_events(), truth
 
 
+def _during(events: Iterator[Event], seconds: float) -> Iterator[tuple[Event, bool]]:
+    """Each event, and whether it is within some seconds from `_SILENT_FROM_S` on."""
+    begin_s = None
+    for event in events:
+        begin_s = event.stamp_s if begin_s is None else begin_s
+        yield event, _SILENT_FROM_S <= event.stamp_s - begin_s < _SILENT_FROM_S + seconds
+
+
 def silence(events: Iterator[Event], truth: Trajectory) -> tuple[Iterator[Event], Trajectory]:
     """The events without any for a while, as from a bus that hangs."""
-
-    def changed_events() -> Iterator[Event]:
-        begin_s = None
-        for event in events:
-            begin_s = event.stamp_s if begin_s is None else begin_s
-            if not _SILENT_FROM_S <= event.stamp_s - begin_s < _SILENT_FROM_S + SILENT_S:
-                yield event
-
-    return changed_events(), truth
+    return (event for event, is_silent in _during(events, SILENT_S) if not is_silent), truth
 
 
 def cover(events: Iterator[Event], truth: Trajectory) -> tuple[Iterator[Event], Trajectory]:
     """The events with black images for a moment."""
 
     def changed_events() -> Iterator[Event]:
-        begin_s = None
-        for event in events:
-            begin_s = event.stamp_s if begin_s is None else begin_s
-            is_covered = _SILENT_FROM_S <= event.stamp_s - begin_s < _SILENT_FROM_S + _COVER_S
+        for event, is_covered in _during(events, _COVER_S):
             if isinstance(event, RgbdFrame) and is_covered:
                 yield replace(event, color=np.zeros_like(event.color), depth_m=np.zeros_like(event.depth_m))
             else:

@@ -37,9 +37,9 @@ def example(project_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytes
         script = project_folder / "examples" / name
         monkeypatch.setattr(sys, "argv", [str(script), *map(str, arguments)])
         runpy.run_path(str(script), run_name="__main__")
-        told = capsys.readouterr()
-        assert told.err == ""
-        return told.out
+        output = capsys.readouterr()
+        assert output.err == ""
+        return output.out
 
     return run
 
@@ -90,14 +90,14 @@ def test_readme_examples_and_command_line_give_the_same_poses(
     make_room_drive(drive, frames=8)
     result = CliRunner().invoke(app, ["run", str(drive), "--out", str(tmp_path / "cli")])
     assert result.exit_code == 0, result.output
-    told = example("all_in_one.py", drive, tmp_path / "example")
+    output = example("all_in_one.py", drive, tmp_path / "example")
     cli, by_example = tmp_path / "cli" / "joined", tmp_path / "example" / "joined"
     for name in ("trajectory.txt", "odom.txt", "covariances.csv"):
         assert (cli / name).read_bytes() == (by_example / name).read_bytes()
     assert without_times(cli / "status.csv") == without_times(by_example / "status.csv")
     odom, best = read_tum(cli / "odom.txt"), read_tum(cli / "trajectory.txt")
     frames = len((cli / "status.csv").read_text().splitlines()) - 1
-    assert told.startswith(f"{frames} of {frames} frames have a pose")
+    assert output.startswith(f"{frames} of {frames} frames have a pose")
 
     class Watched(Localizer):
         def process(self, event: Event) -> Estimate | None:

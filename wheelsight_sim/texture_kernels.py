@@ -634,7 +634,7 @@ def books(at: PixelFootprint, hs: float, ht: float, look: Look) -> Any:
     inside = mix(back, _MEAN_SPINE, cover(above, 0.0, 0.77 * clear, max(wt, 0.3 * clear)))
     if blurred < 1:
         # The book at s, and the next where the footprint reaches over to it. A spine's right edge is moved within its
-        # slot; what is left of the slot belongs to the next book.
+        # slot; the rest of the slot belongs to the next book.
         column, stands, spines = math.floor(s / scale_m), PixelFootprint(s, above, ws, wt), back
         edge = (column + 0.35 + 0.65 * hash_unit(column, row, seed)) * scale_m
         left = cover(s, edge - 1.0, edge, ws)

@@ -115,9 +115,9 @@ def test_reckoning_is_what_odometry_makes_of_the_counts(rng: np.random.Generator
     readings = [reading for reading in turned(Encoders(ROBOT, WheelFaults(), rng), 8.0) if reading]
     stamps_s, left, right = np.array([(r.stamp_s, r.left, r.right) for r in readings]).T
     T_world_start = se3.from_plane(1.0, 2.0, 0.7)
-    reckoning = DeadReckoning(ROBOT.nominal, T_world_start)
+    odometry = DeadReckoning(ROBOT.nominal, T_world_start)
     for reading in readings:
-        T_world_base = reckoning.update(reading.left, reading.right)
+        T_world_base = odometry.update(reading.left, reading.right)
     path = integrate_log(ROBOT.nominal, stamps_s, left.astype(int), right.astype(int)).trajectory()
     np.testing.assert_allclose(T_world_base, T_world_start @ path.T_frame_body[-1], atol=1e-3)
 

@@ -125,7 +125,7 @@ class ImageRecording:
         return RgbdFrame(files.stamp_s, color, depth_m, index, files.depth_late_s)
 
     def moved(self, wheels_s: float, gyro_s: float) -> ImageRecording:
-        """The recording with later stamps of wheels and gyroscope, by so many seconds."""
+        """Return the recording with later stamps: of the wheels by `wheels_s`, of the gyroscope by `gyro_s` seconds."""
         shifts_s = self.shifts_s[0] + wheels_s, self.shifts_s[1] + gyro_s
         wheels, yaw_rates = _later(self.wheels, wheels_s), _later(self.yaw_rates, gyro_s)
         return replace(self, wheels=wheels, yaw_rates=yaw_rates, shifts_s=shifts_s)
