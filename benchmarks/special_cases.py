@@ -268,7 +268,7 @@ RULES = (
         "controller",
         "starts beside walls",
         "recordings",
-        fusion_localizer.ReadmissionCheck,
+        consistency_check.ReadmissionCheck,
         "agrees",
         _constant(False),
     ),

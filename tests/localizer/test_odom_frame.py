@@ -10,10 +10,9 @@ import pytest
 from localizer.joined_drives import BEND, Drive, Sight, answers_to, drive, joined, spinning
 from narrowing import not_none
 
-from wheelsight.core.estimates import Estimate, Reason, Status, WheelEstimate
+from wheelsight.core.estimates import Estimate, OdomFrame, Reason, Status, WheelEstimate
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.estimation import FusedEstimate
-from wheelsight.estimation.filter import OdomFrame
 from wheelsight.estimation.fusion_localizer import FusedOdom
 
 LEGS = (*BEND, (4.0, 0.6, 0.1))
@@ -53,7 +52,7 @@ def off_m(answers: list[FusedEstimate], made: Drive, name: str) -> FloatArray:
 def test_where_the_filter_leaps_odom_moves_as_the_robot_does(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     made = LEAPING[name]()
     answers = answers_of(made, monkeypatch)
-    assert off_m(answers, made, "T_filter_body").max() > 3 * POSSIBLE_M
+    assert off_m(answers, made, "T_filter_body").max() > 2 * POSSIBLE_M
     assert off_m(answers, made, "T_odom_body").max() < POSSIBLE_M
 
 
@@ -67,7 +66,9 @@ def test_what_is_known_of_the_pose_is_the_same_with_and_without(monkeypatch: pyt
     for ours, theirs in zip(smooth, plain, strict=True):
         np.testing.assert_allclose(not_none(ours.T_map_body), not_none(theirs.T_map_body), atol=1e-9)
         np.testing.assert_allclose(not_none(ours.T_filter_body), not_none(theirs.T_odom_body), atol=1e-9)
-        np.testing.assert_allclose(not_none(ours.filter_covariance), not_none(theirs.covariance), atol=1e-9)
+        # While odom moves to a corrected pose, its covariance also covers what is left of that way.
+        more = not_none(ours.filter_covariance) - not_none(theirs.covariance)
+        assert np.linalg.eigvalsh(more)[0] > -1e-9
         np.testing.assert_allclose(not_none(ours.T_odom_body)[2], not_none(theirs.T_odom_body)[2], atol=1e-9)
         assert (ours.status, ours.slip, ours.doubtful) == (theirs.status, theirs.slip, theirs.doubtful)
     P, P_plain = (

@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from enum import Enum, StrEnum
 from functools import cached_property
 from itertools import repeat
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -329,11 +330,13 @@ class PoseFinding(StrEnum):
     NOT_LATER = "the stamp is not later than the one before"
     TOO_UNCERTAIN = "the covariance is larger than that of a known pose"
     SILENT = "all sensors were silent for too long, or the filter diverged"
+    TURNS_CONTRADICTED = "wheels and gyroscope turn differently, and no other sensor shows which is wrong"
     SLIP = "the camera or the gyroscope contradicts the wheels, and is accepted"
     DEGENERATE = "the last image does not constrain all directions"
     UNDECIDED = "camera and wheels contradict each other, without a decision"
     UNCOMPARED = "wheels and camera have not been compared over enough way"
     FLOOR_ELSEWHERE = "the camera sees the floor at a wrong distance"
+    SENSOR_SUSPECTED = "a sensor may be wrong since a moment, and is left out"
     SENSOR_WRONG = "wheels and camera contradict each other all along"
     UNCERTAIN_RESTART = "the camera restarted at a pose that the wheels know poorly"
     KIDNAPPED = "the view changed although the wheels stood"
@@ -372,11 +375,13 @@ DECISIONS = {
     PoseFinding.NOT_LATER: Consequence(Status.FAILING, reason=Reason.CLOCK_BACKWARDS),
     PoseFinding.TOO_UNCERTAIN: Consequence(Status.LOST),
     PoseFinding.SILENT: Consequence(Status.LOST),
+    PoseFinding.TURNS_CONTRADICTED: Consequence(Status.COASTING),
     PoseFinding.SLIP: Consequence(slip=True),
     PoseFinding.DEGENERATE: Consequence(is_degenerate=True),
     PoseFinding.UNDECIDED: Consequence(is_doubtful=True),
     PoseFinding.UNCOMPARED: Consequence(),
     PoseFinding.FLOOR_ELSEWHERE: Consequence(),
+    PoseFinding.SENSOR_SUSPECTED: Consequence(is_doubtful=True),
     PoseFinding.SENSOR_WRONG: Consequence(slip=False, is_doubtful=True, reason=Reason.CONTRADICTION),
     PoseFinding.UNCERTAIN_RESTART: Consequence(Status.COASTING, is_doubtful=True, reason=Reason.NOT_RECOGNISED),
     PoseFinding.KIDNAPPED: Consequence(Status.COASTING, is_doubtful=True, reason=Reason.CONTRADICTION),
@@ -465,3 +470,66 @@ class FrameUpdate:
     answer: FusedEstimate
     T_odom_base: FloatArray | None
     is_reference: bool
+
+
+AnyEstimate = TypeVar("AnyEstimate", bound=Estimate)
+
+
+class OdomFrame:
+    """Transform between `odom` and the frame of a filter.
+
+    The pose of a filter jumps when its estimate of the past changes, for instance after slip or with a new bias of the
+    gyroscope. In `odom` the robot moves by the estimated motion alone, and this transform takes the jump (REP 105).
+
+    It is planar: the filter estimates height and tilt of each pose directly.
+
+    Attributes:
+        T_odom_filter, T_filter_odom: (4, 4) pose of the filter's frame in `odom`, and its inverse.
+        has_moved: whether `odom` is no longer the filter's frame.
+    """
+
+    def __init__(self) -> None:
+        self.T_filter_odom: FloatArray = np.eye(4)
+        self.T_odom_filter = self.T_filter_odom
+        self.has_moved = False
+
+    def T_odom_body(self, T_filter_body: FloatArray) -> FloatArray:
+        """Convert a pose (4, 4) of the filter to `odom`."""
+        from wheelsight.core.geometry import motion_kernels as motions
+
+        return np.asarray(motions.times(self.T_odom_filter, T_filter_body))
+
+    def lay(self, T_filter_body: FloatArray, T_odom_body: FloatArray) -> None:
+        """Set the transform by one pose in both frames, (4, 4) each; only x, y and yaw count."""
+        from wheelsight.core.geometry import motion_kernels as motions
+
+        self.T_filter_odom = motions.times(_planar(T_filter_body), motions.inverse(_planar(T_odom_body)))
+        self.T_odom_filter, self.has_moved = motions.inverse(self.T_filter_odom), True
+
+    def framed(self, answer: AnyEstimate) -> AnyEstimate:
+        """Return a filter's estimate in `odom`; its poses in the map and in the filter's frame do not change."""
+        from wheelsight.core.geometry import motion_kernels as motions
+
+        if not self.has_moved:
+            return answer
+        T, C, Ad = answer.T_odom_body, answer.covariance, motions.adjoint(self.T_odom_filter)
+        fields: dict[str, Any] = {
+            "T_map_odom": motions.times(np.ascontiguousarray(answer.T_map_odom), self.T_filter_odom),
+            "T_filter_odom": self.T_filter_odom,
+            "T_odom_body": None if T is None else motions.times(self.T_odom_filter, T),
+            "covariance": None if C is None else Ad @ C @ Ad.T,
+        }
+        if isinstance(answer, WheelEstimate) and answer.before is not None:
+            stamp_s, T_before, C_before = answer.before
+            fields["before"] = (stamp_s, self.T_odom_body(T_before), Ad @ C_before @ Ad.T)
+        return replace(answer, **fields)
+
+
+def _planar(T: FloatArray) -> FloatArray:
+    """Return the planar part of a motion (4, 4): x, y and yaw."""
+    planar, yaw_rad = np.eye(4), math.atan2(T[1, 0], T[0, 0])
+    planar[0, 0] = planar[1, 1] = math.cos(yaw_rad)
+    planar[1, 0] = math.sin(yaw_rad)
+    planar[0, 1] = -planar[1, 0]
+    planar[:2, 3] = T[:2, 3]
+    return planar

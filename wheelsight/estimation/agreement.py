@@ -7,6 +7,8 @@ products over all pieces suffice, and the share of both motions that an explanat
 
 Motions alone leave ambiguities: mirrored images and swapped wheels both reverse rotations, and on a straight line short
 depth and large wheels are equivalent. The height over the floor and a gyroscope resolve them.
+
+`cause_of` describes the fault of a sensor that `SensorHealth` found.
 """
 
 from __future__ import annotations
@@ -45,11 +47,24 @@ _WAYS, _TURNS, _WHEELS = slice(2, 5), slice(5, 8), slice(2)
 _STEEP, _BIN_LOG, _RANGE_LOG, _PEAK_SHARE, _FEWEST_POINTS, _STEEPEST_DEG = 0.2, 0.08, 2.3, 0.2, 40, 45.0
 
 
+_LEAST_MIRRORED_RAD = 0.05  # turn of the wheels that distinguishes mirrored images from noise
+
+
 class Culprit(Enum):
     """The sensor whose motions are wrong."""
 
     WHEELS = "wheels"
     CAMERA = "camera"
+
+
+class RobotSensor(Enum):
+    """A sensor that may be faulty; `WHEELS` are both, as on ice."""
+
+    LEFT = "left wheel"
+    RIGHT = "right wheel"
+    WHEELS = "both wheels"
+    CAMERA = "camera"
+    GYRO = "gyroscope"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -282,6 +297,53 @@ class Agreement:
 def depth_cause(ratio: float) -> str:
     """The cause of a depth that is `ratio` times the true one, with its fix."""
     return f"depth is {ratio:.2g} times the true one: check depth_factor"
+
+
+def cause_of(
+    sensor: RobotSensor,
+    camera: FloatArray,
+    ways_m: FloatArray,
+    turns_rad: FloatArray,
+    half_m: float,
+    ratios: FloatArray,
+) -> str:
+    """Return what is wrong with a sensor over some pieces of a drive, and what to check.
+
+    Args:
+        sensor: the faulty one.
+        camera: (N, 6) motions of the base by the camera, ξ.
+        ways_m: (N, 2) of the left and the right wheel.
+        turns_rad: (N,) of the gyroscope; NaN without one.
+        half_m: half of the track.
+        ratios: (2,) usual ratio of each wheel to the camera.
+    """
+
+    def times(measured: FloatArray, true: FloatArray) -> float:
+        """Return the factor of a measurement, by least squares."""
+        return float(measured @ true / max(float(true @ true), 1e-12))
+
+    wheel_turns = (ways_m[:, 1] - ways_m[:, 0]) / (2 * half_m)
+    if sensor in (RobotSensor.LEFT, RobotSensor.RIGHT):
+        i = 0 if sensor is RobotSensor.LEFT else 1
+        by_camera = camera[:, 0] + half_m * camera[:, 5] * (-1, 1)[i]
+        factor = times(ways_m[:, i], ratios[i] * by_camera)
+        if abs(factor) < 0.1:
+            return "it does not count while the robot moves; check its encoder and cable"
+        if factor < -0.5:
+            return "it counts backwards; check the channels of its encoder"
+        return f"it counts {factor:.2f} times its way; check its tyre and encoder"
+    if sensor is RobotSensor.WHEELS:
+        factor = times(ways_m.mean(axis=1), camera[:, 0])
+        return f"both count {factor:.2f} times their way; they slip, or the robot was lifted"
+    if sensor is RobotSensor.GYRO:
+        factor = times(turns_rad[np.isfinite(turns_rad)], camera[np.isfinite(turns_rad), 5])
+        return f"it measures {factor:.2f} times the turns of camera and wheels; check its mounting and scale"
+    if np.abs(camera[:, 1]).sum() > 0.3 * np.abs(ways_m).max(axis=1).sum():
+        return "it moves sideways, which the robot cannot; something that moves may fill its view"
+    if np.abs(wheel_turns).sum() > _LEAST_MIRRORED_RAD and times(camera[:, 5], wheel_turns) < -0.5:
+        return "it turns the other way than the wheels; check whether its images are mirrored"
+    factor = times(camera[:, 0], ways_m.mean(axis=1))
+    return f"it moves {factor:.2f} times the way of the wheels; check its mount and depth"
 
 
 def height_below(rays: FloatArray, depth_m: FloatArray, up_camera: FloatArray, expected_m: float) -> float | None:

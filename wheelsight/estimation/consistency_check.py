@@ -25,6 +25,7 @@ from wheelsight.core.geometry import Float32Array, FloatArray, interpolate_at, s
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.estimation.agreement import Agreement, Culprit, Explanation, depth_cause, height_below
+from wheelsight.estimation.camera_localizer import RESTART_AFTER, CameraOdometry
 from wheelsight.estimation.fault_detection import COVERED_SIGMAS, covering_pose
 from wheelsight.estimation.filter import ErrorStateFilter
 
@@ -46,6 +47,8 @@ _GYRO_AFTER_S = 0.1  # age of the gyroscope's last reading at the end of a segme
 # A camera that has moved less, by the wheels, still sees the same view; a turn by a radian counts as 1.5 m. After the
 # dark it recognises the last view within the second distance: 43 of 44 views in three recordings.
 _SAME_VIEW_M, _RECOGNISED_M = 0.3, 0.7
+# A comparison of a camera that was left out starts over after a multiple of `ENOUGH_M`, and after some keyframes.
+_AGAIN_WAYS, _AGAIN_KEYFRAMES = 3.0, 20
 DARK_S = 1.0  # without a known view; wheels alone hardly drift in less
 # A base that stays within this distance stands. After so long it may stand in an elevator, whose doors take as long.
 _STANDS_M, _STANDS_S = 0.02, 2.0
@@ -232,6 +235,48 @@ class BaseCheck:
         """End the check once all comparisons agree."""
         if self.verdict.has_agreed and self._colors.is_sound:
             self.by_wheels = None
+
+
+class ReadmissionCheck:
+    """Compares a camera that was left out with the wheels again, so that it is not left out for longer than necessary.
+
+    What looked like a wrong calibration may have been people, slip or a wall. A separate odometry tracks the camera,
+    without the wheels and without a map, until a new `BaseCheck` finds that both agree.
+
+    Args:
+        new_check: makes a new comparison.
+        new_camera: makes a new camera odometry.
+
+    Attributes:
+        check: the current comparison, which needs the wheels as well; None before the first frame.
+    """
+
+    def __init__(self, new_check: Callable[[], BaseCheck], new_camera: Callable[[], CameraOdometry]) -> None:
+        self._new_check, self._new_camera = new_check, new_camera
+        self.check: BaseCheck | None = None
+        self._camera: CameraOdometry | None = None
+        self._begins, self._failed = True, 0
+
+    def agrees(self, frame: RgbdFrame) -> bool:
+        """Add a frame that is newer than the previous one; return whether wheels and camera agree by now."""
+        check = self.check
+        # A new comparison starts after a verdict, or after a long way without one.
+        if check is None or check.verdict.left_out is not None or check.agreement.way_m > _AGAIN_WAYS * ENOUGH_M:
+            check, self._begins = self._new_check(), True
+            self.check = check
+        if self._camera is None or self._failed >= RESTART_AFTER or len(self._camera.store) > _AGAIN_KEYFRAMES:
+            self._camera, self._begins, self._failed = self._new_camera(), True, 0
+        seen = self._camera.process(frame)
+        check.add_frame(frame)
+        if seen.T_odom_body is None:
+            self._failed += 1
+            return False
+        self._failed = 0
+        if self._begins:
+            check.begin(frame, seen, np.eye(4))
+            self._begins = False
+        check.add_tracked(frame, seen, shows_all=seen.motion.shows_all)
+        return check.has_agreed
 
 
 class Verdict:

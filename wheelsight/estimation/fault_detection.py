@@ -1,4 +1,6 @@
-"""Fault detection: if camera and wheels contradict each other, do the wheels slip, or does vision fail?
+"""Fault detection: `FaultDetection` of slip and failing vision within seconds, `SensorHealth` during the whole drive.
+
+If camera and wheels contradict each other, do the wheels slip, or does vision fail?
 
 While both agree, one belief uses both. A measurement outside the gate splits it into two hypotheses. In one, vision
 fails and the pose follows the wheels. In the other, the wheels slip and the pose follows the camera. The log-likelihood
@@ -16,13 +18,28 @@ before, the likelier one continues and covers the other. After a decision for th
 camera's while the camera looks well. A fault ends after several measurements in a row that agree. Slip is accepted
 after all when a camera has looked well and contradicted the wheels for a second or two, since failures are mostly
 shorter. The estimate then covers the wheels', because a failure may last that long.
+
+`SensorHealth` detects a sensor that no longer follows the motion of the base. Wheels, camera and gyroscope measure the
+same planar motion. Over a piece of the drive their differences have a Gaussian distribution. A faulty sensor has a
+larger variance, or measures a multiple of the truth (zero, or minus one). So each sensor has hypotheses of its own. The
+log-likelihood ratio of each sensor to "all sound" accumulates in a one-sided CUSUM (Page 1954, Biometrika 41), over
+short pieces for large errors and over longer ones for small errors. A fault is found when one sum passes `_ALARM_NATS`
+and leads all others by `_MARGIN_NATS`. It began where its sum was last zero. Two sensors that agree name the third.
+
+A chair cannot move sideways, rise, or tilt as fast as it drives, so such motion counts against the camera. Slow
+differences are calibration: the ratio of each wheel to the camera is learned along 20 m, and its changes count.
 """
 
 from __future__ import annotations
 
+import math
+from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
+from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -31,6 +48,7 @@ from wheelsight.core.estimates import STEP_BEGIN, Reason
 from wheelsight.core.geometry import FloatArray, IntArray
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.geometry.chi_square import quantile as _quantile
+from wheelsight.estimation.agreement import RobotSensor, cause_of
 from wheelsight.estimation.filter_kernels import leap_kernel, speed_kernel
 from wheelsight.estimation.pose_belief import (
     IN_PLANE,
@@ -179,9 +197,10 @@ def updated(
     usual = detection.primary.innovation(measurement, settings, without_slip=True, updates=updates)
     agrees = usual.nis <= most
     agreed, nis = detection.agreed + 1 if agrees else 0, (usual.nis, len(usual.residual))
-    now = changed(detection, last=last, agreed=agreed, nis=nis, measured_s=stamp_s)
+    known = detection.log_ratio
+    sum_nats = known * settings.likelihood_memory + log_ratio if detection.fault is Fault.NONE else known
+    now = changed(detection, last=last, agreed=agreed, nis=nis, measured_s=stamp_s, log_ratio=sum_nats)
     if detection.fault is Fault.NONE:
-        now = changed(now, log_ratio=detection.log_ratio * settings.likelihood_memory + log_ratio)
         return _update_sound(now, stamp_s, measurement, usual, most, settings)
     if detection.fault is Fault.UNDECIDED:
         return _update_undecided(now, stamp_s, measurement, log_ratio, agrees, settings)
@@ -454,3 +473,428 @@ def _shift_of(T_from: FloatArray, T_to: FloatArray) -> FloatArray:
     """Return the perturbation (6,) that, to first order, moves one pose (4, 4) to the other."""
     turn = motions.log(motions.times(T_to, motions.inverse(T_from)))[3:]
     return np.concatenate([T_to[:3, 3] - T_from[:3, 3] - np.cross(turn, T_from[:3, 3]), turn])
+
+
+# Sums that find a fault, by which it leads, that leave a sensor out for the moment, and below which ratios are learned.
+_ALARM_NATS, _MARGIN_NATS, _SUSPECT_NATS, _SOUND_NATS = 12.0, 3.0, 6.0, 2.0
+_AGREES_NATS = 0.5  # of one piece, for a sensor that agrees with the others
+# One piece counts at most this much, since errors have longer tails than a Gaussian; sums end at the largest one.
+_PIECE_NATS, _LEAST_NATS, _LARGEST_NATS = 8.0, -6.0, 60.0
+_PIECES_S, _SHORTEST_S, _GAP_S = (0.25, 1.25), 0.15, 2.0
+# Errors of a sound camera over a piece (metres, and share of the way; radians, and share of the turn), of a sound
+# wheel, of the way to the side, and of a gyroscope, also per second for its bias. Found on the simulator.
+_CAMERA_M, _CAMERA_SHARE, _CAMERA_RAD, _CAMERA_TURN_SHARE = 0.008, 0.03, 0.004, 0.012
+_WHEEL_M, _WHEEL_SHARE, _SIDE_M, _SIDE_SHARE = 0.003, 0.01, 0.01, 0.15
+_GYRO_RAD, _GYRO_SHARE, _GYRO_RAD_S = 0.003, 0.01, 0.004
+# Motion out of the plane of the floor that is usual over a piece, and how much larger a faulty camera's is.
+_RISE_M, _RISE_SHARE, _TILT_RAD, _FAR_OFF = 0.03, 0.15, 0.06, 5.0
+# Of a gyroscope's bias: its prior, its growth in a second, and the error of one piece.
+_BIAS_SIGMA_RAD_S, _BIAS_WALK_RAD_S, _BIAS_PIECE_RAD_S = 0.05, 0.0003, 0.02
+_RATIO_WAY_M, _RATIO_PRIOR_M, _RATIO_STEP = 20.0, 5.0, 0.1
+# Sound way, time and, for a fault that turns show, turn after which a sensor is used again.
+_AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD = 1.0, 2.0, 0.6
+_KEPT_S, _MOST_WAITING = 5.0, 4096  # of readings; while the camera is dark, older ones are dropped
+_DESCRIBED = 120  # pieces by which a fault is described
+
+
+class Exclusion(NamedTuple):
+    """A sensor that is left out from one stamp to another, by a fault (`is_sure`) or by a suspicion."""
+
+    sensor: RobotSensor
+    begin_s: float
+    end_s: float = math.inf
+    is_sure: bool = False
+
+
+class Piece(NamedTuple):
+    """Motions over a piece of a drive.
+
+    Attributes:
+        begin_s, end_s: stamps.
+        camera: (6,) motion of the base by the camera, ξ.
+        ways_m: (2,) of the left and the right wheel.
+        turn_rad: of the gyroscope, or None.
+        shows_all: whether all frames showed all directions; else only the camera's turn counts.
+    """
+
+    begin_s: float
+    end_s: float
+    camera: FloatArray
+    ways_m: FloatArray
+    turn_rad: float | None
+    shows_all: bool = True
+
+
+class Usual(NamedTuple):
+    """Usual values in a drive.
+
+    Attributes:
+        ratios: (2,) of each wheel to the camera.
+        bias_rad_s, bias_sigma_rad_s: of the gyroscope.
+    """
+
+    ratios: FloatArray
+    bias_rad_s: float = 0.0
+    bias_sigma_rad_s: float = 0.0
+
+
+class Hypothesis(NamedTuple):
+    """A way in which a sensor may be wrong.
+
+    Attributes:
+        sensor: the sensor.
+        broken: places of the sensor's errors among x, y and yaw of the camera, left and right wheel, gyroscope, whose
+            variance grows.
+        scale: of that growth, as a share of way or turn.
+        flips: what the sensor measures in place of the truth: (left wheel, right wheel, yaw and y of the camera,
+            gyroscope) times these.
+    """
+
+    sensor: RobotSensor
+    broken: tuple[int, ...] = ()
+    scale: float = 0.0
+    flips: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+
+
+LEFT, RIGHT, WHEELS, CAMERA, GYRO = RobotSensor
+_ANY, _SOME, _NOTHING = 0.5, 0.1, 10.0
+HYPOTHESES = (
+    Hypothesis(LEFT, (3,), _ANY),
+    Hypothesis(LEFT, (3,), _SOME),
+    Hypothesis(LEFT, flips=(0.0, 1.0, 1.0, 1.0)),
+    Hypothesis(LEFT, flips=(-1.0, 1.0, 1.0, 1.0)),
+    Hypothesis(RIGHT, (4,), _ANY),
+    Hypothesis(RIGHT, (4,), _SOME),
+    Hypothesis(RIGHT, flips=(1.0, 0.0, 1.0, 1.0)),
+    Hypothesis(RIGHT, flips=(1.0, -1.0, 1.0, 1.0)),
+    Hypothesis(WHEELS, (3, 4), _ANY),
+    Hypothesis(WHEELS, flips=(0.0, 0.0, 1.0, 1.0)),
+    Hypothesis(WHEELS, flips=(-1.0, -1.0, 1.0, 1.0)),
+    Hypothesis(CAMERA, (0, 1, 2), _ANY),
+    Hypothesis(CAMERA, (0,), _SOME),
+    Hypothesis(CAMERA, flips=(1.0, 1.0, -1.0, 1.0)),
+    Hypothesis(GYRO, (6,), _ANY),
+    Hypothesis(GYRO, flips=(1.0, 1.0, 1.0, 0.0)),
+    Hypothesis(GYRO, flips=(1.0, 1.0, 1.0, -1.0)),
+)
+_PLACES = {LEFT: [3], RIGHT: [4], WHEELS: [3, 4], CAMERA: [0, 1, 2], GYRO: [6]}
+_ANY_CAMERA = HYPOTHESES.index(Hypothesis(CAMERA, (0, 1, 2), _ANY))
+_MIRRORED = HYPOTHESES.index(Hypothesis(CAMERA, flips=(1.0, 1.0, -1.0, 1.0)))
+_SCALES = np.array([[one.scale if place in one.broken else 0.0 for place in range(7)] for one in HYPOTHESES])
+_FLIPS = np.array([one.flips for one in HYPOTHESES])
+_OF_SENSOR = {sensor: [n for n, one in enumerate(HYPOTHESES) if one.sensor is sensor] for sensor in RobotSensor}
+
+
+def log_ratios(piece: Piece, half_m: float, usual: Usual, faulty: Collection[RobotSensor] = ()) -> FloatArray:
+    """Return the log-likelihood ratio of each of `HYPOTHESES` to no other fault, nats; 0 for those of faulty sensors.
+
+    Args:
+        piece: of the drive.
+        half_m: half of the track.
+        usual: in this drive.
+        faulty: sensors whose measurements do not count.
+    """
+    x, y, z, roll, pitch, yaw = piece.camera
+    ways_m, seconds = piece.ways_m, piece.end_s - piece.begin_s
+    turn = None if piece.turn_rad is None else piece.turn_rad - usual.bias_rad_s * seconds
+    wheel_yaw, rolled_m = (ways_m[1] - ways_m[0]) / (2 * half_m), float(np.abs(ways_m).max())
+    way_m = max(rolled_m, abs(x) + half_m * abs(yaw), abs(y))
+    turn_rad = max(abs(wheel_yaw), abs(yaw), 0.0 if turn is None else abs(turn))
+    rows = 3 if turn is None else 4
+    J = np.zeros((4, 7))
+    J[:2, 0], J[:2, 2], J[:2, 3:5] = -1, (half_m, -half_m), np.eye(2)
+    J[2, [1, 5]], J[3, [2, 6]] = 1, (-1, 1)
+    J = J[:rows]
+    camera_m, wheel_m = _CAMERA_M + _CAMERA_SHARE * way_m, _WHEEL_M + _WHEEL_SHARE * way_m
+    camera_rad = _CAMERA_RAD + _CAMERA_TURN_SHARE * turn_rad
+    side_m, gyro_rad = _SIDE_M + _SIDE_SHARE * rolled_m, _GYRO_RAD + _GYRO_SHARE * turn_rad
+    gyro_rad += math.hypot(_GYRO_RAD_S, usual.bias_sigma_rad_s) * seconds
+    sound = np.square([camera_m, camera_m, camera_rad, wheel_m, wheel_m, side_m, gyro_rad])
+    sizes = np.array([way_m, way_m, turn_rad, way_m, way_m, 0.0, turn_rad])
+    if not piece.shows_all:
+        sound[:2] += 1.0
+    for sensor in faulty:
+        sound[_PLACES[sensor]] += np.square(_NOTHING * sizes[_PLACES[sensor]] + 1.0)
+    flips = np.vstack([np.ones(4), _FLIPS])
+    variances = sound + np.square(np.vstack([np.zeros(7), _SCALES]) * sizes)
+    true_yaw = flips[:, 2] * yaw  # a mirrored camera measures the opposite of the truth
+    by_camera = usual.ratios * np.stack([x - half_m * true_yaw, x + half_m * true_yaw], axis=-1)
+    apart = np.empty((len(flips), 4))
+    apart[:, :2] = ways_m - flips[:, :2] * by_camera
+    apart[:, 2] = flips[:, 2] * y
+    apart[:, 3] = 0.0 if turn is None else turn - flips[:, 3] * true_yaw
+    apart = apart[:, :rows]
+    C = (J * variances[:, None, :]) @ J.T
+    chi2 = (apart * np.linalg.solve(C, apart[:, :, None])[:, :, 0]).sum(axis=1)
+    logs = -0.5 * (np.linalg.slogdet(C)[1] + chi2)
+    sound_log, logs = logs[0], logs[1:]
+    # The camera's motion out of the plane of the floor: a faulty camera has one in half of the cases.
+    usual_off = np.array([_RISE_M + _RISE_SHARE * rolled_m, _TILT_RAD, _TILT_RAD])
+    off = np.array([z, roll, pitch]) / usual_off
+    out = float((0.5 * (1 - 1 / _FAR_OFF**2) * off**2 - math.log(_FAR_OFF)).sum()) if piece.shows_all else 0.0
+    logs[_ANY_CAMERA] += math.log(0.5) + float(np.logaddexp(0.0, out))
+    is_judged = np.array(
+        [one.sensor not in faulty and (one.sensor is not GYRO or turn is not None) for one in HYPOTHESES]
+    )
+    sound_log = max(sound_log, logs[is_judged].max() - _PIECE_NATS)
+    return np.where(is_judged, np.maximum(logs - sound_log, _LEAST_NATS), 0.0)
+
+
+def of_sensors(values: FloatArray) -> dict[RobotSensor, int]:
+    """Return the place of the largest value of each sensor among those of `HYPOTHESES`."""
+    return {sensor: max(places, key=values.__getitem__) for sensor, places in _OF_SENSOR.items()}
+
+
+class Sums:
+    """CUSUM of each hypothesis over pieces of one length.
+
+    Attributes:
+        nats: largest sum of each sensor, and `places`, whose sum that is among `HYPOTHESES`.
+        zero_s: where that sum was last zero.
+        begin: stamp and pose (4, 4) of the camera at the begin of the current piece.
+        shows_all: whether all frames since then showed all directions.
+    """
+
+    def __init__(self, piece_s: float) -> None:
+        self.piece_s, self.begin, self.shows_all = piece_s, (math.nan, np.eye(4)), True
+        self.clear(math.nan)
+
+    def clear(self, now_s: float) -> None:
+        """Start over."""
+        self._sums, self._zero_s = np.zeros(len(HYPOTHESES)), np.full(len(HYPOTHESES), now_s)
+        self.places = of_sensors(self._sums)
+        self.nats, self.zero_s = dict.fromkeys(RobotSensor, 0.0), dict.fromkeys(RobotSensor, now_s)
+
+    def add(self, ratios: FloatArray, piece: Piece) -> None:
+        """Add the ratios of a piece."""
+        self._zero_s[np.isnan(self._zero_s)] = piece.begin_s
+        sums = np.maximum(self._sums + ratios, 0.0)
+        self._zero_s[sums == 0.0] = piece.end_s
+        self._sums = np.maximum(sums - max(0.0, sums.max() - _LARGEST_NATS), 0.0)
+        self.places = of_sensors(self._sums)
+        self.nats = {sensor: float(self._sums[place]) for sensor, place in self.places.items()}
+        self.zero_s = {sensor: float(self._zero_s[place]) for sensor, place in self.places.items()}
+
+    def leads(self, least_nats: float) -> RobotSensor | None:
+        """Return the sensor whose sum passes a value and leads all others; None without one."""
+        (sensor, first_nats), (_, second_nats) = sorted(self.nats.items(), key=itemgetter(1), reverse=True)[:2]
+        return sensor if first_nats > least_nats and first_nats - second_nats > _MARGIN_NATS else None
+
+
+class SensorHealth:
+    """Compares the sensors piece by piece.
+
+    Args:
+        track_m: distance between the wheels.
+        T_base_camera: (4, 4).
+
+    Attributes:
+        steps: of the wheels, to which the caller appends: stamp of the end, way in metres and turn in radians.
+        rates: of the gyroscope, to which the caller appends: stamp, and mean rate since the last one in rad/s.
+        faults: begin of the current fault of each faulty sensor, stamp.
+        exclusions: sensors that are left out, now or earlier; see `update`.
+        warnings: a sentence for each sensor that was faulty.
+        is_suspicious: whether a sensor may be wrong, without certainty.
+        is_without_wheels: whether a wheel is left out.
+        accused: the sensor that is most likely wrong, without certainty; None if all are likely sound.
+    """
+
+    def __init__(self, track_m: float, T_base_camera: FloatArray) -> None:
+        self.steps: deque[tuple[float, float, float]] = deque(maxlen=_MOST_WAITING)
+        self.rates: deque[tuple[float, float]] = deque(maxlen=_MOST_WAITING)
+        self.faults: dict[RobotSensor, float] = {}
+        self.exclusions: tuple[Exclusion, ...] = ()
+        self.warnings: tuple[str, ...] = ()
+        # Of each sensor: how often it was left out, and the last time from when, until when, and why.
+        self._found: dict[RobotSensor, tuple[int, float, float, str]] = {}
+        self.is_suspicious = self.is_without_wheels = self._has_news = False
+        self.accused: RobotSensor | None = None
+        self._half_m = track_m / 2
+        self._T_base_camera, self._T_camera_base = T_base_camera, motions.inverse(T_base_camera)
+        self._first_s: float | None = None
+        self._rolled: deque[tuple[float, float, float]] = deque()  # stamp, and way of both wheels, m
+        self._turned: deque[tuple[float, float]] = deque()  # stamp, and angle of the gyroscope, rad
+        self._scales = tuple(Sums(piece_s) for piece_s in _PIECES_S)
+        self._waiting: deque[tuple[float, FloatArray, bool]] = deque(maxlen=8)
+        self._pieces: deque[Piece] = deque(maxlen=_DESCRIBED)
+        self._usual = Usual(np.ones(2), 0.0, _BIAS_SIGMA_RAD_S)
+        self._weights = np.full(2, _RATIO_PRIOR_M)
+        self._unproven_s: float | None = None  # since when a restarted camera has not agreed yet
+        # Way, time and turn over which a faulty sensor agrees again, and over which it has to.
+        self._sound = {sensor: np.zeros(3) for sensor in RobotSensor}
+        self._again: dict[RobotSensor, tuple[float, float, float]] = {}
+
+    def update(self, stamp_s: float) -> float | None:
+        """Update the exclusions at a frame; return the stamp since which they changed, or None.
+
+        A sensor is left out since its fault began. So is one that leads before that is certain, and a camera that has
+        just restarted. One that turns out to be sound counts as if nothing had happened.
+        """
+        if not self._has_news:
+            return None
+        self._has_news = False
+        past = tuple(one for one in self.exclusions if one.is_sure and one.end_s < math.inf)
+        current = {one.sensor: one for one in self.exclusions if one.end_s == math.inf}
+        wanted = {sensor: Exclusion(sensor, begin_s, is_sure=True) for sensor, begin_s in self.faults.items()}
+        suspects: dict[RobotSensor, float] = {}
+        for scale in self._scales:
+            leader = scale.leads(_SUSPECT_NATS)
+            if leader is not None:
+                suspects.setdefault(leader, scale.zero_s[leader])
+        if self._unproven_s is not None:
+            suspects.setdefault(CAMERA, self._unproven_s)
+        for sensor, begin_s in suspects.items():
+            known = current.get(sensor)
+            wanted.setdefault(sensor, Exclusion(sensor, begin_s) if known is None or known.is_sure else known)
+        largest = max((one for scale in self._scales for one in scale.nats.items()), key=itemgetter(1))
+        self.accused = largest[0] if largest[1] > _SOUND_NATS else None
+        self.is_suspicious = not all(one.is_sure for one in wanted.values()) or largest[1] > _ALARM_NATS
+        self.is_without_wheels = not wanted.keys().isdisjoint((LEFT, RIGHT, WHEELS))
+        since_s = stamp_s
+        for sensor in {*wanted, *current}:
+            now, before = wanted.get(sensor), current.get(sensor)
+            if before is not None and before.is_sure and now is None:
+                past = (*past, before._replace(end_s=stamp_s))
+            elif now != before:
+                since_s = min([since_s, *[one.begin_s for one in (now, before) if one is not None]])
+        self.exclusions = (*past, *wanted.values())
+        return None if wanted == current else since_s
+
+    def interrupt(self, restarted_s: float | None = None) -> None:
+        """Note that the next pose of the camera does not continue the previous ones.
+
+        A camera that restarted shows a view that it does not know, and has to agree with the wheels first.
+        """
+        self._waiting.clear()
+        self._has_news = True
+        for scale in self._scales:
+            scale.begin = math.nan, scale.begin[1]
+        if restarted_s is not None and self._unproven_s is None and (self._rolled or self.steps):
+            self._unproven_s = restarted_s
+
+    def add_frame(self, stamp_s: float, T_map_camera: FloatArray, *, shows_all: bool = True) -> None:
+        """Add the camera's pose (4, 4) by itself at a frame, and whether the frame shows all directions.
+
+        A piece is compared once the wheels cover it.
+        """
+        self._first_s = stamp_s if self._first_s is None else self._first_s
+        self._gather(stamp_s)
+        self._waiting.append((stamp_s, T_map_camera, shows_all))
+        while self._waiting and self._rolled and self._waiting[0][0] <= self._rolled[-1][0]:
+            now_s, T, shows_all = self._waiting.popleft()
+            for scale in self._scales:
+                (begin_s, T_begin), scale.shows_all = scale.begin, scale.shows_all and shows_all
+                is_over = now_s - begin_s >= (scale.piece_s if self._unproven_s is None else _SHORTEST_S)
+                if is_over or not now_s - begin_s <= _GAP_S:
+                    piece = self._piece(begin_s, T_begin, now_s, T) if now_s - begin_s <= _GAP_S else None
+                    if piece is not None:
+                        self._compare(scale, piece._replace(shows_all=scale.shows_all))
+                    scale.begin, scale.shows_all = (now_s, T), shows_all
+
+    def _gather(self, now_s: float) -> None:
+        """Add up the steps and rates since the last call."""
+        while self.steps:
+            end_s, way_m, turn_rad = self.steps.popleft()
+            last_s, left_m, right_m = self._rolled[-1] if self._rolled else (-math.inf, 0.0, 0.0)
+            if end_s > last_s:
+                aside_m = self._half_m * turn_rad
+                self._rolled.append((end_s, left_m + way_m - aside_m, right_m + way_m + aside_m))
+        while self.rates:
+            rate_s, rate_rad_s = self.rates.popleft()
+            last_s, angle_rad = self._turned[-1] if self._turned else (rate_s, 0.0)
+            if rate_s >= last_s:
+                self._turned.append((rate_s, angle_rad + rate_rad_s * (rate_s - last_s)))
+        for known in (self._rolled, self._turned):
+            while known and known[0][0] < now_s - _KEPT_S:
+                known.popleft()
+
+    def _piece(self, begin_s: float, T_begin: FloatArray, end_s: float, T_end: FloatArray) -> Piece | None:
+        """Return the motions between two frames; None where the wheels do not cover them."""
+        if self._rolled[0][0] > begin_s:
+            return None
+        T_begin_end = motions.times(motions.inverse(T_begin), T_end)
+        T = motions.times(self._T_base_camera, motions.times(T_begin_end, self._T_camera_base))
+        stamps_s, *sums_m = np.array(self._rolled).T
+        ends = begin_s, end_s
+        ways_m = np.array([np.diff(np.interp(ends, stamps_s, one))[0] for one in sums_m])
+        turn = None
+        if self._turned and self._turned[0][0] <= begin_s and end_s <= self._turned[-1][0] + 0.1:
+            turn = float(np.diff(np.interp(ends, *np.array(self._turned).T))[0])
+        return Piece(begin_s, end_s, motions.log(motions.renormalized(T)), ways_m, turn)
+
+    def _compare(self, scale: Sums, piece: Piece) -> None:
+        ratios, is_first = log_ratios(piece, self._half_m, self._usual, self.faults), scale is self._scales[0]
+        self._has_news = True
+        if is_first:
+            self._pieces.append(piece)
+            if ratios[of_sensors(ratios)[CAMERA]] <= _AGREES_NATS:
+                self._unproven_s = None
+        self._end_faults(piece, is_first)
+        scale.add(ratios, piece)
+        if is_first and not self.faults and all(max(one.nats.values()) < _SOUND_NATS for one in self._scales):
+            self._learn(piece)
+        sensor = scale.leads(_ALARM_NATS)
+        if sensor is None:
+            return
+        begin_s = scale.zero_s[sensor]
+        self.faults[sensor] = begin_s
+        self._sound[sensor][:] = 0.0
+        shows_in_turns = sensor is GYRO or scale.places[sensor] == _MIRRORED
+        self._again[sensor] = (_AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD if shows_in_turns else 0.0)
+        if sensor is CAMERA:
+            self._unproven_s = None
+        for one in self._scales:  # what this fault explains accuses no other sensor
+            one.clear(piece.end_s)
+        pieces = [one for one in self._pieces if one.end_s > begin_s]
+        turns_rad = np.array([math.nan if one.turn_rad is None else one.turn_rad for one in pieces])
+        camera, ways_m = (np.array(each) for each in ([one.camera for one in pieces], [one.ways_m for one in pieces]))
+        cause = cause_of(sensor, camera, ways_m, turns_rad, self._half_m, self._usual.ratios)
+        self._found[sensor] = self._found.get(sensor, (0,))[0] + 1, begin_s, math.inf, cause
+        self._warn()
+
+    def _warn(self) -> None:
+        """Update the warnings."""
+        found = []
+        for sensor, (times, begin_s, end_s, cause) in self._found.items():
+            name = "both wheels were" if sensor is WHEELS else f"the {sensor.value} was"
+            name += " left out" if times == 1 else f" left out {times} times, last"
+            first_s = self._first_s or 0.0
+            until = "on" if end_s == math.inf else f"until {end_s - first_s:.1f} s"
+            found.append(f"{name} from {begin_s - first_s:.1f} s after the first frame {until}: {cause}")
+        self.warnings = tuple(found)
+
+    def _learn(self, piece: Piece) -> None:
+        """Update the usual values."""
+        ratios, (_, bias, sigma), seconds = self._usual.ratios.copy(), self._usual, piece.end_s - piece.begin_s
+        by_camera = piece.camera[0] + self._half_m * piece.camera[5] * np.array([-1, 1])
+        for i, way_m in enumerate(np.abs(by_camera)):
+            if way_m > 0.03:
+                self._weights[i] = self._weights[i] * math.exp(-way_m / _RATIO_WAY_M) + way_m
+                step = np.clip(piece.ways_m[i] / by_camera[i] - ratios[i], -_RATIO_STEP, _RATIO_STEP)
+                ratios[i] += way_m / self._weights[i] * step
+        if piece.turn_rad is not None:
+            variance = sigma**2 + _BIAS_WALK_RAD_S**2 * seconds
+            gain = variance / (variance + _BIAS_PIECE_RAD_S**2)
+            bias += gain * ((piece.turn_rad - piece.camera[5]) / seconds - bias)
+            sigma = math.sqrt((1 - gain) * variance)
+        self._usual = Usual(ratios, bias, sigma)
+
+    def _end_faults(self, piece: Piece, is_first: bool) -> None:
+        """End each fault whose sensor has agreed with the others for long enough, over pieces of all lengths."""
+        for sensor in list(self.faults):
+            others = self.faults.keys() - {sensor}
+            sound = self._sound[sensor]
+            ratios = log_ratios(piece, self._half_m, self._usual, others)
+            if ratios[of_sensors(ratios)[sensor]] > _AGREES_NATS:
+                sound[:] = 0.0
+                continue
+            if not is_first:
+                continue
+            way_m = max(float(np.abs(piece.ways_m).max()), abs(piece.camera[0]))
+            sound += way_m, piece.end_s - piece.begin_s, abs(piece.camera[5])
+            if (sound >= self._again[sensor]).all():
+                del self.faults[sensor]
+                for scale in self._scales:
+                    scale.clear(piece.end_s)
+                self._found[sensor] = *self._found[sensor][:2], piece.end_s, self._found[sensor][3]
+                self._warn()

@@ -31,7 +31,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from operator import attrgetter
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,7 +42,6 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.estimates import (
     STEP_BEGIN,
     UNDECIDED,
-    Estimate,
     FrameUpdate,
     FusedEstimate,
     MotionEstimate,
@@ -59,15 +58,16 @@ from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.settings.fusion import ErrorStateSettings
 from wheelsight.estimation import fault_detection as faults
-from wheelsight.estimation.fault_detection import Fault, FaultDetection
+from wheelsight.estimation.agreement import RobotSensor
+from wheelsight.estimation.fault_detection import Exclusion, Fault, FaultDetection
 from wheelsight.estimation.filter_kernels import answered
 from wheelsight.estimation.pose_belief import (
     ERRORS,
+    FilterEvent,
     FilterParameters,
     Mount,
     PoseBelief,
     Preintegration,
-    RelativeMotion,
     WheelStep,
     changed,
     covariance_of,
@@ -83,7 +83,6 @@ FRAME, REFERENCE, _IMAGED = "frame", "reference", "imaged"
 # Number of remembered poses other than keyframes: these, and the begin of a step.
 _OTHERS = 4
 _SAME_S = 1e-6  # rounding of computed stamps
-AnyEstimate = TypeVar("AnyEstimate", bound=Estimate)
 
 
 class ErrorStateFilter:
@@ -131,6 +130,7 @@ class ErrorStateFilter:
         # The state of the last prediction, and that prediction: the predicted frame usually follows.
         self._moved: tuple[FusionState, FusionState] | None = None
         self.current: CurrentPose | None = None
+        self._exclusions: tuple[Exclusion, ...] = ()
 
     @property
     def state(self) -> FusionState:
@@ -182,6 +182,31 @@ class ErrorStateFilter:
         if step.end_s - step.begin_s > self.parameters.even_s:
             spread = spread + of_unknown_path(xi, self.parameters.swing_rad)
         return self._take(FilterEvent(step.end_s, wheels=WheelStep(step.begin_s, step.end_s, xi, spread)))
+
+    def exclude(self, exclusions: Sequence[Exclusion], since_s: float) -> bool:
+        """Leave out sensors in some times, and compute the state again since a stamp, as if it had been so.
+
+        Returns whether events are remembered as far back; else the exclusions count from now on.
+        """
+        self._exclusions = tuple(exclusions)
+        self._moved = None
+        if not self._history.repeat(since_s, self._used):
+            return False
+        self.current = CurrentPose.of(self._history.newest, self.parameters)
+        return True
+
+    def _used(self, event: FilterEvent) -> FilterEvent:
+        """Return an event, without the measurement of a sensor that is left out."""
+        event = event.original or event
+        for sensor, begin_s, end_s, _ in self._exclusions:
+            if not begin_s <= event.since_s < end_s:
+                continue
+            if sensor is RobotSensor.CAMERA and event.measurement is not None:
+                return replace(event, measurement=None, failure=Reason.CONTRADICTION, original=event)
+            of_wheels = event.wheels is not None and sensor in (RobotSensor.LEFT, RobotSensor.RIGHT, RobotSensor.WHEELS)
+            if of_wheels or (event.yaw_rate_rad_s is not None and sensor is RobotSensor.GYRO):
+                return FilterEvent(event.stamp_s, drop="", original=event)
+        return event
 
     def clone(self, stamp_s: float, name: str, covariance: ArrayLike | None = None) -> FusedEstimate:
         """Remember the pose at a stamp as `name`, for later measurements. It replaces an earlier one of that name.
@@ -396,7 +421,7 @@ class ErrorStateFilter:
             return self._refused(Reason.INVALID)
         if event.wheels is not None:
             self._moved = None  # the step may cover that time
-        state = self._history.take(event)
+        state = self._history.take(self._used(event) if self._exclusions else event)
         if state is None:
             return self._refused(Reason.TOO_LATE)
         self.current = CurrentPose.of(self._history.newest, self.parameters)
@@ -501,49 +526,6 @@ class FusionState:
     reason: Reason | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FilterEvent:
-    """An event. The one field that is not None gives its kind; a measurement may have `clone` as well.
-
-    Attributes:
-        stamp_s: time of the event.
-        wheels: step of the wheels that ends then.
-        yaw_rate_rad_s: of a gyroscope.
-        measurement: of the camera.
-        failure: why the camera has no measurement.
-        position: x, y (2,) in the map, and covariance (2, 2).
-        gyro_bias: bias of the gyroscope relative to the calibration's, and its variance.
-        clone: name by which to remember the pose.
-        drop: name of a pose to forget.
-        spread: (6, 6) error of the camera's pose at `clone`.
-    """
-
-    stamp_s: float
-    wheels: WheelStep | None = None
-    yaw_rate_rad_s: float | None = None
-    measurement: RelativeMotion | None = None
-    failure: Reason | None = None
-    position: tuple[FloatArray, FloatArray] | None = None
-    gyro_bias: tuple[float, float] | None = None
-    clone: str | None = None
-    drop: str | None = None
-    spread: FloatArray | None = None
-
-    @property
-    def rank(self) -> int:
-        """Order at equal stamps: measurements before changes of remembered poses."""
-        kinds = (self.wheels, self.gyro_bias, self.yaw_rate_rad_s, self.measurement, self.failure, self.position)
-        for rank, kind in enumerate(kinds):
-            if kind is not None:
-                return rank
-        return len(kinds) if self.drop is not None else len(kinds) + 1
-
-    @property
-    def since_s(self) -> float:
-        """Stamp from which on it changes states: the begin of a wheel step."""
-        return self.stamp_s if self.wheels is None else self.wheels.begin_s
-
-
 def after(
     state: FusionState, event: FilterEvent, events: Sequence[FilterEvent], settings: FilterParameters
 ) -> FusionState:
@@ -557,11 +539,10 @@ def after(
     if detection.fault in (Fault.UNDECIDED, Fault.WHEEL_SLIP):
         detection = faults.end_undecided(detection, event.stamp_s, settings)
     detection = detection if detection.nis is None else changed(detection, nis=None)
-    now = changed(now, detection=detection, reason=None)
-    if event.measurement is not None:
-        now = _update_relative(now, event.measurement, event.stamp_s, settings)
-    if event.failure is not None:
-        now = changed(now, detection=faults.vision_failed(now.detection, event.stamp_s, settings), reason=event.failure)
+    if detection is not now.detection or now.reason is not None:
+        now = changed(now, detection=detection, reason=None)
+    if event.measurement is not None or event.failure is not None:
+        now = _update_relative(now, event, settings)
     if event.gyro_bias is not None:
         bias = event.gyro_bias
         return changed(now, detection=_each(now.detection, lambda belief: belief.corrected(belief.gyro_bias(*bias))))
@@ -632,10 +613,12 @@ def _predict(
     return changed(detection, primary=primary, alternative=alternative, odometer=odometer)
 
 
-def _update_relative(
-    state: FusionState, measurement: RelativeMotion, stamp_s: float, settings: FilterParameters
-) -> FusionState:
-    """Update by a camera measurement."""
+def _update_relative(state: FusionState, event: FilterEvent, settings: FilterParameters) -> FusionState:
+    """Update by a camera measurement, or by its failure."""
+    measurement, stamp_s = event.measurement, event.stamp_s
+    if measurement is None:
+        detection = faults.vision_failed(state.detection, stamp_s, settings)
+        return changed(state, detection=detection, reason=event.failure)
     if not state.detection.primary.place_of(measurement.name):
         return changed(state, reason=Reason.UNKNOWN_REFERENCE)
     is_degenerate = len(measurement.covariance) < 6
@@ -767,60 +750,6 @@ def _each(detection: FaultDetection, change: Callable[[PoseBelief], PoseBelief])
     )
 
 
-class OdomFrame:
-    """Transform between `odom` and the frame of a filter.
-
-    The pose of a filter jumps when its estimate of the past changes, for instance after slip or with a new bias of the
-    gyroscope. In `odom` the robot moves by the estimated motion alone, and this transform takes the jump (REP 105).
-
-    It is planar: the filter estimates height and tilt of each pose directly.
-
-    Attributes:
-        T_odom_filter, T_filter_odom: (4, 4) pose of the filter's frame in `odom`, and its inverse.
-        has_moved: whether `odom` is no longer the filter's frame.
-    """
-
-    def __init__(self) -> None:
-        self.T_filter_odom: FloatArray = np.eye(4)
-        self.T_odom_filter = self.T_filter_odom
-        self.has_moved = False
-
-    def T_odom_body(self, T_filter_body: FloatArray) -> FloatArray:
-        """Convert a pose (4, 4) of the filter to `odom`."""
-        return np.asarray(motions.times(self.T_odom_filter, T_filter_body))
-
-    def lay(self, T_filter_body: FloatArray, T_odom_body: FloatArray) -> None:
-        """Set the transform by one pose in both frames, (4, 4) each; only x, y and yaw count."""
-        self.T_filter_odom = motions.times(_planar(T_filter_body), motions.inverse(_planar(T_odom_body)))
-        self.T_odom_filter, self.has_moved = motions.inverse(self.T_filter_odom), True
-
-    def framed(self, answer: AnyEstimate) -> AnyEstimate:
-        """Return a filter's estimate in `odom`; its poses in the map and in the filter's frame do not change."""
-        if not self.has_moved:
-            return answer
-        T, C, Ad = answer.T_odom_body, answer.covariance, motions.adjoint(self.T_odom_filter)
-        fields: dict[str, Any] = {
-            "T_map_odom": motions.times(np.ascontiguousarray(answer.T_map_odom), self.T_filter_odom),
-            "T_filter_odom": self.T_filter_odom,
-            "T_odom_body": None if T is None else motions.times(self.T_odom_filter, T),
-            "covariance": None if C is None else Ad @ C @ Ad.T,
-        }
-        if isinstance(answer, WheelEstimate) and answer.before is not None:
-            stamp_s, T_before, C_before = answer.before
-            fields["before"] = (stamp_s, self.T_odom_body(T_before), Ad @ C_before @ Ad.T)
-        return replace(answer, **fields)
-
-
-def _planar(T: FloatArray) -> FloatArray:
-    """Return the planar part of a motion (4, 4): x, y and yaw."""
-    planar, yaw_rad = np.eye(4), math.atan2(T[1, 0], T[0, 0])
-    planar[0, 0] = planar[1, 1] = math.cos(yaw_rad)
-    planar[1, 0] = math.sin(yaw_rad)
-    planar[0, 1] = -planar[1, 0]
-    planar[:2, 3] = T[:2, 3]
-    return planar
-
-
 class Dated(Protocol):
     """An event at `stamp_s`, which changes states from `since_s` on; at equal stamps, lower `rank` first."""
 
@@ -840,12 +769,17 @@ class Dated(Protocol):
 Event = TypeVar("Event", bound=Dated)
 State = TypeVar("State")
 _LAST_RANK = 1 << 30
+# How far back states are kept for a correction of the past, and how often, seconds.
+_KEPT_FOR_S, _KEPT_EVERY_S = 20.0, 1.0
+# Events before and after an event that can matter to it: wheel steps that cover its time.
+_NEAR_EVENTS = 100
 
 
 class History(Generic[Event, State]):
     """Events within a window, in the order of their stamps, and the state after each.
 
-    After a delayed event, the states of all later ones are computed again.
+    After a delayed event, the states of all later ones are computed again. Older events are archived, with a state a
+    second, for a correction of the past (`repeat`).
 
     Args:
         begin: the state before all events.
@@ -854,7 +788,7 @@ class History(Generic[Event, State]):
 
     Attributes:
         newest: state after the last event.
-        events: all known events, in order.
+        events: all known events within the window, in order.
     """
 
     def __init__(self, begin: State, window_s: float, apply: Callable[[State, Event, Sequence[Event]], State]) -> None:
@@ -863,9 +797,44 @@ class History(Generic[Event, State]):
         self._begin, self._window_s, self._apply = begin, window_s, apply
         self._keys: list[tuple[float, int]] = []
         self._states: list[State] = []
+        self._archive: deque[Event] = deque()
+        self._archived = 0  # number of all events that were archived, also of those that are gone
+        # Stamp, number of events archived by then, state.
+        self._kept: deque[tuple[float, int, State]] = deque([(-math.inf, 0, begin)])
 
     def __len__(self) -> int:
         return len(self.events)
+
+    def repeat(self, since_s: float, change: Callable[[Event], Event]) -> bool:
+        """Apply a change to all events since a stamp, and compute their states again.
+
+        Begins at the last state kept up to the stamp. Returns False, and does nothing, if none is kept.
+        """
+        if self._kept[0][0] > since_s:
+            return False
+        while self._kept[-1][0] > since_s:
+            self._kept.pop()
+        _, count, state = self._kept[-1]
+        first = len(self._archive) - (self._archived - count)
+        events = [*self._archive]
+        events[first:] = map(change, events[first:])
+        self._archive = deque(events)
+        self.events = list(map(change, self.events))
+        events += self.events
+        for place in range(first, len(self._archive)):
+            event = events[place]
+            state = self._apply(state, event, events[max(place - _NEAR_EVENTS, 0) : place + _NEAR_EVENTS])
+            self._keep(event.stamp_s, count + place + 1 - first, state)
+        self._begin, self._states = state, []
+        for event in self.events:
+            state = self._apply(state, event, events[-len(self.events) - _NEAR_EVENTS :])
+            self._states.append(state)
+        self.newest = state
+        return True
+
+    def _keep(self, stamp_s: float, count: int, state: State) -> None:
+        if stamp_s - self._kept[-1][0] >= _KEPT_EVERY_S:
+            self._kept.append((stamp_s, count, state))
 
     def known_at(self, stamp_s: float) -> State:
         """Return the state after the last event up to a stamp; the oldest state for a stamp before the window."""
@@ -894,5 +863,13 @@ class History(Generic[Event, State]):
         passed = bisect_left(self._keys, (self._keys[-1][0] - self._window_s, -1))
         if passed:
             self._begin = self._states[passed - 1]
+            for event, kept in zip(self.events[:passed], self._states[:passed], strict=True):
+                self._archive.append(event)
+                self._archived += 1
+                self._keep(event.stamp_s, self._archived, kept)
+            while len(self._kept) > 1 and self._kept[1][0] < self._keys[0][0] - _KEPT_FOR_S:
+                self._kept.popleft()
+            while len(self._archive) > self._archived - self._kept[0][1]:
+                self._archive.popleft()
             del self._keys[:passed], self.events[:passed], self._states[:passed]
         return state

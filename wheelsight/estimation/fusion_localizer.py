@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +28,7 @@ from wheelsight.core.estimates import (
     Estimate,
     FusedEstimate,
     MotionEstimate,
+    OdomFrame,
     PoseDecision,
     PoseEvidence,
     PoseFinding,
@@ -42,17 +43,18 @@ from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, WheelReading, WheelSpeeds, YawRate
 from wheelsight.estimation import camera_localizer as cameras
-from wheelsight.estimation.agreement import Culprit
+from wheelsight.estimation.agreement import Culprit, RobotSensor
 from wheelsight.estimation.area_localizer import Places, PlaceSense
 from wheelsight.estimation.camera_localizer import RESTART_AFTER, CameraOdometry, mount_of
 from wheelsight.estimation.consistency_check import (
     DARK_S,
-    ENOUGH_M,
     BaseCheck,
     KidnapDetection,
+    ReadmissionCheck,
     UncertainRestart,
 )
-from wheelsight.estimation.filter import ErrorStateFilter, OdomFrame
+from wheelsight.estimation.fault_detection import Exclusion, SensorHealth
+from wheelsight.estimation.filter import ErrorStateFilter
 from wheelsight.estimation.loop_updates import LoopsBeside, begin_in, loops_beside
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
 from wheelsight.estimation.pose_belief import COAST_AFTER_S, FilterParameters
@@ -72,11 +74,13 @@ _ANCHOR_WAY_M = 0.3
 # (freiburg1_desk against motion capture: docs/decisions/filter.md).
 _FRAME_WALK_PER_M = 25.0
 _LONGEST_READING_GAP = 256  # stamps kept: frames are hardly ever delayed by more readings
-# A comparison of a camera that was left out starts over after a multiple of `ENOUGH_M`, and after some keyframes.
-_AGAIN_WAYS, _AGAIN_KEYFRAMES = 3.0, 20
 # Distance between the filter's pose and the camera's in its map, metres, from which on the camera has left its map. A
 # turn by a radian counts as 1.5 m. The wheels err by less in the second or two of a contradiction.
 _LEFT_MAP_M = 0.15
+# Speed at which the pose in odom moves to the corrected one: slow enough for a controller.
+_CORRECTION_M_S, _CORRECTION_RAD_S = 0.1, math.radians(10.0)
+_REMEMBERED_POSES = 600  # of the map in odom, one a frame: as long as the filter remembers, at 30 frames a second
+_SUSPICION, _SLIP = PoseEvidence(PoseFinding.SENSOR_SUSPECTED), PoseEvidence(PoseFinding.SLIP)
 # After a longer gap without frames, seconds, the camera may be right, and the wheels may have drifted.
 _LONGEST_GAP_S = 0.5
 
@@ -129,6 +133,8 @@ class ByFusion:
         self._check, self._readmission = new_check(), ReadmissionCheck(new_check, self._camera.another)
         detector = parts.loop_detector
         self.loops = loops_beside(self.odometry.store, calibration, settings, known, waits=waits, detector=detector)
+        wheels = calibration.wheels
+        self._health = None if wheels is None else SensorHealth(wheels.track_width_m, T_base_camera)
         self._kidnap, self._restart, self._odom = KidnapDetection(), UncertainRestart(), FusedOdom()
 
     def process(self, event: Event) -> tuple[Estimate | None, str]:
@@ -136,6 +142,8 @@ class ByFusion:
         self._camera.last_matches = None
         if isinstance(event, YawRate):  # it counts once the gyroscope agrees with the wheels
             counts = self._base.add_yaw_rate(event)
+            if self._health is not None:
+                self._health.rates.append((event.stamp_s, event.yaw_rate_rad_s))
             if self._base.uses_gyro:
                 self._check.add_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
             if counts and not self._is_early(event.stamp_s):
@@ -176,6 +184,10 @@ class ByFusion:
         T, C, T_map_filter = decided.T_odom_body, decided.covariance, self._map.T_map_odom
         if T is not None and C is not None:  # without a pose, the status of the sensors stays
             watched = [self._restart.evidence(T, C), self._kidnap.evidence(T, C), *found]
+            if self._health is not None and self._health.is_suspicious:
+                watched.append(_SUSPICION)
+            if self._health is not None and self._health.is_without_wheels:
+                watched.append(_SLIP)
             decided = decide(watched, decided) if any(watched) else decided
             if self.loops is not None:
                 in_map = self.loops.evidence(decided.status, T, decided.covariance, T_map_filter)
@@ -191,7 +203,10 @@ class ByFusion:
             T_keyframe_body=T_keyframe_base,
             T_map_odom=T_map_filter,
         )
-        return odom.framed(estimate)
+        framed = odom.framed(estimate)
+        if self._odom.spread is not None and framed.covariance is not None:
+            framed = replace(framed, covariance=framed.covariance + self._odom.spread)
+        return framed
 
     def _update_wheels(self, reading: WheelReading) -> tuple[Estimate | None, str]:
         wheels, note = self._base.process(reading)
@@ -210,6 +225,9 @@ class ByFusion:
                 return self.filter.estimate, note
             if check.is_without_wheels:
                 return self.filter.drop(wheels.stamp_s, ""), note  # the camera's velocity predicts the pose
+        if self._health is not None and wheels.step is not None and wheels.reason is None:
+            T = wheels.step.T_before_now
+            self._health.steps.append((wheels.step.end_s, float(T[0, 3]), math.atan2(T[1, 0], T[0, 0])))
         fused = self.filter.predict_to(wheels)
         self._base.problem = f"the wheels are not used: {fused.reason}" if fused.reason is Reason.TOO_LATE else ""
         return fused, note
@@ -250,8 +268,9 @@ class ByFusion:
         if self._has_prior and self._map.anchor is None:  # the prior is of the first event; the robot may have moved
             self.odometry.begin_at(self._map.camera_at(self.filter.when_imaged(frame.stamp_s)))
         twist = self._camera.twist(self.filter.estimate)
-        suspected = [one.culprit for one in self._check.verdict.found]
-        seen = self._camera.process(frame, expected, twist, ask_wheels=Culprit.WHEELS not in suspected)
+        found = self._check.verdict.found
+        ask_wheels = not found or Culprit.WHEELS not in [one.culprit for one in found]
+        seen = self._camera.process(frame, expected, twist, ask_wheels=ask_wheels)
         if seen.T_odom_body is None:
             return self._lose(frame, seen)
         anchor = self._map.anchor
@@ -261,12 +280,27 @@ class ByFusion:
         self._check.add_tracked(frame, seen, shows_all=shows_all)
         if self._check.verdict.left_out is not None and self._excludes(Culprit.WHEELS):
             return self._begin(frame, seen)
+        if self._health is not None:
+            self._health.add_frame(frame.stamp_s, seen.T_odom_body, shows_all=shows_all)
+            before = self._health.exclusions
+            since_s = self._health.update(frame.stamp_s)
+            if since_s is not None and self._exclude_faulty(before, self._health.exclusions, since_s):
+                return self._begin(frame, seen)
         motion = anchor.motion_to(seen.T_odom_body, seen.motion)
         motion = blurred(motion, twist, self._base.noise_s)
         motion = strayed(motion, self._of_frame, _FRAME_WALK_PER_M)
         if not shows_all and frame.stamp_s - self._map.seen_s > DARK_S:
             return self._lose(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         return self._measure(frame, seen, motion)
+
+    def _exclude_faulty(self, before: Sequence[Exclusion], now: Sequence[Exclusion], since_s: float) -> bool:
+        """Apply exclusions of sensors that changed since a stamp; return whether the camera is used again."""
+        if self.filter.exclude(now, since_s):
+            is_camera_out = any(one.sensor is RobotSensor.CAMERA and one.end_s == math.inf for one in now)
+            self._map.correct(since_s, None if is_camera_out else self.filter.last_frame())
+            self._odom.correct(since_s)
+        ended = {one.sensor for one in before if one.is_sure and one not in now}
+        return RobotSensor.CAMERA in ended
 
     def _apply_loops(self, loops: LoopsBeside, stamp_s: float) -> None:
         """Move keyframes by the loops found so far. The pose in odom does not change."""
@@ -282,6 +316,8 @@ class ByFusion:
             self._map.moved(T_new_old)
             self._camera.pace.moved(T_new_old)
             self._check.moved(T_new_old)
+            if self._health is not None:
+                self._health.interrupt()
 
     def _measure(self, frame: RgbdFrame, seen: CameraEstimate, motion: MotionEstimate) -> FusedEstimate:
         """Update the filter by the motion of a tracked frame since the anchor. Accepted frames extend the map."""
@@ -297,8 +333,11 @@ class ByFusion:
         self._camera.unknown = 0
         self._kidnap.add_known_view(frame.stamp_s)
         is_accepted = agrees and answer.T_odom_body is not None and answer.status is Status.TRACKING
-        self._map.track(frame.stamp_s, is_accepted=is_accepted)
-        if is_accepted and self._map.is_contradicted and self._map.is_left(seen.T_odom_body, update.T_odom_base):
+        self._map.track(frame.stamp_s, seen.T_odom_body, is_accepted=is_accepted)
+        # While another sensor is suspected, it is the filter that has left the camera's map.
+        is_camera = self._health is None or self._health.accused in (None, RobotSensor.CAMERA)
+        is_left = is_accepted and is_camera and self._map.is_contradicted
+        if is_left and self._map.is_left(seen.T_odom_body, update.T_odom_base):
             # The camera jumped: restart it at the pose in its map that the filter has.
             assert update.T_odom_base is not None
             assert answer.covariance is not None
@@ -323,6 +362,9 @@ class ByFusion:
         update = self.filter.begin_frame(frame.stamp_s, self._map.anchor.covariance)
         self._map.accept(frame.stamp_s, seen, update.T_odom_base)
         self._kidnap.add_known_view(frame.stamp_s)
+        if self._health is not None:
+            self._health.interrupt()
+            self._health.add_frame(frame.stamp_s, seen.T_odom_body)
         self._check.begin(frame, seen, self._map.T_odom_map)
         reason = reason or update.answer.reason
         return replace(update.answer, reason=reason, matches=seen.matches, inliers=seen.inliers)
@@ -367,6 +409,8 @@ class ByFusion:
             return wheels
         self._restart.begin(spread_m, first)
         self._kidnap.restart()
+        if self._health is not None:
+            self._health.interrupt(frame.stamp_s)
         return self._begin(frame, again, seen.reason)
 
     def _update_loops(self, loops: LoopsBeside, stamp_s: float, covariance: FloatArray | None) -> None:
@@ -436,6 +480,7 @@ class ByFusion:
     def warnings(self) -> tuple[str, ...]:
         """One sentence for each fault of the gyroscope or of the calibration."""
         of_gyro = self._base.warnings if self._base.has_gyro else ()
+        of_gyro += () if self._health is None else self._health.warnings
         return (*of_gyro, *self._check.verdict.warnings) if self._check.verdict.is_sure else of_gyro
 
     @property
@@ -519,48 +564,6 @@ class FusedCamera:
         return cameras.camera_odometry(*self._of)[0]
 
 
-class ReadmissionCheck:
-    """Compares a camera that was left out with the wheels again, so that it is not left out for longer than necessary.
-
-    What looked like a wrong calibration may have been people, slip or a wall. A separate odometry tracks the camera,
-    without the wheels and without a map, until a new `BaseCheck` finds that both agree.
-
-    Args:
-        new_check: makes a new comparison.
-        new_camera: makes a new camera odometry.
-
-    Attributes:
-        check: the current comparison, which needs the wheels as well; None before the first frame.
-    """
-
-    def __init__(self, new_check: Callable[[], BaseCheck], new_camera: Callable[[], CameraOdometry]) -> None:
-        self._new_check, self._new_camera = new_check, new_camera
-        self.check: BaseCheck | None = None
-        self._camera: CameraOdometry | None = None
-        self._begins, self._failed = True, 0
-
-    def agrees(self, frame: RgbdFrame) -> bool:
-        """Add a frame that is newer than the previous one; return whether wheels and camera agree by now."""
-        check = self.check
-        # A new comparison starts after a verdict, or after a long way without one.
-        if check is None or check.verdict.left_out is not None or check.agreement.way_m > _AGAIN_WAYS * ENOUGH_M:
-            check, self._begins = self._new_check(), True
-            self.check = check
-        if self._camera is None or self._failed >= RESTART_AFTER or len(self._camera.store) > _AGAIN_KEYFRAMES:
-            self._camera, self._begins, self._failed = self._new_camera(), True, 0
-        seen = self._camera.process(frame)
-        check.add_frame(frame)
-        if seen.T_odom_body is None:
-            self._failed += 1
-            return False
-        self._failed = 0
-        if self._begins:
-            check.begin(frame, seen, np.eye(4))
-            self._begins = False
-        check.add_tracked(frame, seen, shows_all=seen.motion.shows_all)
-        return check.has_agreed
-
-
 class BaseSensors:
     """Wheels alone, and a second dead reckoning that fuses the gyroscope.
 
@@ -638,6 +641,9 @@ class FusedOdom:
 
     def __init__(self) -> None:
         self._frame = self.answered = OdomFrame()
+        self._past: deque[tuple[float, FloatArray]] = deque(maxlen=_REMEMBERED_POSES)  # stamp, T_odom_filter
+        self._target: FloatArray | None = None  # T_odom_filter to which a correction moves
+        self._apart: FloatArray | None = None  # (6,) what is left of the correction
         self._begin: tuple[float, FloatArray, ErrorStateFilter] | None = None  # stamp and pose of the begin of the step
         self._last: tuple[float, FloatArray] | None = None  # stamp and pose in odom of the last estimate
         self._readings_s: deque[float] = deque(maxlen=_LONGEST_READING_GAP)
@@ -658,6 +664,10 @@ class FusedOdom:
             T_before_now = motions.exp(np.array([vx, vy, 0.0, 0.0, 0.0, turn]))
             frame.lay(T_own, motions.times(self._last[1], T_before_now))
         T_odom_body = motions.times(frame.T_odom_filter, T_own)
+        if self._target is not None and self._last is not None:
+            T_odom_body = self._move_to_target(T_own, T_odom_body, max(stamp_s - self._last[0], 0.0))
+        if isinstance(event, RgbdFrame):
+            self._past.append((stamp_s, frame.T_odom_filter))
         self._last = stamp_s, T_odom_body
         self._remember(stamp_s, fusion, event)
         # While sensors are being checked, the estimate may not be that of the filter.
@@ -666,6 +676,29 @@ class FusedOdom:
             self.answered = OdomFrame()
             self.answered.lay(T_filter_body, T_odom_body)
         return self.answered
+
+    def correct(self, since_s: float) -> None:
+        """Move to where the robot would be in odom if the filter had known since a stamp what it knows now."""
+        self._target = next((T for stamp_s, T in reversed(self._past) if stamp_s <= since_s), None)
+
+    @property
+    def spread(self) -> FloatArray | None:
+        """(6, 6) of the error in odom that is not corrected yet; None for none."""
+        return None if self._apart is None else np.outer(self._apart, self._apart)
+
+    def _move_to_target(self, T_filter_body: FloatArray, T_odom_body: FloatArray, seconds: float) -> FloatArray:
+        """Return the pose (4, 4) in odom, closer to the target by what the speed of a correction allows."""
+        assert self._target is not None
+        T_here_there = motions.times(motions.inverse(T_odom_body), motions.times(self._target, T_filter_body))
+        apart = motions.log(motions.renormalized(T_here_there))
+        slowness = max(np.linalg.norm(apart[:2]) / _CORRECTION_M_S, abs(apart[5]) / _CORRECTION_RAD_S)
+        share = 1.0 if slowness <= seconds else seconds / slowness
+        T_odom_body = motions.times(T_odom_body, motions.exp(share * apart))
+        self._frame.lay(T_filter_body, T_odom_body)
+        self._apart = motions.adjoint(T_odom_body) @ ((1.0 - share) * apart)
+        if share == 1.0:
+            self._target = self._apart = None
+        return np.asarray(motions.times(self._frame.T_odom_filter, T_filter_body))
 
     def _remember(self, stamp_s: float, fusion: ErrorStateFilter, event: Event | None) -> None:
         """Remember the pose at the last reading up to a frame; or the current one, if no frame arrives."""
@@ -749,9 +782,12 @@ class CameraMap:
         self.keyframe: KeyframeId | None = None
         self.T_keyframe_map: FloatArray | None = None
         self._tracked_s, self.is_contradicted = -np.inf, False
+        self._T_tracked: FloatArray | None = None  # T_map_camera at the last frame that the filter remembers
+        self._past: deque[tuple[float, FloatArray]] = deque(maxlen=_REMEMBERED_POSES)  # stamp, T_odom_map
 
-    def track(self, stamp_s: float, *, is_accepted: bool) -> None:
-        """Note that a frame was tracked, and whether the filter accepted it."""
+    def track(self, stamp_s: float, T_map_camera: FloatArray, *, is_accepted: bool) -> None:
+        """Note that a frame was tracked at a pose (4, 4), and whether the filter accepted it."""
+        self._T_tracked = T_map_camera
         if not is_accepted and stamp_s - self._tracked_s <= _LONGEST_GAP_S:
             self.is_contradicted = True
         self._tracked_s = stamp_s
@@ -771,9 +807,11 @@ class CameraMap:
     def accept(self, stamp_s: float, seen: Estimate, T_odom_base: FloatArray | None) -> None:
         """Accept the camera's pose in the map at a frame; `T_odom_base` is the base's pose when its image was taken."""
         self.T_map_camera, self.seen_s = seen.T_odom_body, stamp_s
+        self._T_tracked = seen.T_odom_body
         self._tracked_s, self.is_contradicted = stamp_s, False
         if self.T_map_camera is not None and T_odom_base is not None:
             self._lay(motions.times(T_odom_base, self._T_base_camera), self.T_map_camera)
+            self._past.append((stamp_s, self.T_odom_map))
         if seen.keyframe is not None and seen.T_keyframe_body is not None and seen.T_odom_body is not None:
             self.keyframe = seen.keyframe
             self.T_keyframe_map = motions.times(seen.T_keyframe_body, motions.inverse(seen.T_odom_body))
@@ -782,6 +820,24 @@ class CameraMap:
         """Align the map so that the last frame, if it was accepted, is at the filter's current estimate of its pose."""
         if self.T_map_camera is not None and T_odom_base is not None:
             self._lay(motions.times(T_odom_base, self._T_base_camera), self.T_map_camera)
+
+    def correct(self, since_s: float, T_odom_base: FloatArray | None) -> None:
+        """Align the map after the filter corrected its poses since a stamp.
+
+        Args:
+            since_s: the stamp.
+            T_odom_base: (4, 4) corrected pose of the base at the last frame; None if the camera is left out, so that
+                its map stays where it was before.
+        """
+        if T_odom_base is not None and self._T_tracked is not None:
+            self._lay(motions.times(T_odom_base, self._T_base_camera), self._T_tracked)
+            self.is_contradicted = False
+        elif T_odom_base is None:
+            while len(self._past) > 1 and self._past[-1][0] >= since_s:
+                self._past.pop()
+            if self._past:
+                self.T_odom_map = self._past[-1][1]
+                self.T_map_odom = motions.inverse(self.T_odom_map)
 
     def _lay(self, T_odom_camera: FloatArray, T_map_camera: FloatArray) -> None:
         self.T_odom_map = motions.renormalized(motions.times(T_odom_camera, motions.inverse(T_map_camera)))
@@ -796,6 +852,11 @@ class CameraMap:
             self.anchor = replace(self.anchor, T_map_camera=motions.times(T_new_old, self.anchor.T_map_camera))
         if self.T_map_camera is not None:
             self.T_map_camera = motions.times(T_new_old, self.T_map_camera)
+        if self._T_tracked is not None:
+            self._T_tracked = motions.times(T_new_old, self._T_tracked)
+        self._past = deque(
+            ((stamp_s, motions.times(T, T_old_new)) for stamp_s, T in self._past), maxlen=_REMEMBERED_POSES
+        )
         if self.T_keyframe_map is not None:
             self.T_keyframe_map = motions.times(self.T_keyframe_map, T_old_new)
 

@@ -837,6 +837,51 @@ def _split(hidden: FloatArray | None) -> tuple[FloatArray, FloatArray] | None:
 Value = TypeVar("Value")
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FilterEvent:
+    """An event. The one field that is not None gives its kind; a measurement may have `clone` as well.
+
+    Attributes:
+        stamp_s: time of the event.
+        wheels: step of the wheels that ends then.
+        yaw_rate_rad_s: of a gyroscope.
+        measurement: of the camera.
+        failure: why the camera has no measurement.
+        position: x, y (2,) in the map, and covariance (2, 2).
+        gyro_bias: bias of the gyroscope relative to the calibration's, and its variance.
+        clone: name by which to remember the pose.
+        drop: name of a pose to forget.
+        spread: (6, 6) error of the camera's pose at `clone`.
+        original: the event with the measurement of a sensor that is left out.
+    """
+
+    stamp_s: float
+    wheels: WheelStep | None = None
+    yaw_rate_rad_s: float | None = None
+    measurement: RelativeMotion | None = None
+    failure: Reason | None = None
+    position: tuple[FloatArray, FloatArray] | None = None
+    gyro_bias: tuple[float, float] | None = None
+    clone: str | None = None
+    drop: str | None = None
+    spread: FloatArray | None = None
+    original: FilterEvent | None = None
+
+    @property
+    def rank(self) -> int:
+        """Order at equal stamps: measurements before changes of remembered poses."""
+        kinds = (self.wheels, self.gyro_bias, self.yaw_rate_rad_s, self.measurement, self.failure, self.position)
+        for rank, kind in enumerate(kinds):
+            if kind is not None:
+                return rank
+        return len(kinds) if self.drop is not None else len(kinds) + 1
+
+    @property
+    def since_s(self) -> float:
+        """Stamp from which on it changes states: the begin of a wheel step."""
+        return self.stamp_s if self.wheels is None else self.wheels.begin_s
+
+
 def changed(value: Value, **fields: Any) -> Value:
     """As `dataclasses.replace`, in a sixth of its time. For dataclasses without slots and without derived fields."""
     assert value.__dict__.keys() >= fields.keys(), f"not all of {fields.keys()} are fields"

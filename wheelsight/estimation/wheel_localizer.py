@@ -8,11 +8,10 @@ import numpy as np
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.checks import Untimed
-from wheelsight.core.estimates import PoseFinding, Reason, WheelEstimate, status_of
+from wheelsight.core.estimates import OdomFrame, PoseFinding, Reason, WheelEstimate, status_of
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.messages import WHEEL_READINGS, Event, WheelReading, YawRate
-from wheelsight.estimation.filter import OdomFrame
 from wheelsight.wheels import AnyWheelOdometry, GyroCheck, HolonomicOdometry, WheelSettings, YawRateMeter, odometry_of
 
 _STILL = np.eye(4)
@@ -23,7 +22,8 @@ class ByWheels:
     """Answers wheel readings by dead reckoning, with the mean yaw rate of a gyroscope between them.
 
     The gyroscope counts once it agrees with the wheels. If it contradicts them later, the wheels alone continue from
-    the last pose at which both agreed.
+    the last pose at which both agreed. If nothing shows which of both is wrong, the status is `coasting`, and the
+    covariance covers the turn of the gyroscope since then.
 
     Args:
         calibration: of the wheels.
@@ -46,6 +46,9 @@ class ByWheels:
         self._odom_base: FloatArray = _STILL  # pose of the base in it
         self._moved: FloatArray = _STILL  # motion of the base by the last event
         self._has_trusted = False
+        # Turn of the wheels minus that of the gyroscope since both agreed, and the position (3,) then.
+        self._apart_rad = 0.0
+        self._agreed: FloatArray = np.zeros(3)
         self._check = GyroCheck()
         self._rates = YawRateMeter(settings.gyro_gap_s)
         assert calibration.any_wheels is not None  # odometry_of has refused it
@@ -77,13 +80,16 @@ class ByWheels:
 
     def process(self, event: Event) -> tuple[WheelEstimate | None, str]:
         """Return the estimate at a wheel reading, None at any other event, and a note."""
-        if isinstance(event, YawRate) and self._uses_gyro and not self._check.problem:
-            self._check.add_rate(event.stamp_s, event.yaw_rate_rad_s)
+        if isinstance(event, YawRate) and self._uses_gyro and (not self._check.problem or self._check.is_open):
             self._rates.add(event.stamp_s, event.yaw_rate_rad_s)
-            self._joined = self._joined or self._alone.copy()
+            if not self._check.problem:
+                self._check.add_rate(event.stamp_s, event.yaw_rate_rad_s)
+                self._joined = self._joined or self._alone.copy()
         if not isinstance(event, WheelReading):
             return None, ""
         answer, note = self._dead_reckon(event)
+        if self._check.is_open:
+            answer = self._covering_both(answer)
         self._moved = self.odometry.moved
         last, T, C = self._last, answer.T_odom_body, answer.covariance
         if last is not None and answer.before is not None and answer.before[1] is not last[1]:
@@ -102,6 +108,14 @@ class ByWheels:
         status = status_of(PoseFinding.READING_REFUSED)
         return self._in_odom(WheelEstimate(stamp_s, status, T, C, why.reason, "base")), why.note
 
+    def _covering_both(self, answer: WheelEstimate) -> WheelEstimate:
+        """Return an estimate of the wheels that also covers the turn of the gyroscope since both agreed."""
+        x, y, _ = self._agreed  # the way since then turns about that place
+        turn = self._apart_rad * np.array([y, -x, 0.0, 0.0, 0.0, 1.0])
+        C = None if answer.covariance is None else answer.covariance + np.outer(turn, turn)
+        status = answer.status if answer.reason is not None else status_of(PoseFinding.TURNS_CONTRADICTED)
+        return replace(answer, status=status, covariance=C)
+
     def _in_odom(self, answer: WheelEstimate) -> WheelEstimate:
         """Return the last estimate in the frame of the poses."""
         T = answer.T_odom_body
@@ -118,6 +132,11 @@ class ByWheels:
         alone, rate_rad_s = self._alone.process(reading), self._rates.mean_until(reading.stamp_s - self._delay_s)
         if self._next is not None:
             self._next[1].process(reading)
+        seconds = 0.0 if alone.before is None else alone.stamp_s - alone.before[0]
+        if rate_rad_s is not None and alone.reason is None:
+            self._apart_rad += self._alone.turned_rad - rate_rad_s * seconds
+        if self._check.agrees_now and alone.T_odom_body is not None:
+            self._apart_rad, self._agreed = 0.0, self.odometry.T_odom_base[:3, 3].copy()
         self._check.add_turn(alone.stamp_s, self._alone.turned_rad, alone.reason is None)
         if self._joined is None:
             return alone, self._slip

@@ -130,12 +130,13 @@ class GyroCheck:
         is_trusted: whether the gyroscope has agreed with the wheels, and not contradicted them since.
         agrees_now: whether it also agrees in the last second.
         problem: how it contradicts the wheels, without a full stop; empty if it does not. It stays once set.
+        is_open: whether the problem may as well be that of the wheels.
         readings: number of readings of the gyroscope.
     """
 
     def __init__(self) -> None:
         self.is_trusted = self.agrees_now = False
-        self.problem = ""
+        self.problem, self.is_open = "", False
         self.readings = 0
         self._gyro: deque[tuple[float, float]] = deque()  # stamps and angles
         self._rate = self._angle_rad = 0.0
@@ -248,7 +249,7 @@ class GyroCheck:
         line, late_s, now = lines[best], float(_LAGS_S[best]), lines[_NO_LAG]
         is_late = abs(late_s) > _LATE_S and now.left > _CLEARER * line.left
         if len(turning) >= _ACCUSE_AFTER:
-            self._accuse(_contradiction(line, late_s if is_late else 0.0))
+            self._accuse(*_contradiction(line, late_s if is_late else 0.0))
         is_sure = now.share > _RELATED_SHARE and now.lies_within() and 3 * now.sigma < 0.15
         if not self.problem and not is_late and is_sure:
             self.is_trusted = True
@@ -257,9 +258,9 @@ class GyroCheck:
         usual = 4 * math.sqrt(now.left) + 0.1 * np.abs(wheels[last])
         self.agrees_now = self.is_trusted and bool((off < usual).all())
 
-    def _accuse(self, problem: str) -> None:
+    def _accuse(self, problem: str, is_open: bool = False) -> None:
         if problem:
-            self.problem, self.is_trusted, self.agrees_now = problem, False, False
+            self.problem, self.is_open, self.is_trusted, self.agrees_now = problem, is_open, False, False
 
 
 def gyro_warnings(recording: Recording) -> tuple[str, ...]:
@@ -328,16 +329,18 @@ class RateLine:
         return lowest - sigmas * self.sigma <= self.slope <= highest + sigmas * self.sigma
 
 
-def _contradiction(line: RateLine, late_s: float) -> str:
-    """Return how the gyroscope contradicts the wheels, or ""."""
+def _contradiction(line: RateLine, late_s: float) -> tuple[str, bool]:
+    """Return how the gyroscope contradicts the wheels, or "", and whether the wheels may as well be wrong."""
     if line.share < _UNRELATED_SHARE and abs(line.slope) < _SIGMAS * line.sigma + 0.3:
-        return "it does not measure the turns of the wheels"
+        return "it does not measure the turns of the wheels", True
     if line.slope < 0 and line.share > _UNRELATED_SHARE:
-        return "it turns the other way than the wheels (counter-clockwise from above is positive: mounted upside down?)"
+        why = "counter-clockwise from above is positive: mounted upside down?"
+        return f"it turns the other way than the wheels ({why})", False
     if line.share > _UNRELATED_SHARE and not line.lies_within(_SIGMAS):
         in_degrees = abs(line.slope / math.degrees(1) - 1) < 0.3
         why = "degrees instead of radians?" if in_degrees else "the scale of one of both is wrong"
-        return f"it measures turns {line.slope:.3g} times as fast as the wheels ({why})"
+        return f"it measures turns {line.slope:.3g} times as fast as the wheels ({why})", not in_degrees
     if late_s:
-        return f"its stamps are {abs(late_s):.2g} s {'late' if late_s > 0 else 'early'} against those of the wheels"
-    return ""
+        text = f"its stamps are {abs(late_s):.2g} s {'late' if late_s > 0 else 'early'} against those of the wheels"
+        return text, False
+    return "", False

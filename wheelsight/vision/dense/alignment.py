@@ -363,7 +363,10 @@ class ReferenceMaker:
 
     def __init__(self, noise: DepthNoise, rows: Rows) -> None:
         self._noise = np.array([noise.constant_m, noise.quadratic_per_m], np.float32)
-        self._rows, self._boundary = rows, self._step(_OCCLUSION_SHARE, _OCCLUSION_SIGMAS)
+        # Coefficients of depth steps for kernels: a share of depth, and standard deviations of it.
+        constant, quadratic = np.float32(_OCCLUSION_SIGMAS) * self._noise
+        self._boundary = np.array([constant, _OCCLUSION_SHARE, quadratic], np.float32)
+        self._rows, self._jump = rows, np.float32(_DEPTH_JUMP_SIGMAS) * self._noise
 
     def of_frame(self, frame: GridFrame, T_map_camera: FloatArray) -> Reference:
         """A frame with its pose as reference."""
@@ -398,7 +401,7 @@ class ReferenceMaker:
         """
         normal = np.empty((*level.depth_m.shape, 3), np.float32)
         limits = (
-            self._step(steepness * DEPTH_JUMP, _DEPTH_JUMP_SIGMAS),
+            np.array([self._jump[0], steepness * DEPTH_JUMP, self._jump[1]], np.float32),
             np.float32(bend) * self._noise,
         )
         given = (level.depth_m, level.intrinsics.astype(np.float32), _NORMAL_RADIUS_PX, *limits)
@@ -415,11 +418,6 @@ class ReferenceMaker:
         given = (level.depth_m, normal, level.grey, level.intrinsics.astype(np.float32), self._boundary)
         self._rows.share(len(pixels), pack, *given, after=(pixels,))
         return ReferenceLevel(normal, pixels)
-
-    def _step(self, share: float, sigmas: float) -> Float32Array:
-        """Coefficients (3,) of a depth step for kernels: a share of depth, and `sigmas` standard deviations of it."""
-        constant, quadratic = np.float32(sigmas) * self._noise
-        return np.array([constant, share, quadratic], np.float32)
 
 
 # Components of a twist (v, ω) in the base's frame that wheels cannot roll: sideways, up, roll and pitch. They count for
@@ -553,7 +551,9 @@ class Aligner:
         The number of points is that of the guess with the most pairs; a point without pair counts `_UNPAIRED_SIGMAS`.
         """
         how = np.array([GATE, 1, _GREY_SIGMA, 1, 0, _HUBER_SIGMAS, 0, 0, 0, 0], float)
-        images = _images(frame.levels[-1], reference.scales.levels[-1].pixels)
+        level = frame.levels[-1]
+        pixels = reference.scales.levels[-1].pixels
+        images = kernels.Images(level.depth_m, level.grey, pixels, level.intrinsics.astype(np.float32))
         sums, totals = np.empty((len(frame.levels[-1].depth_m), kernels.SUMS)), []
         for T in guesses:
             T_rows = np.ascontiguousarray(np.broadcast_to(T[:3].astype(np.float32), (len(sums), 3, 4)))
@@ -597,7 +597,9 @@ class Aligner:
         for number in reversed(range(LEVELS)):
             how[kernels.GATE] = GATE * (1 + 0.5 * number)
             how[COLOR_SIGMA] = _COLOR_ERROR_LEFT * self._color_sigma_px / (1 << number)
-            images, height = _images(frame.levels[number], scales[number].pixels), len(frame.levels[number].depth_m)
+            level, pixels = frame.levels[number], scales[number].pixels
+            images = kernels.Images(level.depth_m, level.grey, pixels, level.intrinsics.astype(np.float32))
+            height = len(level.depth_m)
             late_s, T_rows = np.zeros(height), np.empty((height, 3, 4), np.float32)
             if previous is not None:
                 late_s = self._late_s[: height << number].reshape(height, -1).mean(axis=1)
@@ -708,11 +710,6 @@ class Aligner:
             information += here_shown
             compared += here_shown if show is show_planes else share * symmetric(total[SHOWN:])
         return information, compared
-
-
-def _images(level: Level, pixels: Float32Array) -> kernels.Images:
-    """A frame's level and the reference's `pixels` for kernels."""
-    return kernels.Images(level.depth_m, level.grey, pixels, level.intrinsics.astype(np.float32))
 
 
 def symmetric(sums: FloatArray) -> FloatArray:

@@ -1,0 +1,195 @@
+"""SensorHealth on motions of a base whose sensors have faults, by closed forms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.estimation.agreement import RobotSensor, cause_of
+from wheelsight.estimation.fault_detection import Piece, SensorHealth, Usual, log_ratios, of_sensors
+
+HALF_M, FAULT_S = 0.25, 10.0
+USUAL = Usual(np.ones(2))
+T_BASE_CAMERA = se3.from_parts([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], [0.3, 0.1, 0.9])
+
+
+class Motion(NamedTuple):
+    """Of a base over a step: by both wheels, m; by the gyroscope, rad/s; by the camera, ξ of the base."""
+
+    ways_m: FloatArray
+    rate_rad_s: float
+    camera: FloatArray
+
+
+def largest(ratios: FloatArray) -> dict[RobotSensor, float]:
+    return {sensor: float(ratios[place]) for sensor, place in of_sensors(ratios).items()}
+
+
+Fault = Callable[[Motion], Motion]
+
+
+def left(factor: float) -> Fault:
+    return lambda motion: motion._replace(ways_m=motion.ways_m * (factor, 1.0))
+
+
+def right(factor: float) -> Fault:
+    return lambda motion: motion._replace(ways_m=motion.ways_m * (1.0, factor))
+
+
+def gyro(factor: float) -> Fault:
+    return lambda motion: motion._replace(rate_rad_s=motion.rate_rad_s * factor)
+
+
+def camera(*factors: float, plus: tuple[float, ...] = (0.0,) * 6) -> Fault:
+    return lambda motion: motion._replace(camera=motion.camera * factors + plus)
+
+
+MIRRORED = camera(1, -1, 1, -1, 1, -1)
+BUS = camera(1, 1, 1, 1, 1, 1, plus=(0.0, 0.04, 0.0, 0.0, 0.0, 0.0))  # 0.8 m/s to the side
+
+
+def driven(
+    fault: Fault | None, seed: int = 0, *, with_gyro: bool = True, until_s: float = 25.0, ends_s: float = math.inf
+) -> tuple[SensorHealth, dict[RobotSensor, float]]:
+    """Drive curves of up to 0.5 m/s and 0.5 rad/s, with noise; a fault begins at `FAULT_S`. Also when it was found."""
+    rng, health, T = np.random.default_rng(seed), SensorHealth(2 * HALF_M, T_BASE_CAMERA), np.eye(4)
+    step_s, found = 0.05, dict[RobotSensor, float]()
+    for n in range(round(until_s / step_s)):
+        now_s = 100.0 + n * step_s
+        speed, rate = 0.4 + 0.1 * math.sin(0.3 * n * step_s), 0.5 * math.sin(0.7 * n * step_s)
+        way_m, turn = speed * step_s, rate * step_s
+        motion = Motion(
+            np.array([way_m - HALF_M * turn, way_m + HALF_M * turn]), rate, np.array([way_m, *4 * [0], turn])
+        )
+        if fault is not None and FAULT_S <= now_s - 100.0 < ends_s:
+            motion = fault(motion)
+        noise = rng.normal(0.0, (0.001, 0.001, 0.001, 0.001, 0.001, 0.0015))
+        ways_m = motion.ways_m * (1 + rng.normal(0.0, 0.01, 2))
+        health.steps.append((now_s, float(ways_m.mean()), float(np.diff(ways_m)[0] / (2 * HALF_M))))
+        if with_gyro:
+            health.rates.append((now_s, motion.rate_rad_s + 0.002 * rng.standard_normal()))
+        T = T @ se3.exp(motion.camera)
+        if n % 2 == 0:
+            seen = T @ se3.exp(noise) @ T_BASE_CAMERA
+            health.add_frame(now_s, np.ascontiguousarray(seen))
+            health.update(now_s)
+            for sensor in health.faults:
+                found.setdefault(sensor, now_s - 100.0)
+    return health, found
+
+
+@pytest.mark.parametrize("with_gyro", [True, False])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_sound_sensors_raise_no_alarm(seed: int, with_gyro: bool) -> None:
+    health, found = driven(None, seed, with_gyro=with_gyro, until_s=120.0)
+    assert not found
+    assert not health.warnings
+    assert not any(one.is_sure for one in health.exclusions)
+
+
+@pytest.mark.parametrize("with_gyro", [True, False])
+@pytest.mark.parametrize(
+    ("fault", "sensor", "words", "within_s"),
+    [
+        (left(0.0), RobotSensor.LEFT, "does not count", 2.0),
+        (right(0.0), RobotSensor.RIGHT, "does not count", 2.0),
+        (left(-1.0), RobotSensor.LEFT, "backwards", 2.0),
+        (right(1.13), RobotSensor.RIGHT, "counts 1.1", 4.5),
+        (left(0.85), RobotSensor.LEFT, "counts 0.8", 4.5),
+        (lambda motion: left(1.6)(right(1.6)(motion)), RobotSensor.WHEELS, "slip", 2.0),
+        (MIRRORED, RobotSensor.CAMERA, "mirrored", 3.0),
+        (BUS, RobotSensor.CAMERA, "sideways", 2.0),
+    ],
+)
+def test_a_fault_is_found_named_and_dated(
+    fault: Fault, sensor: RobotSensor, words: str, within_s: float, with_gyro: bool
+) -> None:
+    health, found = driven(fault, with_gyro=with_gyro)
+    assert list(found) == [sensor]
+    assert found[sensor] < FAULT_S + within_s
+    assert abs(health.faults[sensor] - 100.0 - FAULT_S) < 1.3  # the longest piece
+    assert words in health.warnings[0]
+    (exclusion,) = [one for one in health.exclusions if one.is_sure]
+    assert exclusion.sensor is sensor
+
+
+@pytest.mark.parametrize(("factor", "words"), [(-1.0, "measures -"), (0.0, "measures ")])
+def test_a_faulty_gyroscope_is_found(factor: float, words: str) -> None:
+    health, found = driven(gyro(factor))
+    assert list(found) == [RobotSensor.GYRO]
+    assert found[RobotSensor.GYRO] < FAULT_S + 3.0
+    assert words in health.warnings[0]
+
+
+def test_two_faults_are_found_one_after_the_other() -> None:
+    def both(motion: Motion) -> Motion:
+        return gyro(-1.0)(left(0.0)(motion))
+
+    _, found = driven(both, until_s=40.0)
+    assert set(found) == {RobotSensor.LEFT, RobotSensor.GYRO}
+
+
+def test_a_sensor_that_agrees_again_is_used_again() -> None:
+    health, found = driven(left(0.0), ends_s=15.0, until_s=40.0)
+    assert list(found) == [RobotSensor.LEFT]
+    assert not health.faults
+    assert "until" in health.warnings[0]
+    (past,) = health.exclusions
+    assert past.begin_s < 112.0
+    assert 117.0 < past.end_s < 130.0
+
+
+def test_a_restarted_camera_is_left_out_until_it_agrees() -> None:
+    health, _ = driven(None, until_s=5.0)
+    health.interrupt(105.0)
+    assert health.update(105.0) == 105.0
+    (exclusion,) = health.exclusions
+    assert (exclusion.sensor, exclusion.begin_s, exclusion.is_sure) == (RobotSensor.CAMERA, 105.0, False)
+    assert health.is_suspicious
+    assert health.update(105.1) is None
+    for n in range(8):
+        now_s = 105.0 + 0.05 * n
+        health.steps.append((now_s, 0.02, 0.0))
+        T = np.ascontiguousarray(se3.from_parts(np.eye(3), [0.02 * n, 0.0, 0.0]) @ T_BASE_CAMERA)
+        health.add_frame(now_s, T)
+    assert health.update(105.4) == 105.0
+    assert not health.exclusions
+
+
+@given(
+    way=st.floats(-0.2, 0.2),
+    turn=st.floats(-0.4, 0.4),
+    errors=st.lists(st.floats(-0.3, 0.3), min_size=4, max_size=4),
+)
+def test_the_ratio_of_left_and_right_changes_sides_in_a_mirror(way: float, turn: float, errors: list[float]) -> None:
+    """Mirror a drive left to right: what accused the left wheel accuses the right one, and no other sensor changes."""
+    y, left_m, right_m, gyro_rad = errors
+    ways_m = np.array([way - HALF_M * turn + left_m, way + HALF_M * turn + right_m])
+    piece = Piece(0.0, 0.25, np.array([way, y, 0.0, 0.0, 0.0, turn]), ways_m, turn + gyro_rad)
+    mirrored = Piece(0.0, 0.25, np.array([way, -y, 0.0, 0.0, 0.0, -turn]), ways_m[::-1], -turn - gyro_rad)
+    one, other = (largest(log_ratios(each, HALF_M, USUAL)) for each in (piece, mirrored))
+    assert one[RobotSensor.LEFT] == pytest.approx(other[RobotSensor.RIGHT], abs=1e-6)
+    for sensor in (RobotSensor.WHEELS, RobotSensor.CAMERA, RobotSensor.GYRO):
+        assert one[sensor] == pytest.approx(other[sensor], abs=1e-6)
+
+
+@given(st.lists(st.floats(-10.0, 10.0), min_size=9, max_size=9))
+def test_any_piece_gives_finite_ratios_and_a_cause(numbers: list[float]) -> None:
+    piece = Piece(0.0, 0.25, np.array(numbers[:6]), np.array(numbers[6:8]), numbers[8])
+    for sensor, ratio in largest(log_ratios(piece, HALF_M, USUAL)).items():
+        assert math.isfinite(ratio)
+        assert cause_of(sensor, piece.camera[None], piece.ways_m[None], np.array([numbers[8]]), HALF_M, USUAL.ratios)
+
+
+def test_a_base_that_stands_accuses_no_sensor_and_clears_none() -> None:
+    piece = Piece(0.0, 0.25, np.zeros(6), np.zeros(2), 0.0)
+    ratios = log_ratios(piece, HALF_M, USUAL)
+    assert ratios.max() == pytest.approx(0.0, abs=1e-3)
+    assert ratios.min() > -0.8
