@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -65,6 +66,15 @@ class RobotSensor(Enum):
     WHEELS = "both wheels"
     CAMERA = "camera"
     GYRO = "gyroscope"
+
+
+class Exclusion(NamedTuple):
+    """A sensor that is left out from one stamp to another, by a fault (`is_sure`) or by a suspicion."""
+
+    sensor: RobotSensor
+    begin_s: float
+    end_s: float = math.inf
+    is_sure: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -202,6 +202,11 @@ class BaseCheck:
         return self.verdict.left_out is Culprit.WHEELS and self.by_wheels is None
 
     @property
+    def is_over(self) -> bool:
+        """Whether all sensors are in use after the check, so that a later contradiction is a fault."""
+        return self.verdict.left_out is None and (self.verdict.has_agreed or self.by_wheels is None)
+
+    @property
     def has_agreed(self) -> bool:
         """Whether wheels and camera agree, and colour is not known to be late."""
         return self.verdict.has_agreed and self.verdict.left_out is None and not self._colors.late

@@ -48,7 +48,7 @@ from wheelsight.core.estimates import STEP_BEGIN, Reason
 from wheelsight.core.geometry import FloatArray, IntArray
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.geometry.chi_square import quantile as _quantile
-from wheelsight.estimation.agreement import RobotSensor, cause_of
+from wheelsight.estimation.agreement import Exclusion, RobotSensor, cause_of
 from wheelsight.estimation.filter_kernels import leap_kernel, speed_kernel
 from wheelsight.estimation.pose_belief import (
     IN_PLANE,
@@ -478,6 +478,7 @@ def _shift_of(T_from: FloatArray, T_to: FloatArray) -> FloatArray:
 # Sums that find a fault, by which it leads, that leave a sensor out for the moment, and below which ratios are learned.
 _ALARM_NATS, _MARGIN_NATS, _SUSPECT_NATS, _SOUND_NATS = 12.0, 3.0, 6.0, 2.0
 _AGREES_NATS = 0.5  # of one piece, for a sensor that agrees with the others
+_HEAD_START_NATS = 5.0  # of a camera that restarted
 # One piece counts at most this much, since errors have longer tails than a Gaussian; sums end at the largest one.
 _PIECE_NATS, _LEAST_NATS, _LARGEST_NATS = 8.0, -6.0, 60.0
 _PIECES_S, _SHORTEST_S, _GAP_S = (0.25, 1.25), 0.15, 2.0
@@ -495,15 +496,6 @@ _RATIO_WAY_M, _RATIO_PRIOR_M, _RATIO_STEP = 20.0, 5.0, 0.1
 _AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD = 1.0, 2.0, 0.6
 _KEPT_S, _MOST_WAITING = 5.0, 4096  # of readings; while the camera is dark, older ones are dropped
 _DESCRIBED = 120  # pieces by which a fault is described
-
-
-class Exclusion(NamedTuple):
-    """A sensor that is left out from one stamp to another, by a fault (`is_sure`) or by a suspicion."""
-
-    sensor: RobotSensor
-    begin_s: float
-    end_s: float = math.inf
-    is_sure: bool = False
 
 
 class Piece(NamedTuple):
@@ -629,13 +621,11 @@ def log_ratios(piece: Piece, half_m: float, usual: Usual, faulty: Collection[Rob
     logs = -0.5 * (np.linalg.slogdet(C)[1] + chi2)
     sound_log, logs = logs[0], logs[1:]
     # The camera's motion out of the plane of the floor: a faulty camera has one in half of the cases.
-    usual_off = np.array([_RISE_M + _RISE_SHARE * rolled_m, _TILT_RAD, _TILT_RAD])
-    off = np.array([z, roll, pitch]) / usual_off
+    off = np.array([z, roll, pitch]) / (_RISE_M + _RISE_SHARE * rolled_m, _TILT_RAD, _TILT_RAD)
     out = float((0.5 * (1 - 1 / _FAR_OFF**2) * off**2 - math.log(_FAR_OFF)).sum()) if piece.shows_all else 0.0
     logs[_ANY_CAMERA] += math.log(0.5) + float(np.logaddexp(0.0, out))
-    is_judged = np.array(
-        [one.sensor not in faulty and (one.sensor is not GYRO or turn is not None) for one in HYPOTHESES]
-    )
+    unknown = faulty if turn is not None else {*faulty, GYRO}
+    is_judged = np.array([one.sensor not in unknown for one in HYPOTHESES])
     sound_log = max(sound_log, logs[is_judged].max() - _PIECE_NATS)
     return np.where(is_judged, np.maximum(logs - sound_log, _LEAST_NATS), 0.0)
 
@@ -664,6 +654,11 @@ class Sums:
         self._sums, self._zero_s = np.zeros(len(HYPOTHESES)), np.full(len(HYPOTHESES), now_s)
         self.places = of_sensors(self._sums)
         self.nats, self.zero_s = dict.fromkeys(RobotSensor, 0.0), dict.fromkeys(RobotSensor, now_s)
+
+    def suspect(self, sensor: RobotSensor, since_s: float) -> None:
+        """Give the sums of a sensor a head start."""
+        at = _OF_SENSOR[sensor]
+        self._sums[at], self._zero_s[at] = np.maximum(self._sums[at], _HEAD_START_NATS), since_s
 
     def add(self, ratios: FloatArray, piece: Piece) -> None:
         """Add the ratios of a piece."""
@@ -697,6 +692,7 @@ class SensorHealth:
         is_suspicious: whether a sensor may be wrong, without certainty.
         is_without_wheels: whether a wheel is left out.
         accused: the sensor that is most likely wrong, without certainty; None if all are likely sound.
+        is_armed: whether faults are looked for; before, usual values are learned.
     """
 
     def __init__(self, track_m: float, T_base_camera: FloatArray) -> None:
@@ -718,7 +714,7 @@ class SensorHealth:
         self._waiting: deque[tuple[float, FloatArray, bool]] = deque(maxlen=8)
         self._pieces: deque[Piece] = deque(maxlen=_DESCRIBED)
         self._usual = Usual(np.ones(2), 0.0, _BIAS_SIGMA_RAD_S)
-        self._weights = np.full(2, _RATIO_PRIOR_M)
+        self._weights, self.is_armed = np.full(2, _RATIO_PRIOR_M), False
         self._unproven_s: float | None = None  # since when a restarted camera has not agreed yet
         # Way, time and turn over which a faulty sensor agrees again, and over which it has to.
         self._sound = {sensor: np.zeros(3) for sensor in RobotSensor}
@@ -727,8 +723,8 @@ class SensorHealth:
     def update(self, stamp_s: float) -> float | None:
         """Update the exclusions at a frame; return the stamp since which they changed, or None.
 
-        A sensor is left out since its fault began. So is one that leads before that is certain, and a camera that has
-        just restarted. One that turns out to be sound counts as if nothing had happened.
+        A sensor is left out since its fault began. So is one that leads before that is certain. One that turns out to
+        be sound counts as if nothing had happened.
         """
         if not self._has_news:
             return None
@@ -741,8 +737,6 @@ class SensorHealth:
             leader = scale.leads(_SUSPECT_NATS)
             if leader is not None:
                 suspects.setdefault(leader, scale.zero_s[leader])
-        if self._unproven_s is not None:
-            suspects.setdefault(CAMERA, self._unproven_s)
         for sensor, begin_s in suspects.items():
             known = current.get(sensor)
             wanted.setdefault(sensor, Exclusion(sensor, begin_s) if known is None or known.is_sure else known)
@@ -763,14 +757,16 @@ class SensorHealth:
     def interrupt(self, restarted_s: float | None = None) -> None:
         """Note that the next pose of the camera does not continue the previous ones.
 
-        A camera that restarted shows a view that it does not know, and has to agree with the wheels first.
+        A camera that restarted shows a view that it does not know. Its sums get a head start (Lucas & Crosier 1982), so
+        that one piece that contradicts is enough.
         """
         self._waiting.clear()
         self._has_news = True
         for scale in self._scales:
             scale.begin = math.nan, scale.begin[1]
-        if restarted_s is not None and self._unproven_s is None and (self._rolled or self.steps):
+        if restarted_s is not None and self.is_armed and CAMERA not in self.faults:
             self._unproven_s = restarted_s
+            self._scales[0].suspect(CAMERA, restarted_s)
 
     def add_frame(self, stamp_s: float, T_map_camera: FloatArray, *, shows_all: bool = True) -> None:
         """Add the camera's pose (4, 4) by itself at a frame, and whether the frame shows all directions.
@@ -829,8 +825,9 @@ class SensorHealth:
             self._pieces.append(piece)
             if ratios[of_sensors(ratios)[CAMERA]] <= _AGREES_NATS:
                 self._unproven_s = None
-        self._end_faults(piece, is_first)
-        scale.add(ratios, piece)
+        if self.is_armed:
+            self._end_faults(piece, is_first)
+            scale.add(ratios, piece)
         if is_first and not self.faults and all(max(one.nats.values()) < _SOUND_NATS for one in self._scales):
             self._learn(piece)
         sensor = scale.leads(_ALARM_NATS)
@@ -846,9 +843,9 @@ class SensorHealth:
         for one in self._scales:  # what this fault explains accuses no other sensor
             one.clear(piece.end_s)
         pieces = [one for one in self._pieces if one.end_s > begin_s]
-        turns_rad = np.array([math.nan if one.turn_rad is None else one.turn_rad for one in pieces])
-        camera, ways_m = (np.array(each) for each in ([one.camera for one in pieces], [one.ways_m for one in pieces]))
-        cause = cause_of(sensor, camera, ways_m, turns_rad, self._half_m, self._usual.ratios)
+        turns_rad = [math.nan if one.turn_rad is None else one.turn_rad for one in pieces]
+        seen = (np.array(each) for each in ([one.camera for one in pieces], [one.ways_m for one in pieces], turns_rad))
+        cause = cause_of(sensor, *seen, self._half_m, self._usual.ratios)
         self._found[sensor] = self._found.get(sensor, (0,))[0] + 1, begin_s, math.inf, cause
         self._warn()
 

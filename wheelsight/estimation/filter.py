@@ -58,8 +58,8 @@ from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.settings.fusion import ErrorStateSettings
 from wheelsight.estimation import fault_detection as faults
-from wheelsight.estimation.agreement import RobotSensor
-from wheelsight.estimation.fault_detection import Exclusion, Fault, FaultDetection
+from wheelsight.estimation.agreement import Exclusion, RobotSensor
+from wheelsight.estimation.fault_detection import Fault, FaultDetection
 from wheelsight.estimation.filter_kernels import answered
 from wheelsight.estimation.pose_belief import (
     ERRORS,

@@ -43,7 +43,7 @@ from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, WheelReading, WheelSpeeds, YawRate
 from wheelsight.estimation import camera_localizer as cameras
-from wheelsight.estimation.agreement import Culprit, RobotSensor
+from wheelsight.estimation.agreement import Culprit, Exclusion, RobotSensor
 from wheelsight.estimation.area_localizer import Places, PlaceSense
 from wheelsight.estimation.camera_localizer import RESTART_AFTER, CameraOdometry, mount_of
 from wheelsight.estimation.consistency_check import (
@@ -53,7 +53,7 @@ from wheelsight.estimation.consistency_check import (
     ReadmissionCheck,
     UncertainRestart,
 )
-from wheelsight.estimation.fault_detection import Exclusion, SensorHealth
+from wheelsight.estimation.fault_detection import SensorHealth
 from wheelsight.estimation.filter import ErrorStateFilter
 from wheelsight.estimation.loop_updates import LoopsBeside, begin_in, loops_beside
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
@@ -142,7 +142,7 @@ class ByFusion:
         self._camera.last_matches = None
         if isinstance(event, YawRate):  # it counts once the gyroscope agrees with the wheels
             counts = self._base.add_yaw_rate(event)
-            if self._health is not None:
+            if self._health is not None and (counts or RobotSensor.GYRO in self._health.faults):
                 self._health.rates.append((event.stamp_s, event.yaw_rate_rad_s))
             if self._base.uses_gyro:
                 self._check.add_yaw_rate(event.stamp_s, event.yaw_rate_rad_s)
@@ -281,6 +281,7 @@ class ByFusion:
         if self._check.verdict.left_out is not None and self._excludes(Culprit.WHEELS):
             return self._begin(frame, seen)
         if self._health is not None:
+            self._health.is_armed = self._check.is_over
             self._health.add_frame(frame.stamp_s, seen.T_odom_body, shows_all=shows_all)
             before = self._health.exclusions
             since_s = self._health.update(frame.stamp_s)

@@ -10,7 +10,7 @@ from wheelsight.core.estimates import MotionEstimate, Reason
 from wheelsight.core.geometry import FloatArray
 from wheelsight.estimation import ErrorStateFilter
 from wheelsight.estimation.agreement import RobotSensor
-from wheelsight.estimation.fault_detection import Exclusion
+from wheelsight.estimation.agreement import Exclusion
 from wheelsight.estimation.pose_belief import FilterParameters
 
 SETTINGS = FilterParameters.of()
