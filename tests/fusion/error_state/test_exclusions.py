@@ -9,8 +9,7 @@ from fusion.error_state.fused_drives import T_BASE_CAMERA, Drive, Step, simulate
 from wheelsight.core.estimates import MotionEstimate, Reason
 from wheelsight.core.geometry import FloatArray
 from wheelsight.estimation import ErrorStateFilter
-from wheelsight.estimation.agreement import RobotSensor
-from wheelsight.estimation.agreement import Exclusion
+from wheelsight.estimation.agreement import Exclusion, RobotSensor
 from wheelsight.estimation.pose_belief import FilterParameters
 
 SETTINGS = FilterParameters.of()
