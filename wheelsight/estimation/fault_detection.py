@@ -843,9 +843,9 @@ class SensorHealth:
         for one in self._scales:  # what this fault explains accuses no other sensor
             one.clear(piece.end_s)
         pieces = [one for one in self._pieces if one.end_s > begin_s]
-        turns_rad = [math.nan if one.turn_rad is None else one.turn_rad for one in pieces]
-        seen = (np.array(each) for each in ([one.camera for one in pieces], [one.ways_m for one in pieces], turns_rad))
-        cause = cause_of(sensor, *seen, self._half_m, self._usual.ratios)
+        turns_rad = np.array([math.nan if one.turn_rad is None else one.turn_rad for one in pieces])
+        camera, ways_m = (np.array(each) for each in zip(*((one.camera, one.ways_m) for one in pieces), strict=True))
+        cause = cause_of(sensor, camera, ways_m, turns_rad, self._half_m, self._usual.ratios)
         self._found[sensor] = self._found.get(sensor, (0,))[0] + 1, begin_s, math.inf, cause
         self._warn()
 
