@@ -440,7 +440,7 @@ def place_figures(known: Callable[[], KnownBuilding], path: Callable[[], Path]) 
         where.processed(event.stamp_s)
         if estimate is None:
             continue
-        where.answer(estimate, localizer.recognised)
+        where.answer(estimate)
         if not isinstance(event, RgbdFrame):
             continue
         frames += 1

@@ -37,7 +37,7 @@ WAYS = {
 
 
 def in_map(beside: LoopsBeside, found: Estimate) -> tuple[PoseFinding, FloatArray | None]:
-    evidence = beside.evidence(found.status, found.T_odom_body, found.covariance, found.T_map_odom)
+    evidence = beside.evidence(found.stamp_s, found.status, found.T_odom_body, found.covariance, found.T_map_odom)
     return evidence.finding, evidence.covariance_map
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -14,6 +15,7 @@ from patched import patched
 
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.estimates import Estimate, Status
+from wheelsight.core.geometry import se3
 from wheelsight.core.messages import STOP, VelocityCommand
 from wheelsight.navigation import (
     BehaviourSettings,
@@ -25,7 +27,6 @@ from wheelsight.navigation import (
 from wheelsight.navigation.controllers import ControlReason, ControlResult, MotionState, PurePursuitController
 from wheelsight.navigation.planner import Plan
 from wheelsight.navigation.planning import PoseGoals
-from wheelsight.navigation.settings import HoldSettings
 
 constants = patched({"behaviours._LOOK": (0.2, -0.4, 0.2), "behaviours._SEARCH_RAD": 0.3})
 SIZE_M = (8.0, 6.0)
@@ -268,28 +269,66 @@ def test_of_a_place_that_is_known_too_badly_it_looks_about_and_gives_up_as_when_
     assert subject.robot.base.stands
 
 
-def test_where_nothing_bears_out_the_start_it_stands_after_some_metres_and_gives_up() -> None:
-    subject = ride(settings=HASTY.model_copy(update={"hold": HoldSettings(unproven_m=0.8)}))
-    subject.told.recognised = 0
-    begin = subject.robot.base.pose[:2].copy()
-    subject.navigator.go_to_pose(GOAL)
+def by(status: Status, sigma_m: float = 1e-3, off_m: float = 0.0) -> Callable[[Estimate], Estimate]:
+    """A localization that states a covariance in the map, and errs to the side by `off_m`."""
+    C, T_map_odom = np.diag([sigma_m**2] * 3 + [1e-6] * 3), se3.from_plane(0.0, off_m, 0.0)
+    return lambda estimate: replace(estimate, status=status, covariance_map=C, T_map_odom=T_map_odom)
+
+
+def test_while_its_start_is_not_confirmed_it_drives_slowly_and_has_not_arrived() -> None:
+    """It looks around at the goal; what it sees there refutes its place, and it gives up."""
+    subject = ride(settings=HASTY)
+    subject.told.says = by(Status.UNCONFIRMED)
+    subject.navigator.go_to_pose(NEAR)
+    fastest_m_s = 0.0
+
+    def looks() -> bool:
+        nonlocal fastest_m_s
+        fastest_m_s = max(fastest_m_s, subject.navigator.feedback.forward_m_s)
+        return subject.navigator.state is NavigationState.RECOVERING
+
+    subject.go(60, until=looks)
+    assert subject.navigator.state is NavigationState.RECOVERING
+    assert 0.1 < fastest_m_s < subject.navigator.settings.monitor.coasting_m_s + 0.02
+    assert np.hypot(*(subject.robot.base.pose[:2] - NEAR[:2])) < 0.12
+    subject.told.says = by(Status.INITIALIZING)
     subject.go(30)
     result = not_none(subject.navigator.result)
-    assert result.reason is NavigationReason.LOST
-    assert "nothing of the map was recognised in 1." in result.detail
+    assert (result.has_arrived, result.reason) == (False, NavigationReason.LOST)
     assert subject.robot.base.stands
-    assert 0.6 < np.hypot(*(subject.robot.base.pose[:2] - begin)) < 2.0
 
 
-def test_a_start_that_is_borne_out_while_it_looks_about_is_driven_on_from() -> None:
-    subject = ride(settings=HASTY.model_copy(update={"hold": HoldSettings(unproven_m=0.8)}))
-    subject.told.recognised = 0
-    subject.navigator.go_to_pose(GOAL)
-    subject.go(20, until=lambda: subject.navigator.state is NavigationState.RECOVERING)
-    assert subject.navigator.state is NavigationState.RECOVERING
-    subject.told.recognised = 1
-    subject.go(30)
+def test_at_a_goal_that_is_confirmed_while_it_looks_around_it_has_arrived() -> None:
+    subject = ride(settings=HASTY)
+    subject.told.says = by(Status.UNCONFIRMED)
+    subject.navigator.go_to_pose(NEAR)
+    subject.go(40, until=lambda: subject.navigator.state is NavigationState.RECOVERING)
+    subject.told.says = by(Status.TRACKING)
+    subject.go(40)
     assert not_none(subject.navigator.result).has_arrived
+
+
+def test_a_pose_that_is_corrected_by_the_look_around_moves_the_robot_to_the_goal() -> None:
+    subject = ride(settings=HASTY)
+    subject.told.says = by(Status.TRACKING, sigma_m=0.1, off_m=0.2)
+    subject.navigator.go_to_pose(NEAR)
+    subject.go(40, until=lambda: subject.navigator.state is NavigationState.RECOVERING)
+    assert np.hypot(*(subject.robot.base.pose[:2] - NEAR[:2])) > 0.15
+    subject.told.says = by(Status.TRACKING)
+    subject.go(60)
+    assert not_none(subject.navigator.result).has_arrived
+    assert np.hypot(*(subject.robot.base.pose[:2] - NEAR[:2])) < 0.12
+
+
+def test_a_pose_that_stays_uncertain_is_no_arrival_and_it_says_how_far_off_it_may_be() -> None:
+    subject = ride(settings=HASTY)
+    subject.told.says = by(Status.TRACKING, sigma_m=0.1)
+    subject.navigator.go_to_pose(NEAR)
+    subject.go(60)
+    result = not_none(subject.navigator.result)
+    assert (result.has_arrived, result.reason) == (False, NavigationReason.UNSURE)
+    assert re.search(r"it may be 0\.2\d m and \d° off the goal", result.detail)
+    assert result.recoveries == 1
 
 
 def test_lost_for_good_it_gives_up() -> None:

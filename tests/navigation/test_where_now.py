@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from narrowing import not_none
 from navigation.rooms import WHEELS
+from scipy.stats import chi2
 
 from wheelsight.core.estimates import Estimate, Status
 from wheelsight.core.geometry import se3
@@ -59,32 +60,20 @@ def test_where_it_is_not_known_there_is_no_state(status: Status) -> None:
     assert where.is_rolling is (status is not Status.LOST)
 
 
-def test_a_start_that_nothing_bears_out_is_believed_for_some_metres() -> None:
-    where = WhereNow(WHEELS, 0.5)
-    steps = iter(range(1000))
-
-    def roll(until_s: float) -> None:
-        while (stamp_s := 0.02 * next(steps)) <= until_s:
-            where.roll(ticks(stamp_s))
-
-    roll(1.0)
-    where.answer(told(1.0, 0.0), recognised=0)
-    roll(1.9)
-    assert where.is_known
-    roll(2.1)
-    where.answer(told(2.1, 0.5), recognised=0)
-    assert "nothing of the map was recognised in 0.6 m of way" in where.why_unknown
-    where.answer(told(2.1, 0.5), recognised=1)
-    roll(9.0)
-    assert where.is_known
-
-
-def test_where_nobody_looks_for_what_is_known_nothing_needs_to_be() -> None:
-    where = WhereNow(WHEELS, 0.5)
-    where.answer(told(0.0, 0.0))
-    for n in range(200):
+def test_accuracy_is_that_of_the_pose_in_the_map_and_of_the_way_since() -> None:
+    where = rolled(1.0)
+    assert where.accuracy == (np.inf, np.inf)
+    where.answer(told(1.0, 7.0))
+    assert where.accuracy is None  # without loops there is no covariance in the map
+    C = np.diag([0.02**2, 0.01**2, 0.0, 0.0, 0.0, 0.03**2])
+    where.answer(replace(told(1.0, 0.0), covariance_map=C))
+    quantiles = np.sqrt(chi2.ppf(0.95, [2, 1]))
+    assert where.accuracy == pytest.approx(quantiles * (0.02, 0.03), rel=0.01)
+    for n in range(51, 61):
         where.roll(ticks(0.02 * n))
-    assert where.is_known
+    assert not_none(where.accuracy)[0] == pytest.approx(quantiles[0] * np.hypot(0.02, 0.05 * 0.2 * SPEED_M_S), rel=0.02)
+    where.answer(replace(told(1.2, 0.0, Status.UNCONFIRMED), covariance_map=C))
+    assert where.accuracy == (np.inf, np.inf)
 
 
 def test_a_reading_stamped_right_after_another_is_no_burst_of_speed() -> None:

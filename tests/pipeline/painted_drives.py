@@ -90,11 +90,9 @@ def painted_ride(
     lost_s: float,
     start: Pose | None = None,
     localizers: list[Localizer] | None = None,
-    **hold: float,
 ) -> Iterator[Ride]:
-    """A ride in the room with textures of a seed; its map is of the room of seed 0. `hold`: of `HoldSettings`."""
+    """A ride in the room with textures of a seed; its map is of the room of seed 0."""
     overrides: dict[str, Any] = {"odometry": "wheels,dense", "loops.source": "keyframes", "loops.latency_s": 0.3}
-    overrides |= {f"navigation.hold.{name}": value for name, value in hold.items()}
     config = load_config(overrides={**overrides, "navigation.navigator.lost_s": lost_s})
     robot, transitions = PaintedRobot(seed, pose), list[Transition]()
     localizer = Localizer(CALIBRATION, config, known=_known(start), waits=True)

@@ -55,6 +55,7 @@ class Status(StrEnum):
     """The state of an estimate.
 
     initializing: no pose yet. In a loaded map there may be a pose in odom, but none in the map.
+    unconfirmed: the pose in a loaded map follows from a given start, or from a place that no longer looks like the map.
     tracking: the pose is known.
     coasting: the pose comes from wheels alone, or from a camera after relocalization in odom only; its covariance
     grows.
@@ -63,6 +64,7 @@ class Status(StrEnum):
     """
 
     INITIALIZING = "initializing"
+    UNCONFIRMED = "unconfirmed"
     TRACKING = "tracking"
     COASTING = "coasting"
     FAILING = "failing"
@@ -343,6 +345,7 @@ class PoseFinding(StrEnum):
     CLOCKS_APART = "a clock jumped, and the base moves unobserved"
     PLACE_KNOWN = "the place in the map is as certain as the pose"
     PLACE_UNCERTAIN = "the place in the map is uncertain, or the piece of map is not joined"
+    UNCONFIRMED = "the camera has not confirmed the place in an existing map yet, or does so no longer"
     NOT_RECOGNISED = "no place of an existing map is recognised yet"
 
 
@@ -388,6 +391,7 @@ DECISIONS = {
     PoseFinding.CLOCKS_APART: Consequence(Status.COASTING, reason=Reason.CLOCKS_APART),
     PoseFinding.PLACE_KNOWN: Consequence(),
     PoseFinding.PLACE_UNCERTAIN: Consequence(Status.COASTING),
+    PoseFinding.UNCONFIRMED: Consequence(Status.UNCONFIRMED),
     PoseFinding.NOT_RECOGNISED: Consequence(Status.INITIALIZING),
 }
 

@@ -126,7 +126,8 @@ class ByFrames:
             self.loops.hand_over()
         self._last = self._last if in_odom.T_odom_body is None else in_odom
         T_map_odom = in_odom.T_map_odom
-        in_map = self.loops.evidence(in_odom.status, in_odom.T_odom_body, in_odom.covariance, T_map_odom)
+        at = in_odom.stamp_s, in_odom.status, in_odom.T_odom_body, in_odom.covariance
+        in_map = self.loops.evidence(*at, T_map_odom)
         decided = decide([in_map], PoseDecision(in_odom.status))
         is_known = in_odom.status in (Status.TRACKING, Status.COASTING)
         status = decided.status if is_known else in_odom.status

@@ -190,7 +190,7 @@ class ByFusion:
                 watched.append(_SLIP)
             decided = decide(watched, decided) if any(watched) else decided
             if self.loops is not None:
-                in_map = self.loops.evidence(decided.status, T, decided.covariance, T_map_filter)
+                in_map = self.loops.evidence(fused.stamp_s, decided.status, T, decided.covariance, T_map_filter)
                 decided = decide([in_map], decided)
         T_keyframe_map, T_keyframe_base = self._map.T_keyframe_map, None
         if T_keyframe_map is not None and T is not None:
@@ -276,6 +276,8 @@ class ByFusion:
         anchor = self._map.anchor
         if anchor is None:
             return self._begin(frame, seen)
+        if self.loops is not None and self.loops.is_refuted:
+            return self._lose(frame, seen, restarts=True)
         shows_all = seen.motion.shows_all
         self._check.add_tracked(frame, seen, shows_all=shows_all)
         if self._check.verdict.left_out is not None and self._excludes(Culprit.WHEELS):
@@ -389,7 +391,8 @@ class ByFusion:
     def _restart_camera(self, frame: RgbdFrame, seen: CameraEstimate, wheels: FusedEstimate) -> FusedEstimate:
         """Restart the camera, at a frame that shows nothing known, at the pose that the wheels predict.
 
-        After a kidnapping the pose is unknown: the camera begins a piece of map that loops have to join to the rest.
+        After a kidnapping, or at a wrong place in a known map, the pose is unknown: the camera begins a piece of map
+        that loops have to join to the rest.
         """
         assert wheels.covariance is not None
         T_odom_base = self.filter.when_imaged(frame.stamp_s)
@@ -399,7 +402,7 @@ class ByFusion:
             self._replace_filter(self.filter.begun_at(T_odom_base, spread))
         first = len(self.odometry.store)
         T_map_camera = self._map.camera_at(T_odom_base)
-        if self.loops is None or not self._kidnap.is_kidnapped:
+        if self.loops is None or not (self._kidnap.is_kidnapped or self.loops.is_refuted):
             again = self._camera.restart(frame, T_map_camera, wheels.covariance)
         else:
             again = self._camera.restart(frame, self.loops.apart(T_map_camera), wheels.covariance)
@@ -482,6 +485,7 @@ class ByFusion:
         """One sentence for each fault of the gyroscope or of the calibration."""
         of_gyro = self._base.warnings if self._base.has_gyro else ()
         of_gyro += () if self._health is None else self._health.warnings
+        of_gyro += () if self.loops is None else self.loops.warnings
         return (*of_gyro, *self._check.verdict.warnings) if self._check.verdict.is_sure else of_gyro
 
     @property

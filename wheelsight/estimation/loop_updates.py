@@ -35,6 +35,10 @@ _SURE_M, _SURE_RAD = 0.15, 0.06
 # In a fixed known map, a pose with a larger standard deviation is `coasting`. Larger than above, so that the status
 # does not alternate.
 _UNSURE_M, _UNSURE_RAD = 0.2, 0.08
+# Way and time in which the camera has to confirm a place in a known map. And the number of keyframes in a row that lie
+# among those of the map and are not recognised, after which the place is in doubt. At a right place, two in a row were
+# missed among six people (simulator).
+_CONFIRM_M, _CONFIRM_S, _MOST_MISSED, _STEP_M = 5.0, 20.0, 8, 0.1
 # Distance below the map at which unjoined pieces are kept, so that none is visible from another. Estimated: surfels
 # there are still placed to 0.02 mm.
 _APART_M = 200.0
@@ -82,6 +86,7 @@ class LoopsBeside:
         self._loops: IntArray = np.zeros((0, 2), np.int64)
         self._pieces: list[int] = [0]  # numbers of their first keyframes
         self.is_laid, self.is_joined, self._is_new = True, True, False
+        self._confirmation = PlaceConfirmation(is_given=known is not None and known.start is not None)
         if known is not None and len(store) and known.start is None:
             self.begin_piece(KeyframeId(len(store)))
             self._is_new = True  # the robot has not been localized in this map yet
@@ -222,12 +227,18 @@ class LoopsBeside:
         return np.asarray(se3.nearest(self._store.pose(keyframe) @ se3.invert(T_old[keyframe])))
 
     def evidence(
-        self, status: Status, T_odom_body: FloatArray | None, covariance: FloatArray | None, T_map_odom: FloatArray
+        self,
+        stamp_s: float,
+        status: Status,
+        T_odom_body: FloatArray | None,
+        covariance: FloatArray | None,
+        T_map_odom: FloatArray,
     ) -> PoseEvidence:
         """Return whether the pose in the map is known, with its covariance (6, 6) if loops know that.
 
         Args:
-            status: of the pose in odom.
+            stamp_s: of the pose in odom.
+            status: its status.
             T_odom_body, covariance: (4, 4) and (6, 6) pose in odom; or None.
             T_map_odom: (4, 4) pose of odom in the map.
         """
@@ -246,6 +257,11 @@ class LoopsBeside:
             self.is_joined, self._is_new = True, False
         if not self.is_joined:
             return PoseEvidence(PoseFinding.NOT_RECOGNISED if self._is_new else PoseFinding.PLACE_UNCERTAIN)
+        doubt = None
+        if self._live.recognised is not None and T_odom_body is not None:
+            doubt = self._confirmation.update(stamp_s, T_odom_body, self._live.recognised, self._live.missed)
+        if doubt is not None and status in (Status.TRACKING, Status.COASTING):
+            return PoseEvidence(doubt, covariance_map=C)
         if status is Status.TRACKING and self._map_stays:
             # An existing map does not grow as uncertain as the drive. A given start is accepted as it is until loops
             # make it more certain.
@@ -263,6 +279,19 @@ class LoopsBeside:
         """Begin a piece of map, apart from the others, at a keyframe."""
         self._pieces.append(keyframe)
         self.is_laid = self.is_joined = self._was_sure = False
+        if self.is_refuted:
+            self._is_new = True
+            self._confirmation.forget(self._live.recognised or 0)
+
+    @property
+    def is_refuted(self) -> bool:
+        """Whether the place in the known map is wrong, so that the robot has to be recognised in it again."""
+        return self._confirmation.is_refuted
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence if a place in the known map was refuted."""
+        return self._confirmation.warnings
 
     def tie(self, number: int) -> bool:
         """Whether loops connect keyframes from `number` on to older ones, from views as far apart as between pieces.
@@ -308,6 +337,58 @@ class LoopsBeside:
     def close(self) -> None:
         """End the thread."""
         self._live.close()
+
+
+class PlaceConfirmation:
+    """Whether the camera confirms the robot's place in a known map.
+
+    A given start is a hypothesis until something of the map is recognised. A place that was recognised is in doubt once
+    keyframes that lie among those of the map are not recognised any more. A place that is not confirmed within
+    `_CONFIRM_M` of way and `_CONFIRM_S` is refuted.
+
+    Args:
+        is_given: whether the place is a start that a person has given.
+
+    Attributes:
+        is_refuted: whether the place is wrong.
+        warnings: a sentence if it was.
+    """
+
+    def __init__(self, *, is_given: bool) -> None:
+        self._is_given, self._is_doubtful = is_given, is_given
+        self.is_refuted, self._recognised = False, 0
+        self.warnings: tuple[str, ...] = ()
+        self._since: tuple[float, FloatArray, float] | None = None  # stamp of the begin, last place, way since then
+
+    def update(self, stamp_s: float, T_odom_body: FloatArray, recognised: int, missed: int) -> PoseFinding | None:
+        """Return what the place is in a map, at a pose (4, 4) in odom; None if it is confirmed.
+
+        Args:
+            recognised: number of recognitions of the map so far.
+            missed: number of keyframes in a row that were not recognised though they lie among those of the map.
+        """
+        if recognised > self._recognised:
+            self._recognised, self._since = recognised, None
+            self._is_doubtful = self._is_given = self.is_refuted = False
+        self._is_doubtful |= missed >= _MOST_MISSED
+        if not self._is_doubtful:
+            return None
+        place: FloatArray = T_odom_body[:2, 3]
+        begin_s, last, way_m = self._since or (stamp_s, place, 0.0)
+        step_m = float(np.hypot(*(place - last)))
+        last, way_m = (place, way_m + step_m) if step_m > _STEP_M else (last, way_m)
+        self._since = begin_s, last, way_m
+        if not self.is_refuted and (way_m > _CONFIRM_M or stamp_s - begin_s > _CONFIRM_S):
+            where = "near the given start" if self._is_given else "where the robot was taken to be"
+            within = f"in {way_m:.1f} m of way and {stamp_s - begin_s:.0f} s"
+            self.is_refuted = True
+            self.warnings = (f"nothing looks like the map {where} {within}: the place was wrong, or it is another map",)
+        return PoseFinding.NOT_RECOGNISED if self.is_refuted else PoseFinding.UNCONFIRMED
+
+    def forget(self, recognised: int) -> None:
+        """Forget a place that was refuted, after `recognised` recognitions of the map."""
+        self._is_doubtful = self._is_given = self.is_refuted = False
+        self._recognised, self._since = recognised, None
 
 
 def loops_beside(

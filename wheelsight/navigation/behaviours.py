@@ -159,6 +159,11 @@ def beside_goal(wait_s: float) -> Behaviour:
     return Series((Wait(wait_s), Turn(_LOOK)), "wait until there is room at its goal")
 
 
+def unsure_at_goal() -> Behaviour:
+    """Return the behaviour at a goal where the pose is too uncertain: look around, for what the map shows there."""
+    return Turn(_LOOK, "look for what the map shows at its goal")
+
+
 def when_unseen(attempt: int, *, was_backward: bool) -> Behaviour:
     """Return the behaviour in front of unseen floor, where waiting does not help.
 

@@ -96,6 +96,7 @@ class MonitorReason(StrEnum):
     NEVER_SEEN = "floor that was never seen"
     NOT_SEEN_LATELY = "floor that was not seen lately"
     COASTING = "the wheels alone lead"
+    UNCONFIRMED = "the camera has not confirmed the place in the map"
 
 
 @dataclass(frozen=True, slots=True)
@@ -294,8 +295,9 @@ class CollisionMonitor:
             return 0.0, MonitorReason.INSIDE
         shares = [(1.0, None), *self._by_things(twist, points, bool((away < s.margin_m).any()))]
         shares += self._by_floor(twist, pose, now_s)
-        if status is Status.COASTING:
-            shares.append((_within(twist, s.coasting_m_s, s.coasting_rad_s), MonitorReason.COASTING))
+        if status in (Status.COASTING, Status.UNCONFIRMED):
+            why = MonitorReason.COASTING if status is Status.COASTING else MonitorReason.UNCONFIRMED
+            shares.append((_within(twist, s.coasting_m_s, s.coasting_rad_s), why))
         return min(shares, key=lambda share: share[0])
 
     def _by_things(

@@ -21,10 +21,20 @@ from wheelsight.core.checks import need_method
 from wheelsight.core.errors import ArgumentError, PartError, WheelsightError
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import FloatArray
+from wheelsight.core.geometry.se2 import wrap_angle
 from wheelsight.core.messages import STOP, VelocityCommand
 from wheelsight.core.robots import STOPPED, Localization, Robot
 from wheelsight.core.threads import OneCaller, Worker, one_at_a_time
-from wheelsight.navigation.behaviours import Behaviour, OpenWay, Wait, beside_goal, when_blocked, when_lost, when_unseen
+from wheelsight.navigation.behaviours import (
+    Behaviour,
+    OpenWay,
+    Wait,
+    beside_goal,
+    unsure_at_goal,
+    when_blocked,
+    when_lost,
+    when_unseen,
+)
 from wheelsight.navigation.collision_monitor import ControlChain, MonitorReason, MonitorResult, MonitorState
 from wheelsight.navigation.controllers import (
     STUCK_S,
@@ -72,6 +82,7 @@ class NavigationReason(StrEnum):
     NO_PLAN = "no way leads there"
     BLOCKED = "it found no way on"
     BESIDE = "it stopped beside the goal"
+    UNSURE = "it may be farther from the goal than asked"
     LOST = "it does not know where it is"
     DISOBEYS = "the wheels do not follow their commands"
     ROBOT_STOPPED = "the robot stopped by itself"
@@ -180,6 +191,7 @@ class NavigationResult:
 # Words for pages and the command line.
 STATUS_WORDS = {
     Status.INITIALIZING: "looks for its place in the map",
+    Status.UNCONFIRMED: "has not confirmed its place in the map yet",
     Status.TRACKING: "knows where it is",
     Status.COASTING: "by its wheels alone",
     Status.FAILING: "does not trust where it is",
@@ -463,8 +475,9 @@ class Navigator(OneCaller):
         """Act on the answer of the planner."""
         task.goals.taken()
         task.passes_hidden |= planned.passes_hidden
-        if planned.found is None and task.beside:
-            return self._fail(NavigationReason.BESIDE, task.beside)
+        if planned.found is None and (task.beside or task.unsure):
+            reason = NavigationReason.BESIDE if task.beside else NavigationReason.UNSURE
+            return self._fail(reason, task.beside or task.unsure)
         if planned.found is None:
             self._become(NavigationState.ARRIVED, task.goals.name)
             self.result = task.result(True, None, task.goals.name, self._robot.now_s)
@@ -558,7 +571,16 @@ class Navigator(OneCaller):
         return result.command
 
     def _reached(self, task: NavigationTask) -> VelocityCommand:
-        """Continue with the next goal. If the plan ended beside the goal because of a person, wait there once."""
+        """Continue with the next goal. If the plan ended beside the goal because of a person, wait there once.
+
+        If the pose is not within the tolerance with 95 %, it looks around once, and corrects itself.
+        """
+        why_unsure = self._why_unsure(task.plan) if task.goals.is_asked_for else ""
+        if why_unsure and self.settings.limits.turn_rad_s > 0 and not task.has_looked:
+            task.recover(unsure_at_goal(), is_lost=False)
+            task.has_looked = True
+            self._become(NavigationState.RECOVERING, f"{why_unsure}; {task.doing}")
+            return STOP
         self._planning.drop()
         if self._planning.is_busy:
             return STOP
@@ -567,9 +589,24 @@ class Navigator(OneCaller):
             task.has_waited = True
             self._become(NavigationState.RECOVERING, task.doing)
             return STOP
+        task.unsure = task.unsure or why_unsure
         task.reached((self.settings.follow.goal_m, self.settings.follow.goal_rad))
         self._become(NavigationState.PLANNING, "a goal is reached")
         return STOP
+
+    def _why_unsure(self, plan: Plan | None) -> str:
+        """Return how far off the end of a plan the robot may be, if that is more than the tolerance; else ""."""
+        where, s = self.senses.where, self.settings.follow
+        accuracy, state = where.accuracy, where.state
+        if plan is None or accuracy is None or state is None:
+            return ""
+        off_m = float(np.hypot(*(state.pose - plan.goal)[:2])) + accuracy[0]
+        off_rad = abs(float(wrap_angle(state.pose[2] - plan.goal[2]))) + accuracy[1]
+        if off_m <= s.goal_m and off_rad <= s.goal_rad:
+            return ""
+        if math.isinf(off_m):
+            return "nothing has confirmed its place in the map"
+        return f"it may be {off_m:.2f} m and {math.degrees(off_rad):.0f}° off the goal"
 
     def _recover(self, task: NavigationTask, now_s: float) -> VelocityCommand:
         """Continue the recovery behaviour, then plan again."""
@@ -647,6 +684,8 @@ class NavigationTask:
         replan_reason: why another plan was requested while this one is driven.
         wants_replan: whether another plan is still to be requested.
         beside: the same for the first goal where the robot stopped outside the tolerance; empty without any.
+        unsure: how far off the first goal it may be where its pose was too uncertain; empty without any.
+        has_looked: whether it has looked around at the current goal to know its pose better.
         behaviour: current recovery behaviour; None without any.
         awaits_way: whether the behaviour waits for a blocked path to become free.
         is_refused: whether the map forbids the behaviour's command, because an obstacle is too near.
@@ -659,11 +698,11 @@ class NavigationTask:
         self.plan: Plan | None = None
         self.planned_s = self.checked_s = -math.inf
         self.T_map_odom: FloatArray = np.zeros(3)
-        self.replan_reason = self.goal_change = self.beside = self.why_first = ""
+        self.replan_reason = self.goal_change = self.beside = self.unsure = self.why_first = ""
         self.behaviour: Behaviour | None = None
         self.is_lost = self.awaits_way = self.is_refused = self.wants_replan = False
         self.tries = self.skips = self.searches = 0
-        self.passes_hidden = self.has_waited = self._has_awaited_way = self._has_met_people = False
+        self.passes_hidden = self.has_waited = self._has_awaited_way = self._has_met_people = self.has_looked = False
         self.transitions: list[Transition] = []
         self.known_s = self._begun_s = self._rolled_s = self._tried_s = now_s
         self._way_m = 0.0
@@ -796,7 +835,7 @@ class NavigationTask:
         self.plan = None
         self.goals.reached()
         self.restart_progress()
-        self.has_waited = False
+        self.has_waited = self.has_looked = False
 
     def seconds(self, condition: str, now_s: float, *, is_met: bool) -> float:
         """Return for how long a named condition has been met without a break; 0 if it is not."""

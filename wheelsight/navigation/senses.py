@@ -96,7 +96,7 @@ class Senses:
         self.near_m, self.half_view_rad = self._viewer.near_m, self._viewer.half_rad
         self.eye = Eye(*self._viewer.camera, self.half_view_rad, AIR_M, CHECK_M)
         self._live = LiveLayer(calibration, footprint, settings.live)
-        self.where = WhereNow(calibration.wheels, settings.hold.unproven_m)
+        self.where = WhereNow(calibration.wheels)
         self.avoids_hidden = True
         self._people = PeopleTracker(settings.live.far_m)
         self._views: deque[DepthView] = deque(maxlen=_VIEWS)
@@ -125,7 +125,7 @@ class Senses:
             self.where.processed(event.stamp_s)
             if estimate is None:
                 continue
-            self.where.answer(estimate, self.localization.recognised)
+            self.where.answer(estimate)
             if isinstance(event, RgbdFrame) and estimate.T_odom_body is not None:
                 pose = planar_pose(estimate.T_odom_body)
                 if self._live.is_due(event.stamp_s):
@@ -314,6 +314,8 @@ _UNSURE_M = 0.3
 # Hold of a more certain pose: its longest time, as a person who passes fills the view for one or two seconds, and way;
 # the standard deviation of an estimate that is used as it is, a cell; and the error of wheels, as a share of the way.
 _HOLD_S, _HOLD_M, _SURE_M, _WHEELS_SHARE = 3.0, 1.0, 0.05, 0.05
+# Standard deviations within which 95 % of errors lie, in two dimensions and in one.
+_95_IN_PLANE, _95_OF_ONE = 2.45, 1.96
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,20 +342,16 @@ class WhereNow:
     The wheels are integrated here and in the localizer. Beside a robot, a reading waits in the localizer for the frame
     before it: 40 ms, 90 ms in one of twenty (`docs/benchmarks/peers.md`). The collision monitor needs the speed in each
     period of 50 ms, also from a localizer that is silent. The integration takes 0.01 ms a reading.
-
-    Args:
-        unproven_m: way on which a start pose from the user is valid although nothing is recognized.
     """
 
-    def __init__(self, wheels: Wheels, unproven_m: float = math.inf) -> None:
-        self._wheels, self._most_unproven_m = WheelOdometry(wheels), unproven_m
+    def __init__(self, wheels: Wheels) -> None:
+        self._wheels = WheelOdometry(wheels)
         self._held: HeldPlace | None = None
         self._track: deque[tuple[float, FloatArray]] = deque()
         self._received_s = self._answered_s = -math.inf
         self._unanswered_m = 0.0
         self.estimate: Estimate | None = None
         self._known_sigma_m = 0.0
-        self._unproven_m: float | None = None
         self.speed = WheelSpeed(-math.inf, 0.0, 0.0)
 
     def roll(self, reading: WheelTicks | WheelSpeeds) -> WheelSpeed | None:
@@ -367,8 +365,6 @@ class WhereNow:
         T_now = se2.from_parts(*self._wheels.pose)
         way = se2.log(se2.invert(self._track[-1][1]) @ T_now) if self._track else np.zeros(3)
         self._unanswered_m += abs(float(way[0]))
-        if self._unproven_m is not None:
-            self._unproven_m += abs(float(way[0]))
         self._track.append((answer.stamp_s, T_now))
         while len(self._track) > 2 and self._track[1][0] < answer.stamp_s - _TRACK_S:
             self._track.popleft()
@@ -402,18 +398,10 @@ class WhereNow:
         """Whether the localization is silent for longer, or for more way, than wheels may carry the pose."""
         return self.silent_s > SILENT_S or (self.silent_s > COASTING_S and self._unanswered_m > SILENT_M)
 
-    def answer(self, estimate: Estimate, recognised: int | None = None) -> None:
-        """Process an estimate.
-
-        Args:
-            recognised: number of recognitions of an earlier map; None if there is no recognition.
-        """
+    def answer(self, estimate: Estimate) -> None:
+        """Process an estimate."""
         self.estimate = estimate
-        if recognised != 0:
-            self._unproven_m = None
-        elif self._unproven_m is None:
-            self._unproven_m = 0.0
-        if estimate.status is Status.TRACKING:
+        if estimate.status in (Status.TRACKING, Status.UNCONFIRMED):
             self._known_sigma_m = _sigma_m(estimate)
         if estimate.T_map_body is None or estimate.status in (Status.LOST, Status.FAILING):
             self._held = None
@@ -463,19 +451,29 @@ class WhereNow:
 
     @property
     def why_unknown(self) -> str:
-        """Why the pose in the map is unknown, as of `is_known`; empty if it is known.
-
-        A start pose from the user is valid for a limited way: with a map of another place, nothing is ever recognized.
-        """
+        """Why the pose in the map is unknown, as of `is_known`; empty if it is known."""
         if self.is_silent:
             return f"the localization has not answered for {self.silent_s:.1f} s"
         if self.state is None:
             return "it is not known where it is"
         if self.grown_sigma_m > _UNSURE_M:
             return f"its place is known to {self.grown_sigma_m:.1f} m only"
-        if self._unproven_m is not None and self._unproven_m > self._most_unproven_m:
-            return f"nothing of the map was recognised in {self._unproven_m:.1f} m of way: is its start right?"
         return ""
+
+    @property
+    def accuracy(self) -> tuple[float, float] | None:
+        """Errors of the pose in the map, metres and radians, within which 95 % of poses lie.
+
+        None if the localization states none in the map, as without loops. Infinite for an unknown or unconfirmed place.
+        """
+        held, estimate = self._held, self.estimate
+        if held is None or estimate is None or estimate.status is Status.UNCONFIRMED:
+            return math.inf, math.inf
+        if estimate.covariance_map is None or not math.isfinite(held.sigma_m):
+            return None
+        x, y, _ = se2.to_parts(se2.invert(held.T_wheels) @ self._rolled_at(math.inf))
+        sigma_rad = math.sqrt(max(float(estimate.covariance_map[5, 5]), 0.0))
+        return _95_IN_PLANE * math.hypot(held.sigma_m, _WHEELS_SHARE * math.hypot(x, y)), _95_OF_ONE * sigma_rad
 
     @property
     def odom_pose(self) -> FloatArray | None:

@@ -213,14 +213,6 @@ class NavigatorSettings(Settings):
     )
 
 
-class HoldSettings(Settings):
-    """Hold of the pose by wheels, while the localization is less certain than it was."""
-
-    unproven_m: float = setting(
-        15.0, "way on which a start pose from the user is valid although nothing is recognized", CHOSEN, gt=0, le=1000
-    )
-
-
 class NavigationSettings(Settings):
     """Navigation; see docs/navigation.md."""
 
@@ -228,7 +220,6 @@ class NavigationSettings(Settings):
     limits: RobotLimits = RobotLimits()
     navigator: NavigatorSettings = NavigatorSettings()
     behaviours: BehaviourSettings = BehaviourSettings()
-    hold: HoldSettings = HoldSettings()
     costmap: CostmapSettings = CostmapSettings()
     live: LiveLayerSettings = LiveLayerSettings()
     people: PeopleSettings = PeopleSettings()

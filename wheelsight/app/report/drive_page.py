@@ -159,7 +159,14 @@ _SAME_WALKER_S, _SAME_WALKER_M = 0.5, 0.8
 _BANDS = ("navigator", "localization", "monitor")
 _BAND_COLOURS = {
     **{"idle": GREY, "planning": ORANGE, "driving": GREEN, "recovering": VERMILLION, "arrived": BLUE, "failed": PURPLE},
-    **{"tracking": GREEN, "coasting": ORANGE, "initializing": SKY, "failing": VERMILLION, "lost": PURPLE},
+    **{
+        "tracking": GREEN,
+        "coasting": ORANGE,
+        "initializing": SKY,
+        "unconfirmed": BLUE,
+        "failing": VERMILLION,
+        "lost": PURPLE,
+    },
     **{"free": GREEN, "slowed": ORANGE, "stopped": VERMILLION},
 }
 

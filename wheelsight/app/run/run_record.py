@@ -321,7 +321,7 @@ class RectificationRecord:
         return np.array(found, float).reshape(-1, len(self.areas))
 
 
-_POSED = (Status.TRACKING, Status.COASTING)
+_POSED = (Status.TRACKING, Status.COASTING, Status.UNCONFIRMED)
 
 
 @dataclass(frozen=True, slots=True)
