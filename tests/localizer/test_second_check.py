@@ -10,7 +10,7 @@ from localizer.test_base_check import with_floor
 
 from wheelsight.core.estimates import Reason, Status
 from wheelsight.core.geometry import FloatArray
-from wheelsight.estimation import consistency_check, fusion_localizer
+from wheelsight.estimation import consistency_check
 
 BEND: tuple[Leg, ...] = ((4.5, 0.6, 0.4),)
 # So much less than by default that the drive is short.
@@ -21,7 +21,6 @@ ENOUGH = {"ENOUGH_M": 0.5, "_ENOUGH_RAD": 0.25}
 def _short(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in ENOUGH.items():
         monkeypatch.setattr(consistency_check, name, value)
-    monkeypatch.setattr(fusion_localizer, "ENOUGH_M", ENOUGH["ENOUGH_M"])
 
 
 class MendedEye(Eye):

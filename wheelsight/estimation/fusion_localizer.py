@@ -698,7 +698,7 @@ class FusedOdom:
         apart = motions.log(motions.renormalized(T_here_there))
         slowness = max(np.linalg.norm(apart[:2]) / _CORRECTION_M_S, abs(apart[5]) / _CORRECTION_RAD_S)
         share = 1.0 if slowness <= seconds else seconds / slowness
-        T_odom_body = motions.times(T_odom_body, motions.exp(share * apart))
+        T_odom_body = motions.times(T_odom_body, se3.exp(share * apart))  # rare: no kernel is compiled for it
         self._frame.lay(T_filter_body, T_odom_body)
         self._apart = motions.adjoint(T_odom_body) @ ((1.0 - share) * apart)
         if share == 1.0:
