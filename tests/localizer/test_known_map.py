@@ -114,7 +114,8 @@ def test_who_says_where_it_begins_is_believed_and_corrected(before: tuple[Locali
     T_said = se3.exp([0.2, -0.1, 0.1, 0.0, 0.1, 0.0]) @ T_true
     C = np.diag(np.square([0.3] * 3 + [0.2] * 3))
     subject, found = drive(replace(known(before), T_map_camera=T_said, covariance=C), frames(SECOND_DAY, 10.0))
-    assert {answer.status for answer in found} == {Status.TRACKING}
+    assert {answer.status for answer in found} == {Status.UNCONFIRMED, Status.TRACKING}
+    assert [answer.status for answer in found[-10:]] == [Status.TRACKING] * 10
     np.testing.assert_allclose(not_none(found[0].T_map_body), T_said, atol=1e-6)
     assert off(found[-1].T_map_body, SECOND_DAY[-1])[0] < 0.05
     subject.close()

@@ -219,9 +219,10 @@ def test_in_a_map_that_stays_a_pose_is_tracked_while_it_is_sure(monkeypatch: pyt
         return PoseUpdate(store.T_map_keyframe, np.zeros(3, np.int64), places)
 
     monkeypatch.setattr(LiveLoops, "due", due)
+    monkeypatch.setattr(LiveLoops, "recognised", 1)  # the start is confirmed
     beside.move_keyframes(2.0, None)
     sure = Estimate(2.1, Status.TRACKING, np.eye(4), 2 * C)
-    # A start that somebody gave is as unsure as he is, and believed.
+    # A start that a person gives is as uncertain as he is.
     answers = [replace(sure, covariance=C * of) for of in (700.0, 2.0, 30.0, 700.0, 2.0)]
     found = [in_map(beside, answer)[0] for answer in answers]
     assert found == [PoseFinding.PLACE_KNOWN] * 3 + [

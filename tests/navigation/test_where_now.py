@@ -61,8 +61,8 @@ def test_where_it_is_not_known_there_is_no_state(status: Status) -> None:
 
 
 def test_accuracy_is_that_of_the_pose_in_the_map_and_of_the_way_since() -> None:
+    assert rolled(1.0).accuracy == (np.inf, np.inf)
     where = rolled(1.0)
-    assert where.accuracy == (np.inf, np.inf)
     where.answer(told(1.0, 7.0))
     assert where.accuracy is None  # without loops there is no covariance in the map
     C = np.diag([0.02**2, 0.01**2, 0.0, 0.0, 0.0, 0.03**2])
