@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from benchmarks.kept_records import KeptRecords
-from benchmarks.session_kidnaps import Kidnapping
-from benchmarks.session_starts import Building, FirstDay, Start, first_day
+from benchmarks.session_starts import Building, FirstDay, first_day
 
-One = TypeVar("One", Start, Kidnapping)
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+One = TypeVar("One", bound="DataclassInstance")
 
 _POSES = ("T_world_map", "T_world_base", "T_map_base")
 

@@ -102,6 +102,6 @@ def test_what_is_kept_of_a_start_is_not_measured_again(tmp_path: Path, one: Star
         made.append(1)
         return one
 
-    first, again = (session_maps.kept_one(records, "one", type(one), measured) for _ in range(2))  # type: ignore[type-var]
+    first, again = (session_maps.kept_one(records, "one", type(one), measured) for _ in range(2))
     assert repr(first) == repr(again) == repr(one)
     assert len(made) == 1
