@@ -20,10 +20,10 @@ LOST_S = 8.0
 FAR_OFF: Pose = (-0.6, -0.9, 1.5)
 
 
-def driven(seed: int, start: Pose | None = None, goal: tuple[float, ...] = GOAL, **hold: float) -> Ride:
+def driven(seed: int, start: Pose | None = None, goal: tuple[float, ...] = GOAL) -> Ride:
     """To its end."""
     localizers: list[Localizer] = []
-    with painted_ride(seed, BEGIN, LOST_S, start, localizers, **hold) as ride:
+    with painted_ride(seed, BEGIN, LOST_S, start, localizers) as ride:
         ride.navigator.go_to_pose(goal)
         ride.go(40.0)
     # What tells a start that is borne out from one that is believed alone.
@@ -64,19 +64,12 @@ def test_a_start_that_is_wrong_is_put_right_by_what_is_recognised(start: Pose, g
     np.testing.assert_allclose(not_none(ride.navigator.feedback.pose), ride.robot.base.pose, atol=0.05)
 
 
-def test_a_start_in_another_room_is_believed_for_some_metres_only() -> None:
-    """Then it stands, looks about, and says that nothing bears out the start."""
-    ride = driven(OTHER_SEED, FAR_OFF, unproven_m=0.5)
+def test_a_start_in_another_room_is_refuted_and_no_goal_is_reached() -> None:
+    """It drives slowly, then looks for its place and finds none; its way is checked by the camera alone."""
+    ride = driven(OTHER_SEED, FAR_OFF)
     result = not_none(ride.navigator.result)
     assert (result.has_arrived, result.reason) == (False, NavigationReason.LOST)
-    assert "nothing of the map was recognised in 0." in result.detail
-
-
-def test_a_start_in_another_room_is_believed_and_yet_nothing_is_touched() -> None:
-    """The wheels carry it on, and nothing that is seen contradicts: its way is checked by the camera alone."""
-    ride = driven(OTHER_SEED, FAR_OFF)
-    begin, now = np.array(FAR_OFF), not_none(ride.navigator.feedback.pose)
     assert ride.transitions[1].after is NavigationState.DRIVING
+    assert ride.navigator.feedback.pose is None
     assert ride.navigator.feedback.forward_m_s == pytest.approx(0.0, abs=0.02)
-    moved_m = np.hypot(*(ride.robot.base.pose[:2] - BEGIN[:2]))
-    assert np.hypot(*(now - begin)[:2]) == pytest.approx(moved_m, abs=0.05)
+    assert np.hypot(*(ride.robot.base.pose[:2] - BEGIN[:2])) < 5.0
