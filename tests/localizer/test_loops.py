@@ -215,11 +215,10 @@ def test_in_a_map_that_stays_a_pose_is_tracked_while_it_is_sure(monkeypatch: pyt
     place = KeyframePlace(KeyframeId(2), np.eye(4), C, np.eye(4), C, KeyframeId(2))
 
     def due(live: LiveLoops, stamp_s: float) -> PoseUpdate:
-        live.place = place
+        live.place, live.recognised_views = place, 2  # the start is confirmed
         return PoseUpdate(store.T_map_keyframe, np.zeros(3, np.int64), places)
 
     monkeypatch.setattr(LiveLoops, "due", due)
-    monkeypatch.setattr(LiveLoops, "recognised", 1)  # the start is confirmed
     beside.move_keyframes(2.0, None)
     sure = Estimate(2.1, Status.TRACKING, np.eye(4), 2 * C)
     # A start that a person gives is as uncertain as he is.

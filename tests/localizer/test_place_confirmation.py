@@ -22,10 +22,11 @@ def drive(
     return [subject.update(s, se3.from_plane(SPEED_M_S * s, 0.0, 0.0), recognised, missed) for s in stamps_s]
 
 
-def test_a_given_start_is_unconfirmed_until_something_of_the_map_is_recognised() -> None:
+def test_a_given_start_is_unconfirmed_until_two_views_recognise_the_map() -> None:
     subject = PlaceConfirmation(is_given=True)
     assert set(drive(subject, 3.0)) == {PoseFinding.UNCONFIRMED}
-    assert set(drive(subject, 60.0, begin_s=3.0, recognised=1)) == {None}
+    assert set(drive(subject, 4.0, begin_s=3.0, recognised=1)) == {PoseFinding.UNCONFIRMED}
+    assert set(drive(subject, 60.0, begin_s=4.0, recognised=2)) == {None}
     assert not subject.warnings
 
 
@@ -48,8 +49,8 @@ def test_a_robot_that_stands_has_a_start_refuted_after_some_time() -> None:
 
 def test_a_place_that_was_recognised_is_in_doubt_where_the_map_should_be_seen_and_is_not() -> None:
     subject = PlaceConfirmation(is_given=False)
-    assert set(drive(subject, 5.0, recognised=3, missed=7)) == {None}
-    assert set(drive(subject, 6.0, begin_s=5.0, recognised=3, missed=8)) == {PoseFinding.UNCONFIRMED}
+    assert set(drive(subject, 5.0, recognised=3, missed=4)) == {None}
+    assert set(drive(subject, 6.0, begin_s=5.0, recognised=3, missed=5)) == {PoseFinding.UNCONFIRMED}
     assert set(drive(subject, 7.0, begin_s=6.0, recognised=4)) == {None}
     drive(subject, 40.0, begin_s=7.0, recognised=4, missed=9)
     assert subject.is_refuted
@@ -60,10 +61,11 @@ def test_a_place_that_was_recognised_is_in_doubt_where_the_map_should_be_seen_an
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 12)), max_size=60), st.booleans())
 def test_no_place_is_confirmed_by_anything_but_recognition(steps: list[tuple[bool, int]], is_given: bool) -> None:
-    subject, recognised, is_doubtful = PlaceConfirmation(is_given=is_given), 0, is_given
+    subject, recognised, needed = PlaceConfirmation(is_given=is_given), 0, 2 if is_given else 0
     for n, (is_recognised, missed) in enumerate(steps):
         recognised += is_recognised
+        needed = max(needed - is_recognised, 0)
         missed = 0 if is_recognised else missed
-        is_doubtful = (is_doubtful and not is_recognised) or missed >= 8
+        needed = max(needed, 1) if missed >= 5 else needed
         found = subject.update(0.1 * n, se3.from_plane(0.01 * n, 0.0, 0.0), recognised, missed)
-        assert (found is not None) == is_doubtful
+        assert (found is not None) == (needed > 0)

@@ -35,10 +35,10 @@ _SURE_M, _SURE_RAD = 0.15, 0.06
 # In a fixed known map, a pose with a larger standard deviation is `coasting`. Larger than above, so that the status
 # does not alternate.
 _UNSURE_M, _UNSURE_RAD = 0.2, 0.08
-# Way and time in which the camera has to confirm a place in a known map. And the number of keyframes in a row that lie
-# among those of the map and are not recognised, after which the place is in doubt. At a right place, two in a row were
-# missed among six people (simulator).
-_CONFIRM_M, _CONFIRM_S, _MOST_MISSED, _STEP_M = 5.0, 20.0, 8, 0.1
+# Way and time in which the camera has to confirm a place in a known map, and the views that have to recognise it: one
+# alone has been 0.3 m off. And the number of keyframes in a row that lie among those of the map and are not recognised,
+# after which the place is in doubt. At a right place, two in a row were missed among six people (simulator).
+_CONFIRM_M, _CONFIRM_S, _CONFIRM_VIEWS, _MOST_MISSED, _STEP_M = 5.0, 20.0, 2, 5, 0.1
 # Distance below the map at which unjoined pieces are kept, so that none is visible from another. Estimated: surfels
 # there are still placed to 0.02 mm.
 _APART_M = 200.0
@@ -259,7 +259,7 @@ class LoopsBeside:
             return PoseEvidence(PoseFinding.NOT_RECOGNISED if self._is_new else PoseFinding.PLACE_UNCERTAIN)
         doubt = None
         if self._live.recognised is not None and T_odom_body is not None:
-            doubt = self._confirmation.update(stamp_s, T_odom_body, self._live.recognised, self._live.missed)
+            doubt = self._confirmation.update(stamp_s, T_odom_body, self._live.recognised_views, self._live.missed)
         if doubt is not None and status in (Status.TRACKING, Status.COASTING):
             return PoseEvidence(doubt, covariance_map=C)
         if status is Status.TRACKING and self._map_stays:
@@ -281,7 +281,7 @@ class LoopsBeside:
         self.is_laid = self.is_joined = self._was_sure = False
         if self.is_refuted:
             self._is_new = True
-            self._confirmation.forget(self._live.recognised or 0)
+            self._confirmation.forget(self._live.recognised_views)
 
     @property
     def is_refuted(self) -> bool:
@@ -342,9 +342,9 @@ class LoopsBeside:
 class PlaceConfirmation:
     """Whether the camera confirms the robot's place in a known map.
 
-    A given start is a hypothesis until something of the map is recognised. A place that was recognised is in doubt once
-    keyframes that lie among those of the map are not recognised any more. A place that is not confirmed within
-    `_CONFIRM_M` of way and `_CONFIRM_S` is refuted.
+    A given start is a hypothesis until two views recognise the map. A place that was recognised is in doubt once
+    keyframes that lie among those of the map are not recognised any more, until the next one is. A place that is not
+    confirmed within `_CONFIRM_M` of way and `_CONFIRM_S` is refuted.
 
     Args:
         is_given: whether the place is a start that a person has given.
@@ -364,10 +364,10 @@ class PlaceConfirmation:
         """Return what the place is in a map, at a pose (4, 4) in odom; None if it is confirmed.
 
         Args:
-            recognised: number of recognitions of the map so far.
+            recognised: number of views that recognised the map so far.
             missed: number of keyframes in a row that were not recognised though they lie among those of the map.
         """
-        if recognised > self._recognised:
+        if recognised - self._recognised >= (_CONFIRM_VIEWS if self._is_given else 1):
             self._recognised, self._since = recognised, None
             self._is_doubtful = self._is_given = self.is_refuted = False
         self._is_doubtful |= missed >= _MOST_MISSED
@@ -386,7 +386,7 @@ class PlaceConfirmation:
         return PoseFinding.NOT_RECOGNISED if self.is_refuted else PoseFinding.UNCONFIRMED
 
     def forget(self, recognised: int) -> None:
-        """Forget a place that was refuted, after `recognised` recognitions of the map."""
+        """Forget a place that was refuted, after `recognised` views."""
         self._is_doubtful = self._is_given = self.is_refuted = False
         self._recognised, self._since = recognised, None
 

@@ -121,6 +121,7 @@ class LiveLoops:
 
     Attributes:
         place: `KeyframeResult.place` of the newest finished keyframe, or of one revisited since.
+        recognised_views: number of this drive's keyframes and revisits that recognised the known map.
         missed: number of keyframes in a row that keyframes of the known map should show, and that were not recognised.
     """
 
@@ -147,7 +148,7 @@ class LiveLoops:
         self._revisits: list[Revisit] = []
         self.place: KeyframePlace | None = None
         self._known = 0 if known is None else len(known.store)
-        self._recognised = self.missed = 0
+        self._recognised = self.recognised_views = self.missed = 0
         self._has_raised = False
 
     def add(self, keyframe: OdometryKeyframe) -> None:
@@ -183,7 +184,7 @@ class LiveLoops:
     def request_place(self, revisit: Revisit) -> None:
         """Request the pose and covariance of a revisited keyframe. A busy thread skips the request."""
         if revisit.number < self._known:
-            self._recognised, self.missed = self._recognised + 1, 0
+            self._recognised, self.recognised_views, self.missed = self._recognised + 1, self.recognised_views + 1, 0
         if self._thread is not None and (self._waits or not self._waiting):
             found = self._thread.submit(lambda: KeyframeResult(None, self._graph.place(revisit)))
             self._waiting.append((revisit.stamp_s, found))
@@ -207,7 +208,10 @@ class LiveLoops:
             newest = newest if found.update is None else found.update
             self.place = found.place
             recognised = sum(tie.first < self._known <= tie.second for tie in found.ties)
-            self._recognised += recognised
+            self._recognised, self.recognised_views = (
+                self._recognised + recognised,
+                self.recognised_views + bool(recognised),
+            )
             self.missed = 0 if recognised else self.missed + found.is_expected
             for tie in found.ties:
                 self._store.add_loop(tie.first, tie.second)
