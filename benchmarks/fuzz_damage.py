@@ -119,6 +119,8 @@ _LAUGHS = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
 _INTEGER = b"\x00\x00\xff\xff\x7f\x80\x01"
 _LARGE = 30_000
 _MOST_BYTES, _MOST_UNPACKED = 8_000_000, 1 << 27
+# A larger file is read as long as any recording of its size: 50 000 copies of a frame make 1.7 GB.
+_LARGEST_BYTES = 1 << 28
 
 
 def damaged(name: str, data: bytes, rng: Rng) -> bytes:
@@ -126,7 +128,8 @@ def damaged(name: str, data: bytes, rng: Rng) -> bytes:
     for _ in range(int(rng.integers(1, 4))):
         if len(data) > _MOST_BYTES:  # further changes would take longer to make than to read
             break
-        data = _pick(_changes_of(name, data), rng)(data, rng)
+        changed = _pick(_changes_of(name, data), rng)(data, rng)
+        data = changed if len(changed) <= _LARGEST_BYTES else data
     return data
 
 

@@ -275,3 +275,12 @@ def test_what_is_rigid_is_left_to_the_bit_and_the_rest_is_mended() -> None:
     np.testing.assert_array_equal(found[[0, 2]], T[[0, 2]])
     np.testing.assert_allclose(found[1], T[1], atol=1e-12)
     np.testing.assert_array_equal(se3.renormalized(T[0]), T[0])
+
+
+@given(st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6), st.integers(0, 15), st.floats(-3e-6, 3e-6))
+def test_validity_is_that_of_allclose(xi: list[float], place: int, off: float) -> None:
+    T = se3.exp(np.array(xi))
+    T.ravel()[place] += off
+    R = T[:3, :3]
+    close = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.allclose(T[3], (0, 0, 0, 1), atol=1e-6)
+    assert se3.is_valid(T) == close

@@ -55,6 +55,13 @@ def test_a_png_whose_parts_contradict_it_has_no_size(parts: bytes) -> None:
     assert picture_size(b"\x89PNG\r\n\x1a\n" + parts + chunk(b"IEND", b"")) is None
 
 
+@pytest.mark.parametrize("white", [b" ", b"\n", b"#\n", b" #a\n"])
+def test_a_header_of_white_space_is_read_in_a_moment(white: bytes) -> None:
+    """Repetitions within repetitions of a regular expression would take years."""
+    assert picture_size(b"P5\n9" + white * 400) is None
+    assert picture_size(b"P5" + white * 100 + b"9" + white * 20 + b"7\n255\n") in ((9, 7), None)
+
+
 @pytest.mark.parametrize("count", [99_000, 101_000])
 def test_what_would_take_long_to_go_through_has_no_size(count: int) -> None:
     """Each is of so many parts; readers are to refuse in a moment what is made to hold them up."""

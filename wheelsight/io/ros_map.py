@@ -35,7 +35,7 @@ _LARGEST_CELL_M = 10.0
 _LARGEST_SPAN_M = 10_000.0
 _OPAQUE, _DEEPEST = 255, 65535
 # A portable grey or colour map states the value of white. Not all decoders scale by it.
-_PNM_WHITE = re.compile(rb"P[2356](?:(?:\s+|#[^\n]*\n)+\d{1,9}){2}(?:\s+|#[^\n]*\n)+(\d{1,5})\s")
+_PNM_WHITE = re.compile(rb"P[2356](?:(?:\s|#[^\n]*\n)+\d{1,9}){2}(?:\s|#[^\n]*\n)+(\d{1,5})\s")
 _PNM_REACH = 2048
 # NaN as C and C++ programs print it: nan, -nan, -nan(ind), 1.#QNAN.
 _NOT_A_NUMBER = re.compile(r"[-+]?(\.?nan\b.*|1\.#.*)", re.IGNORECASE)

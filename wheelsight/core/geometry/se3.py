@@ -18,7 +18,8 @@ from wheelsight.core.geometry.arrays import FloatArray
 
 # At this depth, usual indoors, a turn changes a view as much as the same distance.
 _METRES_A_RADIAN = 1.5
-_BOTTOM = (0, 0, 0, 1)
+_BOTTOM = np.array([0.0, 0.0, 0.0, 1.0])
+_UNIT, _RELATIVE = np.eye(3), 1e-5
 # Largest error of two decimals; more is another mistake.
 _ROUNDED = 0.03
 # Rounding makes motions less rigid, and their inverses twice as much; below this they stay.
@@ -148,8 +149,9 @@ def is_valid(T: ArrayLike, tolerance: float = 1e-6) -> bool:
     R = T[..., :3, :3]
     if (np.abs(R) > 2 + tolerance).any():  # squares of huge numbers would overflow
         return False
-    orthonormal = np.allclose(R @ np.swapaxes(R, -1, -2), np.eye(3), atol=tolerance)
-    bottom = np.allclose(T[..., 3, :], _BOTTOM, atol=tolerance)
+    # As `np.allclose` with its relative tolerance, which takes three times as long.
+    orthonormal = (np.abs(R @ np.swapaxes(R, -1, -2) - _UNIT) <= tolerance + _RELATIVE * _UNIT).all()
+    bottom = (np.abs(T[..., 3, :] - _BOTTOM) <= tolerance + _RELATIVE * _BOTTOM).all()
     return bool(orthonormal and bottom and (np.linalg.det(R) > 0).all())
 
 
