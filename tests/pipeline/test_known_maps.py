@@ -213,13 +213,14 @@ def test_a_start_is_believed_but_told_where_nothing_bears_it_out(tmp_path: Path)
     start = f"{SECOND_DAY[0][0, 3] - FIRST_DAY[0][0, 3]:.2f},0.1,165"
     second = recorded(SECOND_DAY, calibration=calibration)
     record = find(tmp_path / "monday", found, second, known_map__start=start)
-    assert set(statuses_in(found)) == {"tracking"}
+    assert set(statuses_in(found)) == {"unconfirmed", "tracking"}
     known = not_none(record.known_map)
     assert (known.is_recognised, known.has_start) == (True, True)
     last = read_tum(found / "trajectory_corrected.txt").T_frame_body[-1] @ FIRST_DAY[0]
     assert np.linalg.norm((last @ se3.invert(SECOND_DAY[-1]))[:2, 3]) < 0.6
     other = recorded(SECOND_DAY, seed=OTHER_ROOM, calibration=calibration)
     record = find(tmp_path / "monday", elsewhere, other, known_map__start=start)
+    assert "tracking" not in statuses_in(elsewhere)
     assert not_none(record.known_map).sentence.endswith("poses rest on --start alone")
     assert "the place was not recognised" in verdict_of(record).phrase
 

@@ -137,7 +137,10 @@ def test_errors_need_an_evaluation() -> None:
 def test_status_lanes_hold_each_frame_once() -> None:
     run = example_run(500)
     figure = status_figure(run)
-    assert {trace.name for trace in figure.data} == set(STATUS_COLOURS) - {"coasting"}  # of joined sensors alone
+    assert {trace.name for trace in figure.data} == set(STATUS_COLOURS) - {
+        "coasting",
+        "unconfirmed",
+    }  # of joined sensors, of a known map
     shown_s = {trace.name: _total_length(trace.x) for trace in figure.data}
     assert shown_s["lost"] == pytest.approx(49 / 30, abs=1e-6)
     assert sum(shown_s.values()) == pytest.approx(500 / 30, rel=0.02)  # short spans are drawn a little wider

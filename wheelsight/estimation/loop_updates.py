@@ -59,6 +59,7 @@ class LoopsBeside:
     Attributes:
         is_laid: whether loops have placed the robot's piece of map, at whatever certainty.
         is_joined: whether the pose of that piece is known well enough.
+        confirmation: of the place in the known map; None without a map.
         tracked_s: stamp of the last frame in `add_tracked`.
     """
 
@@ -86,7 +87,8 @@ class LoopsBeside:
         self._loops: IntArray = np.zeros((0, 2), np.int64)
         self._pieces: list[int] = [0]  # numbers of their first keyframes
         self.is_laid, self.is_joined, self._is_new = True, True, False
-        self._confirmation = PlaceConfirmation(is_given=known is not None and known.start is not None)
+        is_given = known is not None and known.start is not None
+        self.confirmation = None if known is None or not len(store) else PlaceConfirmation(is_given=is_given)
         if known is not None and len(store) and known.start is None:
             self.begin_piece(KeyframeId(len(store)))
             self._is_new = True  # the robot has not been localized in this map yet
@@ -258,8 +260,8 @@ class LoopsBeside:
         if not self.is_joined:
             return PoseEvidence(PoseFinding.NOT_RECOGNISED if self._is_new else PoseFinding.PLACE_UNCERTAIN)
         doubt = None
-        if self._live.recognised is not None and T_odom_body is not None:
-            doubt = self._confirmation.update(stamp_s, T_odom_body, self._live.recognised_views, self._live.missed)
+        if self.confirmation is not None and T_odom_body is not None:
+            doubt = self.confirmation.update(stamp_s, T_odom_body, self._live.recognised_views, self._live.missed)
         if doubt is not None and status in (Status.TRACKING, Status.COASTING):
             return PoseEvidence(doubt, covariance_map=C)
         if status is Status.TRACKING and self._map_stays:
@@ -279,19 +281,9 @@ class LoopsBeside:
         """Begin a piece of map, apart from the others, at a keyframe."""
         self._pieces.append(keyframe)
         self.is_laid = self.is_joined = self._was_sure = False
-        if self.is_refuted:
+        if self.confirmation is not None and self.confirmation.is_refuted:
             self._is_new = True
-            self._confirmation.forget(self._live.recognised_views)
-
-    @property
-    def is_refuted(self) -> bool:
-        """Whether the place in the known map is wrong, so that the robot has to be recognised in it again."""
-        return self._confirmation.is_refuted
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """A sentence if a place in the known map was refuted."""
-        return self._confirmation.warnings
+            self.confirmation.forget(self._live.recognised_views)
 
     def tie(self, number: int) -> bool:
         """Whether loops connect keyframes from `number` on to older ones, from views as far apart as between pieces.

@@ -16,6 +16,7 @@ from wheelsight.core.geometry import BoolArray, FloatArray, IntArray
 # Okabe and Ito's colours; these four also stand out from white and from near black.
 BLUE, GREEN, VERMILLION, GREY = "#0072B2", "#009E73", "#D55E00", "#808080"
 ORANGE, SKY, PURPLE = "#E69F00", "#56B4E9", "#CC79A7"
+LAVENDER = "#9F8FD6"
 BROWN = "#7A4B1E"
 OLIVE = "#8F8300"  # Okabe and Ito's yellow, dark enough to be a line on white
 YELLOW = "#F0E442"  # the same as it is, for bands

@@ -9,7 +9,7 @@ import numpy as np
 from wheelsight._version import __version__
 from wheelsight.app.report import drawing, html
 from wheelsight.app.report import plotly as go
-from wheelsight.app.report.drawing import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, keep_shape
+from wheelsight.app.report.drawing import BLUE, GREEN, GREY, LAVENDER, ORANGE, PURPLE, SKY, VERMILLION, keep_shape
 from wheelsight.app.report.pictures import jpeg_uri, png_uri
 from wheelsight.app.report.plotly import make_subplots
 from wheelsight.app.run import words
@@ -163,7 +163,7 @@ _BAND_COLOURS = {
         "tracking": GREEN,
         "coasting": ORANGE,
         "initializing": SKY,
-        "unconfirmed": BLUE,
+        "unconfirmed": LAVENDER,
         "failing": VERMILLION,
         "lost": PURPLE,
     },
