@@ -384,7 +384,7 @@ DECISIONS = {
     PoseFinding.UNDECIDED: Consequence(is_doubtful=True),
     PoseFinding.UNCOMPARED: Consequence(),
     PoseFinding.FLOOR_ELSEWHERE: Consequence(),
-    PoseFinding.SENSOR_SUSPECTED: Consequence(is_doubtful=True),
+    PoseFinding.SENSOR_SUSPECTED: Consequence(Status.COASTING, is_doubtful=True),
     PoseFinding.SENSOR_WRONG: Consequence(slip=False, is_doubtful=True, reason=Reason.CONTRADICTION),
     PoseFinding.UNCERTAIN_RESTART: Consequence(Status.COASTING, is_doubtful=True, reason=Reason.NOT_RECOGNISED),
     PoseFinding.KIDNAPPED: Consequence(Status.COASTING, is_doubtful=True, reason=Reason.CONTRADICTION),

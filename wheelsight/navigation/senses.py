@@ -417,15 +417,14 @@ class WhereNow:
     def status(self) -> Status:
         """Status of the last estimate, or `INITIALIZING` before it.
 
-        Late estimates limit it to `COASTING`, and so do doubtful ones; silence limits it to `FAILING`.
+        Late estimates limit it to `COASTING`; silence limits it to `FAILING`.
         """
         if self.estimate is None:
             return Status.INITIALIZING
         if self.is_silent:
             return Status.FAILING
-        is_doubtful = isinstance(self.estimate, FusedEstimate) and self.estimate.doubtful
-        is_unsure = self.silent_s > COASTING_S or is_doubtful
-        return Status.COASTING if is_unsure and self.estimate.status is Status.TRACKING else self.estimate.status
+        is_late = self.silent_s > COASTING_S
+        return Status.COASTING if is_late and self.estimate.status is Status.TRACKING else self.estimate.status
 
     @property
     def is_rolling(self) -> bool:
