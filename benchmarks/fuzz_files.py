@@ -47,7 +47,7 @@ from wheelsight.core.errors import DeviceError, EvaluationError, RecordingError,
 from wheelsight.core.geometry import PinholeCamera, se3
 from wheelsight.core.inputs import Kind, read_bytes
 from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId
-from wheelsight.core.messages import RgbdFrame, WheelTicks
+from wheelsight.core.messages import RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.core.settings import LiveCameraSettings
 from wheelsight.core.trajectory import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 from wheelsight.evaluation import evaluate
@@ -435,7 +435,7 @@ def _play(folder: Path) -> None:
     recording = open_recording(folder, OpenOptions())
     frames = 0
     for event in recording.events():
-        frames += isinstance(event, RgbdFrame)
+        frames += isinstance(event, RgbdFrame | SkippedFrame)
         if frames == _FRAMES_PLAYED:
             break
     _ = recording.ground_truth

@@ -455,8 +455,14 @@ def find_files(names: Sequence[str], path: Path, folder: str) -> tuple[list[Path
     for number, way in enumerate(ways):
         if any(is_there(way(name)) for name in tried):
             warning = f"{path.name}: its names are not those of files; the files in {way(names[0]).parent} were taken."
-            return [way(name) for name in names], [warning] if number > 1 else []
-    return [beside / name for name in names], []
+            return _each_once(way, names), [warning] if number > 1 else []
+    return _each_once(ways[0], names), []
+
+
+def _each_once(way: Callable[[str], Path], names: Sequence[str]) -> list[Path]:
+    """Return the path of each name; a list of one image 200 000 times makes one path."""
+    known = {name: way(name) for name in dict.fromkeys(names)}
+    return [known[name] for name in names]
 
 
 def pair_of_files(line: Line, path: Path) -> tuple[tuple[float, str], tuple[float, str]]:
