@@ -79,6 +79,11 @@ class CountingLocalizer:
         """Of the localizer."""
         return self._localizer.recognised
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Of the localizer."""
+        return self._localizer.warnings
+
     def process(self, event: Event) -> Estimate | None:
         """As `Localizer.process`."""
         answer = self._localizer.process(event)

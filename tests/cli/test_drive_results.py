@@ -46,6 +46,15 @@ def test_a_start_that_nothing_bears_out_is_told(
     assert drive_dict(found)["recognised"] == recognised
 
 
+def test_a_warning_about_a_sensor_is_in_the_results_and_on_the_page() -> None:
+    drive, _, config = rehearsed_drive()
+    drive.go_to(NamedGoal.of(np.array([-0.7, -0.4, np.nan]), "there"), lambda feedback: None)
+    record = replace(recorded(drive, config), warnings=("the left wheel was left out",))
+    assert drive_dict(record)["warnings"] == ["the left wheel was left out"]
+    assert "Warning: the left wheel was left out." in verdict(record)[1]
+    assert verdict(record)[2] == "amber"
+
+
 def touching(*contacts: tuple[float, str, bool]) -> dict[str, object]:
     """What a simulator says of a drive."""
     named = [{"stamp_s": stamp_s, "with": name, "by_the_robot": is_by} for stamp_s, name, is_by in contacts]

@@ -38,6 +38,7 @@ class Telling:
     def __init__(self) -> None:
         self.keyframes: KeyframeStore | None = KeyframeStore()
         self.recognised: int | None = 0
+        self.warnings: tuple[str, ...] = ()
 
     def process(self, event: Event) -> Estimate | None:
         store = self.keyframes
@@ -57,6 +58,7 @@ class Telling:
             grey = np.full_like(event.depth_m, 100.0)
             store.add(Keyframe.of_images(event.stamp_s, CAMERA, event.depth_m, grey), T)
             self.recognised = len(store)
+            self.warnings = (f"{len(store)} keyframes",)
         return Estimate(event.stamp_s, Status.TRACKING, T)
 
     def close(self) -> None:

@@ -71,6 +71,7 @@ def test_what_is_kept_and_moved_there_is_kept_and_moved_here(subject: LocalizerA
         assert not_none(subject.process(frame(stamp_s))).stamp_s == stamp_s
     # That of the newest frame is told with the next one.
     assert (len(store), subject.recognised, store.revision) == (2, 3, 0)
+    assert subject.warnings == ("3 keyframes",)
     subject.process(frame(MOVES))
     assert (len(store), store.revision) == (3, 1)
     for number, stamp_s in enumerate((1.0, 2.0, 3.0)):

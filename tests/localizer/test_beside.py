@@ -18,6 +18,7 @@ class Slow:
 
     keyframes = None
     recognised = None
+    warnings: tuple[str, ...] = ()
 
     def __init__(self) -> None:
         self.may_go, self.begun = threading.Event(), threading.Event()

@@ -143,6 +143,7 @@ class Told:
     says: Callable[[Estimate], Estimate] = lambda estimate: estimate
     keyframes: KeyframeStore | None = None
     recognised: int | None = None
+    warnings: tuple[str, ...] = ()
     closed: list[bool] = field(default_factory=list)
 
     def process(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:

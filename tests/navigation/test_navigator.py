@@ -25,6 +25,7 @@ from wheelsight.navigation import (
     NavigatorSettings,
 )
 from wheelsight.navigation.controllers import ControlReason, ControlResult, MotionState, PurePursuitController
+from wheelsight.navigation.navigator import status_words
 from wheelsight.navigation.planner import Plan
 from wheelsight.navigation.planning import PoseGoals
 
@@ -329,6 +330,17 @@ def test_a_pose_that_stays_uncertain_is_no_arrival_and_it_says_how_far_off_it_ma
     assert (result.has_arrived, result.reason) == (False, NavigationReason.UNSURE)
     assert re.search(r"it may be 0\.2\d m and \d° off the goal", result.detail)
     assert result.recoveries == 1
+
+
+def test_a_warning_about_a_sensor_is_reported_with_the_status() -> None:
+    subject = ride(settings=HASTY)
+    subject.navigator.go_to_pose(NEAR)
+    subject.go(1)
+    assert status_words(subject.navigator.feedback) == "knows where it is"
+    subject.told.warnings = ("the gyroscope was left out", "the left wheel was left out")
+    subject.go(1)
+    assert subject.navigator.feedback.warnings == subject.told.warnings
+    assert status_words(subject.navigator.feedback) == "knows where it is; the left wheel was left out"
 
 
 def test_lost_for_good_it_gives_up() -> None:

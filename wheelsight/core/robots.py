@@ -98,7 +98,10 @@ class EventSource(Protocol):
 
 
 class Localization(Protocol):
-    """Source of the robot's pose, such as `LocalizerInStep` and `LocalizerBeside`."""
+    """Source of the robot's pose, such as `LocalizerInStep` and `LocalizerBeside`.
+
+    It may also have `warnings`, a tuple of sentences about faults of sensors, which page, terminal and results show.
+    """
 
     @property
     def keyframes(self) -> KeyframeStore | None:

@@ -36,6 +36,10 @@ class Answering(Protocol):
     def recognised(self) -> int | None:
         """Number of recognitions of an existing map so far; None without one."""
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence for each fault of a sensor or of the calibration."""
+
     def process(self, event: Event) -> Estimate | None:
         """Return the estimate at an event, or None; raises as `Localizer.process`."""
 
@@ -66,6 +70,11 @@ class LocalizerInStep(OneCaller):
     def recognised(self) -> int | None:
         """As `Localizer.recognised`."""
         return self.localizer.recognised
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """As `Localizer.warnings`."""
+        return self.localizer.warnings
 
     @one_at_a_time
     def process(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
@@ -113,6 +122,11 @@ class LocalizerBeside(OneCaller):
     def recognised(self) -> int | None:
         """As `Localizer.recognised`."""
         return self.localizer.recognised
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """As `Localizer.warnings`."""
+        return self.localizer.warnings
 
     @one_at_a_time
     def process(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
@@ -179,6 +193,7 @@ class LocalizerApart:
     def __init__(self, make: Make, *arguments: Any, tells_keyframes: bool = False) -> None:
         self.keyframes: KeyframeStore | None = KeyframeStore() if tells_keyframes else None
         self.recognised: int | None = None
+        self.warnings: tuple[str, ...] = ()
         context = get_context("spawn")
         self._connection, theirs = context.Pipe()
         what = (theirs, make, arguments, tells_keyframes)
@@ -240,7 +255,7 @@ class LocalizerApart:
 
     def _take(self, answer: Answer | Beat) -> Estimate | None:
         assert isinstance(answer, Answer)
-        self.recognised = answer.recognised
+        self.recognised, self.warnings = answer.recognised, answer.warnings
         store, news = self.keyframes, answer.news
         if store is not None and news is not None:
             for keyframe, T_map_keyframe in news.added:
@@ -285,11 +300,13 @@ class Answer:
         estimate: at the event.
         recognised: as `Localizer.recognised`.
         news: changes of its keyframes, if these were requested.
+        warnings: as `Localizer.warnings`.
     """
 
     estimate: Estimate | None = None
     recognised: int | None = None
     news: KeyframeNews | None = None
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -366,7 +383,7 @@ def _answer(connection: Connection, localizer: Answering, tells_keyframes: bool)
             return
         estimate = localizer.process(event)
         news = watch.news() if watch is not None and isinstance(event, RgbdFrame) else None
-        connection.send(Answer(estimate, localizer.recognised, news))
+        connection.send(Answer(estimate, localizer.recognised, news, localizer.warnings))
 
 
 class _StoreWatch:

@@ -127,6 +127,7 @@ class Feedback:
         robot_stop: why the robot stopped by itself; empty if it did not.
         stays_at: (2,) in the map of an obstacle that may be gone, but has no depth behind it to clear it; None without
             any. A person who sees that nothing is there can call `Navigator.clear_obstacles`.
+        warnings: sentences of the localization about faults of sensors.
         has_wheel_fault: whether wheels did not follow their commands. A person who has checked them can call
             `Navigator.clear_fault`; until then every task fails.
     """
@@ -147,6 +148,7 @@ class Feedback:
     robot_stop: str = ""
     stays_at: FloatArray | None = None
     has_wheel_fault: bool = False
+    warnings: tuple[str, ...] = ()
 
     @property
     def stands(self) -> bool:
@@ -197,6 +199,11 @@ STATUS_WORDS = {
     Status.FAILING: "does not trust where it is",
     Status.LOST: "lost",
 }
+
+
+def status_words(feedback: Feedback) -> str:
+    """Return what the robot knows of its place, and the last warning about its sensors."""
+    return "; ".join((STATUS_WORDS[feedback.status], *feedback.warnings[-1:]))
 
 
 def monitor_words(feedback: Feedback) -> str:
@@ -434,6 +441,7 @@ class Navigator(OneCaller):
             robot_stop="" if self._is_halted and self._robot.stop_reason == STOPPED else self._robot.stop_reason,
             stays_at=None if self.is_task_complete() else self.senses.what_stays(),
             has_wheel_fault=self.monitor.has_wheel_fault,
+            warnings=self.senses.warnings,
         )
 
     def _decide(self, now_s: float) -> VelocityCommand:

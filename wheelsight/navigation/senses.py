@@ -133,6 +133,11 @@ class Senses:
                 self._follow_people(event.stamp_s, pose)
         self._update_floor(now_s)
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences of the localization about faults of sensors, if it has such a property."""
+        return getattr(self.localization, "warnings", ())
+
     def _update_floor(self, now_s: float) -> None:
         """Update the floor with the robot's pose. Once the place in the map is known, earlier poses follow."""
         state, odom_pose = self.where.state, self.where.odom_pose

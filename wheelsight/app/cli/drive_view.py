@@ -49,6 +49,7 @@ class DriveView:
         self._transitions: deque[Transition] = deque(maxlen=_TRANSITIONS)
         self._shown_s = -math.inf
         self._so_far = SoFar()
+        self._warned: tuple[str, ...] = ()
 
     def __enter__(self) -> DriveView:
         if self._live is not None:
@@ -81,6 +82,10 @@ class DriveView:
     def show(self, feedback: Feedback, navigator: Navigator) -> None:
         """Show a period, at a limited rate."""
         self._so_far.add(feedback)
+        for warning in feedback.warnings:
+            if warning not in self._warned:
+                self._console.print(f"{feedback.stamp_s:.1f} s warning: {warning}")
+        self._warned = feedback.warnings
         now_s = time.monotonic()
         if now_s - self._shown_s < 1 / (_LINES_A_S if self._live is None else _VIEWS_A_S):
             return

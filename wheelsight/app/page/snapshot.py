@@ -21,7 +21,7 @@ from wheelsight.core.messages import Event
 from wheelsight.core.robots import Robot, WatchedRobot
 from wheelsight.core.settings import LivePageSettings
 from wheelsight.navigation import CellState, Costmap, Feedback, Navigator, StaticLayer, Transition
-from wheelsight.navigation.navigator import STATUS_WORDS, monitor_words
+from wheelsight.navigation.navigator import monitor_words, status_words
 from wheelsight.navigation.senses import Senses
 
 _WAY_STEP_M, _WAY_POINTS, _PATH_POINTS = 0.1, 300, 80  # the newest of the driven path; of the planned one
@@ -112,7 +112,7 @@ class SnapshotMaker:
             "stamp_s": round(feedback.stamp_s, 3),
             "state": str(feedback.state),
             "doing": feedback.doing,
-            "status": STATUS_WORDS[feedback.status],
+            "status": status_words(feedback),
             "monitor": monitor_words(feedback),
             "held": "" if feedback.monitor is None or feedback.monitor.reason is None else monitor_words(feedback),
             "wheels_off": feedback.has_wheel_fault,

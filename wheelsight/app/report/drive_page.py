@@ -136,14 +136,15 @@ def verdict(record: DriveRecord) -> tuple[str, str, str]:
     of_all = f"{reached} of {words.count(record.asked, 'goal')} reached"
     if record.is_interrupted:
         return "Interrupted", f"{of_all}; the robot was stopped.", "amber"
+    faults = [f"Warning: {warning}." for warning in record.warnings]
     if not record.has_arrived:
         last = record.goals[-1] if record.goals else None
-        why = "" if last is None else f"{last.name}: {last.result.reason} ({last.result.detail})."
-        return of_all, why, "red"
+        why = [] if last is None else [f"{last.name}: {last.result.reason} ({last.result.detail})."]
+        return of_all, " ".join((*why, *faults)), "red"
     if record.contacts:
         collisions = words.count(len(record.contacts), "collision")
         return f"Arrived, with {collisions}", f"{', '.join(record.contacts)}.", "red"
-    remarks = [f"{goal.name}: {goal.result.goal_change}." for goal in record.goals if goal.result.goal_change]
+    remarks = faults + [f"{goal.name}: {goal.result.goal_change}." for goal in record.goals if goal.result.goal_change]
     if record.rests_on_start:
         remarks.append("Nothing of the map was recognised: every pose rests on the given start.")
     helped = sum(goal.result.recoveries for goal in record.goals)

@@ -158,6 +158,7 @@ class DriveRecord:
         footprint: of the robot.
         config: all settings.
         recognised: number of recognitions in a known map; None in a new map.
+        warnings: sentences of the localization about faults of sensors.
         truth: figures of a simulator: contacts by the robot, least true clearance; empty for a real robot.
         loops: number of loops in the new map; None in a known map.
         is_interrupted: whether the user ended the drive.
@@ -179,6 +180,7 @@ class DriveRecord:
     config: dict[str, Any]
     people: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
     recognised: int | None = None
+    warnings: tuple[str, ...] = ()
     truth: dict[str, Any] = field(default_factory=dict)
     loops: int | None = None
     is_interrupted: bool = False
@@ -446,6 +448,7 @@ def drive_dict(record: DriveRecord) -> dict[str, Any]:
         "transitions": transitions,
         "plans": plans,
         "recognised": record.recognised,
+        "warnings": list(record.warnings),
         "truth": record.truth or None,
         "loops": record.loops,
         "navigation": record.config["navigation"],

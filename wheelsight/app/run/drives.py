@@ -193,6 +193,7 @@ class GoalDrive:
             images=kept.images,
             people=kept.people,
             recognised=self.navigator.senses.localization.recognised,
+            warnings=self.navigator.senses.warnings,
             grid=self._grid(),
             footprint=config.navigation.footprint.outline,
             config=config.to_dict(),
@@ -353,6 +354,11 @@ class MappingLocalizer:
     def recognised(self) -> int | None:
         """Of the localizer."""
         return self._localizer.recognised
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Of the localizer."""
+        return self._localizer.warnings
 
     def process(self, event: Event) -> Estimate | None:
         """As `Localizer.process`."""
