@@ -40,11 +40,17 @@ def test_a_given_start_that_nothing_confirms_is_refuted_after_some_metres() -> N
     assert set(drive(subject, 60.0, begin_s=20.0)) == {None}  # the piece of map that begins then is unjoined
 
 
-def test_a_robot_that_stands_has_a_start_refuted_after_some_time() -> None:
+@pytest.mark.parametrize(("turn_rad_s", "is_refuted"), [(0.0, False), (0.5, True)])
+def test_a_robot_that_turns_has_its_start_refuted_after_some_time_and_one_that_stands_has_not(
+    turn_rad_s: float, is_refuted: bool
+) -> None:
     subject = PlaceConfirmation(is_given=True)
-    jitter_m = np.random.default_rng(0).normal(0, 0.01, (250, 2))
-    found = [subject.update(0.1 * n, se3.from_plane(x, y, 0.0), 0, 0) for n, (x, y) in enumerate(jitter_m)]
-    assert found.index(PoseFinding.NOT_RECOGNISED) == pytest.approx(201, abs=1)
+    jitter_m = np.random.default_rng(0).normal(0, 0.005, (600, 2))
+    poses = [se3.from_plane(x, y, 0.1 * n * turn_rad_s) for n, (x, y) in enumerate(jitter_m)]
+    found = [subject.update(0.1 * n, T, 0, 0) for n, T in enumerate(poses)]
+    assert set(found[:150]) == {PoseFinding.UNCONFIRMED}
+    assert (PoseFinding.NOT_RECOGNISED in found[:260]) == is_refuted
+    assert subject.is_refuted == is_refuted
 
 
 def test_a_place_that_was_recognised_is_in_doubt_where_the_map_should_be_seen_and_is_not() -> None:

@@ -38,7 +38,9 @@ _UNSURE_M, _UNSURE_RAD = 0.2, 0.08
 # Way and time in which the camera has to confirm a place in a known map, and the views that have to recognise it: one
 # alone has been 0.3 m off. And the number of keyframes in a row that lie among those of the map and are not recognised,
 # after which the place is in doubt. At a right place, two in a row were missed among six people (simulator).
-_CONFIRM_M, _CONFIRM_S, _CONFIRM_VIEWS, _MOST_MISSED, _STEP_M = 5.0, 20.0, 2, 5, 0.1
+# Time counts in steps of the robot, since one that stands sees nothing new.
+_CONFIRM_M, _CONFIRM_S, _CONFIRM_VIEWS, _MOST_MISSED = 5.0, 20.0, 2, 5
+_STEP_M, _LONGEST_STEP_S = 0.1, 2.0
 # Distance below the map at which unjoined pieces are kept, so that none is visible from another. Estimated: surfels
 # there are still placed to 0.02 mm.
 _APART_M = 200.0
@@ -336,7 +338,7 @@ class PlaceConfirmation:
 
     A given start is a hypothesis until two views recognise the map. A place that was recognised is in doubt once
     keyframes that lie among those of the map are not recognised any more, until the next one is. A place that is not
-    confirmed within `_CONFIRM_M` of way and `_CONFIRM_S` is refuted.
+    confirmed within `_CONFIRM_M` of way, or `_CONFIRM_S` of motion, is refuted.
 
     Args:
         is_given: whether the place is a start that a person has given.
@@ -350,7 +352,8 @@ class PlaceConfirmation:
         self._is_given, self._is_doubtful = is_given, is_given
         self.is_refuted, self._recognised = False, 0
         self.warnings: tuple[str, ...] = ()
-        self._since: tuple[float, FloatArray, float] | None = None  # stamp of the begin, last place, way since then
+        # Stamp and pose at the last step, and way and time of all steps since the place is in doubt.
+        self._since: tuple[float, FloatArray, float, float] | None = None
 
     def update(self, stamp_s: float, T_odom_body: FloatArray, recognised: int, missed: int) -> PoseFinding | None:
         """Return what the place is in a map, at a pose (4, 4) in odom; None if it is confirmed.
@@ -365,14 +368,15 @@ class PlaceConfirmation:
         self._is_doubtful |= missed >= _MOST_MISSED
         if not self._is_doubtful:
             return None
-        place: FloatArray = T_odom_body[:2, 3]
-        begin_s, last, way_m = self._since or (stamp_s, place, 0.0)
-        step_m = float(np.hypot(*(place - last)))
-        last, way_m = (place, way_m + step_m) if step_m > _STEP_M else (last, way_m)
-        self._since = begin_s, last, way_m
-        if not self.is_refuted and (way_m > _CONFIRM_M or stamp_s - begin_s > _CONFIRM_S):
+        last_s, T_last, way_m, moved_s = self._since or (stamp_s, T_odom_body, 0.0, 0.0)
+        T_last_now = motions.times(motions.inverse(T_last), T_odom_body)
+        if self._since is None or motions.view_shift_m(T_last_now) > _STEP_M:
+            way_m += float(np.hypot(*T_last_now[:2, 3]))
+            moved_s += min(stamp_s - last_s, _LONGEST_STEP_S)
+            self._since = stamp_s, T_odom_body, way_m, moved_s
+        if not self.is_refuted and (way_m > _CONFIRM_M or moved_s > _CONFIRM_S):
             where = "near the given start" if self._is_given else "where the robot was taken to be"
-            within = f"in {way_m:.1f} m of way and {stamp_s - begin_s:.0f} s"
+            within = f"in {way_m:.1f} m of way and {moved_s:.0f} s"
             self.is_refuted = True
             self.warnings = (f"nothing looks like the map {where} {within}: the place was wrong, or it is another map",)
         return PoseFinding.NOT_RECOGNISED if self.is_refuted else PoseFinding.UNCONFIRMED
