@@ -107,6 +107,7 @@ class Loops:
     is_waiting: bool = False
     tracked_s: float = -np.inf
     recognised: int | None = None
+    confirmation: None = None
 
     def forget_tracked(self) -> None:
         pass

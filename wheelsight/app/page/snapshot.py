@@ -93,7 +93,7 @@ class SnapshotMaker:
         """A snapshot of one period, with facts of the session."""
         senses = driven.navigator.senses
         # Wheels alone begin at the map's origin until the first frame or a known start gives the pose.
-        self._was_tracked = self._was_tracked or feedback.status is Status.TRACKING
+        self._was_tracked = self._was_tracked or feedback.status in (Status.TRACKING, Status.UNCONFIRMED)
         pose = feedback.pose if self._was_tracked else None
         if pose is not None and (not self._way or np.hypot(*(pose[:2] - self._way[-1])) >= _WAY_STEP_M):
             self._way.append(pose[:2].copy())
