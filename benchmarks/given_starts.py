@@ -4,7 +4,7 @@ Each building is mapped on one day and driven on the next, as in `benchmarks.ses
 people who walk about. That drive is begun at many moments, each time with a start near the true one (0.1 m and 5°),
 with a wrong one (1.5 to 5 m off, any heading), and with a start in another building's map.
 
-A frame is wrongly believed if it is `tracking` and over 0.5 m off beside the map's nearest keyframe; in another
+A frame is wrong if it is `tracking` and over 0.5 m off beside the map's nearest keyframe; in another
 building each `tracking` frame is. A right start is refused if the localizer refutes it.
 """
 
@@ -48,10 +48,10 @@ class GivenStart:
         building, kind: of `KINDS`.
         moment_s: of the second day.
         off_m: of the given start from the true one.
-        frames, tracking, wrong: numbers of frames; wrong are believed wrongly.
+        frames, tracking, wrong: numbers of frames; wrong have a wrong pose.
         confirmed_s: time until the first frame that is `tracking`; NaN without any.
         refuted_s, refuted_m: time and way until the start was refuted; NaN if it was not.
-        wrong_m: way from the first to the last frame that is believed wrongly.
+        wrong_m: way from the first to the last frame with a wrong pose.
         error_m: median error of frames that are `tracking`.
     """
 
@@ -120,7 +120,7 @@ def given_start(
 def summary_sheet(starts: Sequence[GivenStart]) -> Sheet:
     """One row for each building and kind."""
     header = (
-        *("building, start", "starts", "frames wrongly believed", "way so, at most m", "confirmed in 5 s"),
+        *("building, start", "starts", "wrong frames", "way with them, at most m", "confirmed in 5 s"),
         *("to confirm s, median", "refuted", "after m", "error m"),
     )
     rows = list[tuple[str, ...]]()
