@@ -27,7 +27,7 @@ from benchmarks.kept_records import KeptRecords
 from benchmarks.sequences import default_data_folder
 from benchmarks.session_maps import kept_day, kept_one
 from benchmarks.session_starts import FirstDay, SecondDay, beside_nearest, moments_of, off_by, second_day
-from benchmarks.sessions import buildings_of
+from benchmarks.sessions import buildings_of, map_settings
 from benchmarks.table import Sheet, write_page
 from wheelsight import Localizer, Status, load_config
 from wheelsight.app.run.maps import open_known
@@ -155,7 +155,9 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=15, help="of each kind in each building")
     parser.add_argument("--rate", type=float, default=10.0, help="images a second")
     parser.add_argument("--way", type=float, default=40.0, help="metres of the tour through a plan")
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="keeps maps and results")
+    parser.add_argument(
+        "--keep", type=Path, metavar="DIR", help="keeps results, and maps, which may be those of benchmarks.sessions"
+    )
     calibrated_unit.add_option(parser)
     parser.add_argument("--out", type=Path, help="Markdown to write")
     arguments = parser.parse_args()
@@ -163,11 +165,9 @@ def main() -> None:
     buildings, found = buildings_of(arguments.buildings, arguments.data, arguments.way), list[GivenStart]()
     with TemporaryDirectory() as name:
         folder = arguments.keep or Path(name)
-        measured_with = {"rate": arguments.rate, "way": arguments.way, "calibrated": arguments.calibrated is not None}
-        known = [
-            kept_day(one, folder / "maps", measured_with, arguments.rate, arguments.calibrated) for one in buildings
-        ]
-        records = KeptRecords(folder / "starts", measured_with)
+        how = map_settings(arguments)
+        known = [kept_day(one, folder, how, arguments.rate, arguments.calibrated) for one in buildings]
+        records = KeptRecords(folder / "given-starts", how)
         for number, (building, own) in enumerate(zip(buildings, known, strict=True)):
             calibration, day = second_day(building, arguments.rate, arguments.calibrated)
             other = known[number - 1]

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from navigation.rooms import RoomRobot, Told, Walls, walls_about
+from navigation.rooms import RoomRobot, StandInLocalization, Walls, walls_about
 
 from wheelsight.app.page import Driven, Session, Watch
 from wheelsight.core.errors import MapError
@@ -97,8 +97,8 @@ class RoomMaps:
         if name == "broken":
             raise MapError("is damaged")
         settings, floor = NavigationSettings(controller="pure_pursuit"), KnownFloor(ROOM.grid(*SIZE_M))
-        told = Told(self.robot)
-        navigator = Navigator(robot, told, floor, settings, trusts_floor=True, on_transition=on_transition)
+        localization = StandInLocalization(self.robot)
+        navigator = Navigator(robot, localization, floor, settings, trusts_floor=True, on_transition=on_transition)
         yield Driven(navigator, self.places.setdefault(name, RoomPlaces()), is_new=name == "new")
         if self.closes_wrongly:
             self.closes_wrongly = False

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from live_page.room_session import BEGIN, ObedientRobot, RoomMaps, RoomPlaces, Served, is_near, room_session
 from narrowing import not_none
-from navigation.rooms import Told
+from navigation.rooms import StandInLocalization
 
 from wheelsight.app.page import StopSwitch
 from wheelsight.app.page.session import (
@@ -169,7 +169,7 @@ def goes_on(served: Served) -> None:
     ("owner", "name"),
     [
         (ObedientRobot, "step"),
-        (Told, "process"),
+        (StandInLocalization, "process"),
         (Navigator, "_decide"),
         (SnapshotMaker, "of"),
         (StopSwitch, "release"),

@@ -36,7 +36,7 @@ def test_a_given_start_that_nothing_confirms_is_refuted_after_some_metres() -> N
     assert found.index(PoseFinding.NOT_RECOGNISED) * 0.1 * SPEED_M_S == pytest.approx(5.0, abs=0.2)
     assert subject.is_refuted
     assert "near the given start in 5.0 m of way and 13 s" in subject.warnings[0]
-    subject.forget(0)
+    subject.reset(0)
     assert set(drive(subject, 60.0, begin_s=20.0)) == {None}  # the piece of map that begins then is unjoined
 
 

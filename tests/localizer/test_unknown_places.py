@@ -13,6 +13,7 @@ from wheelsight.core.geometry import FloatArray
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.estimation import FusedEstimate
 from wheelsight.estimation import fusion_localizer as by_fusion
+from wheelsight.estimation.loop_updates import PlaceConfirmation
 from wheelsight_sim.faults import Silence
 
 pytestmark = pytest.mark.slow  # one to three seconds each
@@ -107,7 +108,7 @@ class Loops:
     is_waiting: bool = False
     tracked_s: float = -np.inf
     recognised: int | None = None
-    confirmation: None = None
+    confirmation: PlaceConfirmation = field(default_factory=lambda: PlaceConfirmation(is_given=False))
 
     def forget_tracked(self) -> None:
         pass

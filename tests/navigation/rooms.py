@@ -1,4 +1,4 @@
-"""A robot among walls that a navigator leads: kinematic, with a small depth camera, and a localization that is told."""
+"""A robot among walls that a navigator drives: kinematic, a small depth camera, a stand-in for the localization."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ class RoomRobot:
 
 
 @dataclass
-class Told:
+class StandInLocalization:
     """A localization that says where the robot truly is, or what `says` makes of that."""
 
     robot: RoomRobot
@@ -162,7 +162,7 @@ class Ride:
     """A robot, a navigator, and what was seen of them on the way."""
 
     robot: RoomRobot
-    told: Told
+    localization: StandInLocalization
     navigator: Navigator
     transitions: list[Transition]
     clearance_m: float = np.inf
@@ -179,12 +179,12 @@ class Ride:
     ) -> Ride:
         """In a room of a size, whose map has other walls where `mapped` is given."""
         robot, transitions = RoomRobot(walls, pose), list[Transition]()
-        told = Told(robot)
+        localization = StandInLocalization(robot)
         floor = KnownFloor((mapped or walls).grid(*size_m))
         chosen = settings or NavigationSettings(controller="pure_pursuit")
         how: dict[str, Any] = {"trusts_floor": True, "on_transition": transitions.append}
-        navigator = Navigator(robot, told, floor, chosen, planning=planning, **how)
-        return cls(robot, told, navigator, transitions)
+        navigator = Navigator(robot, localization, floor, chosen, planning=planning, **how)
+        return cls(robot, localization, navigator, transitions)
 
     def go(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
         """Steps, until the task is complete and the robot stands, or something else is so."""

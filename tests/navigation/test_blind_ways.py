@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import pytest
 import shapely
-from navigation.rooms import CALIBRATION, CELL_M, RoomRobot, Told, Walls
+from navigation.rooms import CALIBRATION, CELL_M, RoomRobot, StandInLocalization, Walls
 from navigation.test_collision_monitor import NOTHING, Ride
 from navigation.unicycle import CHAIR, Camera
 
@@ -127,7 +127,7 @@ def test_plans_and_controllers_keep_away_from_what_neither_map_nor_camera_knows(
     floor = KnownFloor(OccupancyGrid.of_kinds(kind, kind == CellKind.FREE, CELL_M, (0.0, 0.0)))
     robot = RoomRobot(Walls.of(((7.99, 0.0), (7.99, 6.0))), (3.0, 2.8, 0.0))
     settings = NavigationSettings(costmap=CostmapSettings(unknown=unknown))
-    senses = Senses(CALIBRATION, Told(robot), floor, CollisionMonitor(CHAIR), CHAIR, settings)
+    senses = Senses(CALIBRATION, StandInLocalization(robot), floor, CollisionMonitor(CHAIR), CHAIR, settings)
     for _ in range(6):
         senses.update(robot.step(STOP), robot.now_s)
     beside, right, next_to, ahead, far = (3.0, 3.6), (3.0, 2.0), (3.0, 2.4), (4.5, 3.1), (3.0, 5.0)
@@ -151,7 +151,7 @@ def test_of_several_frames_in_a_period_the_monitor_sees_the_newest() -> None:
     floor = KnownFloor(Walls.of(((7.99, 0.0), (7.99, 6.0))).grid(8.0, 6.0))
     robot, monitor = RoomRobot(Walls.of(((7.99, 0.0), (7.99, 6.0))), (3.0, 3.0, 0.0)), CollisionMonitor(CHAIR)
     seen_s: list[float] = []
-    senses = Senses(CALIBRATION, Told(robot), floor, monitor, CHAIR, NavigationSettings())
+    senses = Senses(CALIBRATION, StandInLocalization(robot), floor, monitor, CHAIR, NavigationSettings())
     monitor.add_view = lambda view: seen_s.append(view.stamp_s)  # type: ignore[method-assign]
     late = [event for _ in range(8) for event in robot.step(STOP)]
     frames_s = [event.stamp_s for event in late if isinstance(event, RgbdFrame)]
@@ -167,7 +167,7 @@ def test_plans_and_controllers_keep_away_from_what_the_monitor_remembers() -> No
     robot = RoomRobot(Walls.of(*somebody), (3.0, 3.0, 0.0))
     monitor = CollisionMonitor(CHAIR)
     monitor.trust_floor(2.0)
-    senses = Senses(CALIBRATION, Told(robot), floor, monitor, CHAIR, NavigationSettings())
+    senses = Senses(CALIBRATION, StandInLocalization(robot), floor, monitor, CHAIR, NavigationSettings())
     while robot.base.pose[2] < 1.2:
         senses.update(robot.step(VelocityCommand(0.0, 0.5 if robot.now_s > 1.0 else 0.0)), robot.now_s)
 

@@ -184,7 +184,7 @@ def test_unknown_floor_in_between_is_called_unknown(goal: tuple[float, ...]) -> 
     kind = np.where(grid.occupancy == 0, CellKind.FREE, CellKind.OBSTACLE).astype(np.uint8)
     kind[:, round(3.0 / CELL_M) : round(5.0 / CELL_M)] = CellKind.UNKNOWN
     unknown = KnownFloor(OccupancyGrid.of_kinds(kind, kind == CellKind.FREE, CELL_M, (0.0, 0.0)))
-    ride.navigator = Navigator(ride.robot, ride.told, unknown, ride.navigator.settings, trusts_floor=True)
+    ride.navigator = Navigator(ride.robot, ride.localization, unknown, ride.navigator.settings, trusts_floor=True)
     ride.navigator.go_to_pose(goal)
     result = end_of(ride, 5.0)
     assert result.reason is NavigationReason.NO_PLAN
@@ -276,7 +276,7 @@ def test_of_several_goals_one_in_a_wall_is_left_out_or_ends_it(goals: type[PoseG
 def test_who_may_not_drive_is_told_so_at_once(explores: bool, limits: RobotLimits, is_lost: bool) -> None:
     ride = ride_of(limits=limits)
     if is_lost:
-        ride.told.says = lambda estimate: replace(estimate, status=Status.INITIALIZING)
+        ride.localization.says = lambda estimate: replace(estimate, status=Status.INITIALIZING)
     ride.navigator.explore() if explores else ride.navigator.go_to_pose(GOAL)
     result = end_of(ride, 5.0)
     assert result.reason is NavigationReason.NO_PLAN
@@ -289,7 +289,7 @@ def test_who_may_not_drive_is_told_so_at_once(explores: bool, limits: RobotLimit
 def test_who_may_not_turn_does_not_drive_about_to_find_out_where_it_is(status: Status) -> None:
     """It would drive over floor that no turn has shown."""
     ride = ride_of(limits=RobotLimits(turn_rad_s=0))
-    ride.told.says = lambda estimate: replace(estimate, status=status)
+    ride.localization.says = lambda estimate: replace(estimate, status=status)
     ride.navigator.go_to_pose(GOAL)
     result = end_of(ride, 10.0)
     assert result.reason is NavigationReason.LOST
@@ -300,7 +300,7 @@ def test_who_may_not_turn_does_not_drive_about_to_find_out_where_it_is(status: S
 
 def test_who_may_not_turn_goes_on_when_it_knows_where_it_is_by_then() -> None:
     ride = ride_of(limits=RobotLimits(turn_rad_s=0))
-    ride.told.says = lambda estimate: (
+    ride.localization.says = lambda estimate: (
         replace(estimate, status=Status.INITIALIZING) if estimate.stamp_s < 2.0 else estimate
     )
     ride.navigator.go_to_pose(NEAR)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from documentation_blocks import python_blocks
 from narrowing import not_none
-from navigation.rooms import Ride, RoomRobot, Told, Walls, is_near, walls_about
+from navigation.rooms import Ride, RoomRobot, StandInLocalization, Walls, is_near, walls_about
 
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.messages import Event, VelocityCommand
@@ -83,7 +83,7 @@ def test_the_loop_of_the_page_arrives(project_folder: Path, capsys: pytest.Captu
     (block,) = loops
     assert f"go_to_pose({GOAL})" in block
     robot = RoomRobot(Walls.of(*ROOM), BEGIN)
-    names = {"robot": robot, "localization": Told(robot), "floor": KnownFloor(robot.walls.grid(*SIZE_M))}
+    names = {"robot": robot, "localization": StandInLocalization(robot), "floor": KnownFloor(robot.walls.grid(*SIZE_M))}
     exec(block, names)
     navigator = names["navigator"]
     assert isinstance(navigator, Navigator)

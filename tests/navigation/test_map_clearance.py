@@ -69,7 +69,7 @@ def test_who_is_lost_where_the_map_lets_it_turn_to_no_side_backs_up_to_look() ->
     hasty = NavigationSettings(behaviours=BehaviourSettings(wait_s=0.5, search_m=0.0))
     ride = Ride.of(Walls.of(*room), (2.2, 3.0, 0.0), (8.0, 6.0), Walls.of(*mapped), hasty)
     vague = np.diag([4.0, 4.0, 1e-6, 1e-6, 1e-6, 0.01])
-    ride.told.says = lambda estimate: replace(estimate, status=Status.COASTING, covariance=vague)
+    ride.localization.says = lambda estimate: replace(estimate, status=Status.COASTING, covariance=vague)
     ride.navigator.go_to_pose((6.0, 3.0, 0.0))
     ride.go(12.0, until=lambda: ride.robot.base.pose[0] < 2.0)
     searches = [one for one in ride.transitions if one.after is NavigationState.RECOVERING]

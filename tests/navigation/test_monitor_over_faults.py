@@ -191,7 +191,7 @@ def behaviour_drives_on(faults: Faults) -> None:
 
 
 def localization_leaps(faults: Faults) -> None:
-    faults.ride.told.says = leaps(1)
+    faults.ride.localization.says = leaps(1)
     faults.empty_costmap()
     faults.plans_through()
     faults.controller(Asks(ControlResult(FULL)))
@@ -203,7 +203,7 @@ def controller_asks_anything(faults: Faults) -> None:
 
 
 def all_is_wrong(faults: Faults) -> None:
-    faults.ride.told.says = leaps(3)
+    faults.ride.localization.says = leaps(3)
     faults.plans_through()
     faults.empty_costmap()
     faults.controller(AsksAnything(19))

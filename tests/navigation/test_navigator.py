@@ -248,7 +248,7 @@ def test_lost_on_the_way_it_stands_and_goes_on_when_it_knows() -> None:
         is_lost = estimate.stamp_s < lost_s + 3.0
         return replace(estimate, status=Status.LOST, T_odom_body=None, covariance=None) if is_lost else estimate
 
-    subject.told.says = says
+    subject.localization.says = says
     subject.go(2)
     assert subject.robot.base.stands
     assert subject.navigator.state is NavigationState.RECOVERING
@@ -262,7 +262,7 @@ def test_of_a_place_that_is_known_too_badly_it_looks_about_and_gives_up_as_when_
     subject.navigator.go_to_pose(GOAL)
     subject.go(2)
     vague = np.diag([4.0, 4.0, 1e-6, 1e-6, 1e-6, 0.01])
-    subject.told.says = lambda estimate: replace(estimate, status=Status.COASTING, covariance=vague)
+    subject.localization.says = lambda estimate: replace(estimate, status=Status.COASTING, covariance=vague)
     subject.go(30)
     result = not_none(subject.navigator.result)
     assert result.reason is NavigationReason.LOST
@@ -279,7 +279,7 @@ def by(status: Status, sigma_m: float = 1e-3, off_m: float = 0.0) -> Callable[[E
 def test_while_its_start_is_not_confirmed_it_drives_slowly_and_has_not_arrived() -> None:
     """It looks around at the goal; what it sees there refutes its place, and it gives up."""
     subject = ride(settings=HASTY)
-    subject.told.says = by(Status.UNCONFIRMED)
+    subject.localization.says = by(Status.UNCONFIRMED)
     subject.navigator.go_to_pose(NEAR)
     fastest_m_s = 0.0
 
@@ -292,7 +292,7 @@ def test_while_its_start_is_not_confirmed_it_drives_slowly_and_has_not_arrived()
     assert subject.navigator.state is NavigationState.RECOVERING
     assert 0.1 < fastest_m_s < subject.navigator.settings.monitor.coasting_m_s + 0.02
     assert np.hypot(*(subject.robot.base.pose[:2] - NEAR[:2])) < 0.12
-    subject.told.says = by(Status.INITIALIZING)
+    subject.localization.says = by(Status.INITIALIZING)
     subject.go(30)
     result = not_none(subject.navigator.result)
     assert (result.has_arrived, result.reason) == (False, NavigationReason.LOST)
@@ -301,21 +301,21 @@ def test_while_its_start_is_not_confirmed_it_drives_slowly_and_has_not_arrived()
 
 def test_at_a_goal_that_is_confirmed_while_it_looks_around_it_has_arrived() -> None:
     subject = ride(settings=HASTY)
-    subject.told.says = by(Status.UNCONFIRMED)
+    subject.localization.says = by(Status.UNCONFIRMED)
     subject.navigator.go_to_pose(NEAR)
     subject.go(40, until=lambda: subject.navigator.state is NavigationState.RECOVERING)
-    subject.told.says = by(Status.TRACKING)
+    subject.localization.says = by(Status.TRACKING)
     subject.go(40)
     assert not_none(subject.navigator.result).has_arrived
 
 
 def test_a_pose_that_is_corrected_by_the_look_around_moves_the_robot_to_the_goal() -> None:
     subject = ride(settings=HASTY)
-    subject.told.says = by(Status.TRACKING, sigma_m=0.1, off_m=0.2)
+    subject.localization.says = by(Status.TRACKING, sigma_m=0.1, off_m=0.2)
     subject.navigator.go_to_pose(NEAR)
     subject.go(40, until=lambda: subject.navigator.state is NavigationState.RECOVERING)
     assert np.hypot(*(subject.robot.base.pose[:2] - NEAR[:2])) > 0.15
-    subject.told.says = by(Status.TRACKING)
+    subject.localization.says = by(Status.TRACKING)
     subject.go(60)
     assert not_none(subject.navigator.result).has_arrived
     assert np.hypot(*(subject.robot.base.pose[:2] - NEAR[:2])) < 0.12
@@ -323,7 +323,7 @@ def test_a_pose_that_is_corrected_by_the_look_around_moves_the_robot_to_the_goal
 
 def test_a_pose_that_stays_uncertain_is_no_arrival_and_it_says_how_far_off_it_may_be() -> None:
     subject = ride(settings=HASTY)
-    subject.told.says = by(Status.TRACKING, sigma_m=0.1)
+    subject.localization.says = by(Status.TRACKING, sigma_m=0.1)
     subject.navigator.go_to_pose(NEAR)
     subject.go(60)
     result = not_none(subject.navigator.result)
@@ -337,9 +337,9 @@ def test_a_warning_about_a_sensor_is_reported_with_the_status() -> None:
     subject.navigator.go_to_pose(NEAR)
     subject.go(1)
     assert status_words(subject.navigator.feedback) == "knows where it is"
-    subject.told.warnings = ("the gyroscope was left out", "the left wheel was left out")
+    subject.localization.warnings = ("the gyroscope was left out", "the left wheel was left out")
     subject.go(1)
-    assert subject.navigator.feedback.warnings == subject.told.warnings
+    assert subject.navigator.feedback.warnings == subject.localization.warnings
     assert status_words(subject.navigator.feedback) == "knows where it is; the left wheel was left out"
 
 
@@ -347,7 +347,9 @@ def test_lost_for_good_it_gives_up() -> None:
     subject = ride(settings=HASTY)
     subject.navigator.go_to_pose(GOAL)
     subject.go(2)
-    subject.told.says = lambda estimate: replace(estimate, status=Status.LOST, T_odom_body=None, covariance=None)
+    subject.localization.says = lambda estimate: replace(
+        estimate, status=Status.LOST, T_odom_body=None, covariance=None
+    )
     subject.go(30)
     assert not_none(subject.navigator.result).reason is NavigationReason.LOST
     assert subject.robot.base.stands
@@ -356,13 +358,13 @@ def test_lost_for_good_it_gives_up() -> None:
 def test_not_yet_in_the_map_it_turns_to_look(monkeypatch: pytest.MonkeyPatch) -> None:
     whole_looks(monkeypatch)
     subject = ride()
-    subject.told.says = lambda estimate: replace(estimate, status=Status.INITIALIZING)
+    subject.localization.says = lambda estimate: replace(estimate, status=Status.INITIALIZING)
     subject.navigator.go_to_pose(NEAR)
     subject.go(6)
     assert subject.navigator.state is NavigationState.RECOVERING
     assert abs(subject.robot.base.pose[2]) > 0.5
     assert np.hypot(*(subject.robot.base.pose[:2] - BESIDE[:2])) < 0.05
-    subject.told.says = lambda estimate: estimate
+    subject.localization.says = lambda estimate: estimate
     subject.go(60)
     assert not_none(subject.navigator.result).has_arrived
 
@@ -371,7 +373,7 @@ def test_begun_before_a_wall_that_leaves_no_room_to_turn_it_backs_up_to_look(mon
     monkeypatch.setattr("wheelsight.navigation.behaviours._REFUSED_S", 0.5)
     face_m = BESIDE[0] + 0.9
     subject = ride((*ROOM, ((face_m, 2.0), (face_m, 4.0))), settings=NavigationSettings())
-    subject.told.says = lambda estimate: replace(estimate, status=Status.INITIALIZING)
+    subject.localization.says = lambda estimate: replace(estimate, status=Status.INITIALIZING)
     subject.navigator.go_to_pose(BESIDE[:2])
     subject.go(15, until=lambda: abs(subject.robot.base.pose[2]) > 1.0)
     assert abs(subject.robot.base.pose[2]) > 1.0
@@ -447,7 +449,7 @@ def test_a_localization_that_fails_ends_it() -> None:
     def says(estimate: Estimate) -> Estimate:
         raise ArgumentError("depth of another size", fix="give it")
 
-    subject.told.says = says
+    subject.localization.says = says
     subject.go(5)
     result = not_none(subject.navigator.result)
     assert result.reason is NavigationReason.LOCALIZATION

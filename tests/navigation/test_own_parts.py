@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import Ride, RoomRobot, Told, Walls, is_near, walls_about
+from navigation.rooms import Ride, RoomRobot, StandInLocalization, Walls, is_near, walls_about
 
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.geometry import FloatArray
@@ -67,9 +67,9 @@ def fails() -> Any:
 
 def ride(walls: tuple, mapped: tuple | None = None, settings: NavigationSettings = HASTY, **parts: Any) -> Ride:
     robot, transitions = RoomRobot(Walls.of(*walls), START), list[Any]()
-    told, floor = Told(robot), KnownFloor(Walls.of(*(mapped or walls)).grid(*SIZE_M))
+    localization, floor = StandInLocalization(robot), KnownFloor(Walls.of(*(mapped or walls)).grid(*SIZE_M))
     how: dict[str, Any] = {"trusts_floor": True, "on_transition": transitions.append}
-    return Ride(robot, told, Navigator(robot, told, floor, settings, **how, **parts), transitions)
+    return Ride(robot, localization, Navigator(robot, localization, floor, settings, **how, **parts), transitions)
 
 
 @pytest.mark.slow

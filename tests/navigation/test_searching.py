@@ -30,7 +30,7 @@ SLOW = NavigatorSettings(lost_s=60.0)
 def ride_of_one_that_begins(walls: tuple, behaviours: BehaviourSettings | None = None) -> Ride:
     settings = NavigationSettings(navigator=SLOW, behaviours=behaviours or BehaviourSettings())
     ride = Ride.of(Walls.of(*walls), BEGIN, SIZE_M, Walls.of(*ROOM), settings)
-    ride.told.says = lambda estimate: replace(estimate, status=Status.INITIALIZING)
+    ride.localization.says = lambda estimate: replace(estimate, status=Status.INITIALIZING)
     ride.navigator.go_to_pose((6.0, 3.0, 0.0))
     return ride
 
@@ -58,7 +58,9 @@ def test_with_no_way_to_search_it_only_turns() -> None:
 
 def test_before_wheels_were_heard_it_stands_and_says_so_in_the_end() -> None:
     ride = ride_of_one_that_begins(ROOM)
-    ride.told.says = lambda estimate: replace(estimate, status=Status.INITIALIZING, T_odom_body=None, covariance=None)
+    ride.localization.says = lambda estimate: replace(
+        estimate, status=Status.INITIALIZING, T_odom_body=None, covariance=None
+    )
     ride.go(2.0)
     assert not_none(ride.navigator.feedback.monitor).state is MonitorState.STOPPED
     ride.go(70.0)

@@ -25,7 +25,7 @@ def ticks(time_s: float, stamp_s: float | None = None) -> WheelTicks:
     return WheelTicks(time_s if stamp_s is None else stamp_s, count, count)
 
 
-def told(stamp_s: float, x: float, status: Status = Status.TRACKING, sigma_m: float = 0.01) -> Estimate:
+def estimate_of(stamp_s: float, x: float, status: Status = Status.TRACKING, sigma_m: float = 0.01) -> Estimate:
     return Estimate(stamp_s, status, se3.from_plane(x, 0.0, 0.0), np.diag([sigma_m**2] * 3 + [0.0] * 3), body="base")
 
 
@@ -38,7 +38,7 @@ def rolled(until_s: float) -> WhereNow:
 
 def test_the_wheels_carry_the_last_answer_on() -> None:
     where = rolled(1.0)
-    where.answer(told(0.6, 7.0))
+    where.answer(estimate_of(0.6, 7.0))
     assert not_none(where.state).pose == pytest.approx((7.0 + 0.4 * SPEED_M_S, 0.0, 0.0), abs=2e-3)
     assert not_none(where.odom_pose) == pytest.approx(not_none(where.state).pose)
     assert not_none(where.state).forward_m_s == pytest.approx(SPEED_M_S, rel=0.05)
@@ -46,7 +46,7 @@ def test_the_wheels_carry_the_last_answer_on() -> None:
 
 def test_in_the_map_it_is_where_that_lies() -> None:
     where = rolled(0.2)
-    where.answer(replace(told(0.2, 1.0), T_map_odom=se3.from_plane(0.0, 2.0, np.pi / 2)))
+    where.answer(replace(estimate_of(0.2, 1.0), T_map_odom=se3.from_plane(0.0, 2.0, np.pi / 2)))
     assert not_none(where.state).pose == pytest.approx((0.0, 3.0, np.pi / 2), abs=1e-6)
     assert where.T_map_odom == pytest.approx((0.0, 2.0, np.pi / 2))
 
@@ -55,7 +55,7 @@ def test_in_the_map_it_is_where_that_lies() -> None:
 def test_where_it_is_not_known_there_is_no_state(status: Status) -> None:
     where = rolled(0.2)
     assert where.state is None
-    where.answer(told(0.2, 1.0, status))
+    where.answer(estimate_of(0.2, 1.0, status))
     assert where.state is None
     assert where.is_rolling is (status is not Status.LOST)
 
@@ -63,16 +63,16 @@ def test_where_it_is_not_known_there_is_no_state(status: Status) -> None:
 def test_accuracy_is_that_of_the_pose_in_the_map_and_of_the_way_since() -> None:
     assert rolled(1.0).accuracy == (np.inf, np.inf)
     where = rolled(1.0)
-    where.answer(told(1.0, 7.0))
+    where.answer(estimate_of(1.0, 7.0))
     assert where.accuracy is None  # without loops there is no covariance in the map
     C = np.diag([0.02**2, 0.01**2, 0.0, 0.0, 0.0, 0.03**2])
-    where.answer(replace(told(1.0, 0.0), covariance_map=C))
+    where.answer(replace(estimate_of(1.0, 0.0), covariance_map=C))
     quantiles = np.sqrt(chi2.ppf(0.95, [2, 1]))
     assert where.accuracy == pytest.approx(quantiles * (0.02, 0.03), rel=0.01)
     for n in range(51, 61):
         where.roll(ticks(0.02 * n))
     assert not_none(where.accuracy)[0] == pytest.approx(quantiles[0] * np.hypot(0.02, 0.05 * 0.2 * SPEED_M_S), rel=0.02)
-    where.answer(replace(told(1.2, 0.0, Status.UNCONFIRMED), covariance_map=C))
+    where.answer(replace(estimate_of(1.2, 0.0, Status.UNCONFIRMED), covariance_map=C))
     assert where.accuracy == (np.inf, np.inf)
 
 
@@ -90,9 +90,9 @@ def test_a_reading_stamped_right_after_another_is_no_burst_of_speed() -> None:
 
 def test_while_it_coasts_it_says_how_much_less_sure_it_became() -> None:
     where = rolled(0.2)
-    where.answer(told(0.2, 1.0, sigma_m=0.3))
+    where.answer(estimate_of(0.2, 1.0, sigma_m=0.3))
     assert where.grown_sigma_m == 0.0
-    where.answer(told(0.3, 1.0, Status.COASTING, sigma_m=0.5))
+    where.answer(estimate_of(0.3, 1.0, Status.COASTING, sigma_m=0.5))
     assert where.grown_sigma_m == pytest.approx(0.4, abs=0.01)
 
 

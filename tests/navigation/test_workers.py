@@ -170,7 +170,7 @@ def moved_by(subject: Ride, x_m: float) -> None:
     def says(estimate: Estimate) -> Estimate:
         return replace(estimate, T_map_odom=T)
 
-    subject.told.says = says
+    subject.localization.says = says
 
 
 def test_it_drives_on_while_its_next_plan_is_made() -> None:

@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from navigation.rooms import CELL_M, MOUNT, WHEELS, Ride, RoomRobot, Told, Wall, Walls
+from navigation.rooms import CELL_M, MOUNT, WHEELS, Ride, RoomRobot, StandInLocalization, Wall, Walls
 from places.seen_room import frame_at, kept, seen
 from synthetic import BOXES, CAMERA, ROOM
 
@@ -101,4 +101,4 @@ def painted_ride(
     with closing(LocalizerInStep(localizer)) as localization:
         how = {"trusts_floor": True, "on_transition": transitions.append}
         navigator = Navigator(robot, localization, KnownFloor(_grid()), config.navigation, **how)  # type: ignore[arg-type]
-        yield Ride(robot, Told(robot), navigator, transitions)
+        yield Ride(robot, StandInLocalization(robot), navigator, transitions)

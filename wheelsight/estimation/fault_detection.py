@@ -703,7 +703,7 @@ class SensorHealth:
         self.warnings: tuple[str, ...] = ()
         # Of each sensor: how often it was left out, and the last time from when, until when, and why.
         self._found: dict[RobotSensor, tuple[int, float, float, str]] = {}
-        self.is_suspicious = self.is_without_wheels = self._has_news = False
+        self.is_suspicious = self.is_without_wheels = self.is_armed = self._has_news = False
         self.accused: RobotSensor | None = None
         self._half_m = track_m / 2
         self._T_base_camera, self._T_camera_base = T_base_camera, motions.inverse(T_base_camera)
@@ -714,8 +714,8 @@ class SensorHealth:
         self._waiting: deque[tuple[float, FloatArray, bool]] = deque(maxlen=8)
         self._pieces: deque[Piece] = deque(maxlen=_DESCRIBED)
         self._usual = Usual(np.ones(2), 0.0, _BIAS_SIGMA_RAD_S)
-        self._weights, self.is_armed = np.full(2, _RATIO_PRIOR_M), False
-        self._unproven_s: float | None = None  # since when a restarted camera has not agreed yet
+        self._weights = np.full(2, _RATIO_PRIOR_M)
+        self._is_unproven = False  # whether a restarted camera has not agreed yet
         # Way, time and turn over which a faulty sensor agrees again, and over which it has to.
         self._sound = {sensor: np.zeros(3) for sensor in RobotSensor}
         self._again: dict[RobotSensor, tuple[float, float, float]] = {}
@@ -765,7 +765,7 @@ class SensorHealth:
         for scale in self._scales:
             scale.begin = math.nan, scale.begin[1]
         if restarted_s is not None and self.is_armed and CAMERA not in self.faults:
-            self._unproven_s = restarted_s
+            self._is_unproven = True
             self._scales[0].suspect(CAMERA, restarted_s)
 
     def add_frame(self, stamp_s: float, T_map_camera: FloatArray, *, shows_all: bool = True) -> None:
@@ -780,7 +780,7 @@ class SensorHealth:
             now_s, T, shows_all = self._waiting.popleft()
             for scale in self._scales:
                 (begin_s, T_begin), scale.shows_all = scale.begin, scale.shows_all and shows_all
-                is_over = now_s - begin_s >= (scale.piece_s if self._unproven_s is None else _SHORTEST_S)
+                is_over = now_s - begin_s >= (_SHORTEST_S if self._is_unproven else scale.piece_s)
                 if is_over or not now_s - begin_s <= _GAP_S:
                     piece = self._piece(begin_s, T_begin, now_s, T) if now_s - begin_s <= _GAP_S else None
                     if piece is not None:
@@ -824,7 +824,7 @@ class SensorHealth:
         if is_first:
             self._pieces.append(piece)
             if ratios[of_sensors(ratios)[CAMERA]] <= _AGREES_NATS:
-                self._unproven_s = None
+                self._is_unproven = False
         if self.is_armed:
             self._end_faults(piece, is_first)
             scale.add(ratios, piece)
@@ -839,7 +839,7 @@ class SensorHealth:
         shows_in_turns = sensor is GYRO or scale.places[sensor] == _MIRRORED
         self._again[sensor] = (_AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD if shows_in_turns else 0.0)
         if sensor is CAMERA:
-            self._unproven_s = None
+            self._is_unproven = False
         for one in self._scales:  # what this fault explains accuses no other sensor
             one.clear(piece.end_s)
         pieces = [one for one in self._pieces if one.end_s > begin_s]

@@ -276,8 +276,7 @@ class ByFusion:
         anchor = self._map.anchor
         if anchor is None:
             return self._begin(frame, seen)
-        place = None if self.loops is None else self.loops.confirmation
-        if place is not None and place.is_refuted:
+        if self.loops is not None and self.loops.confirmation.is_refuted:
             return self._lose(frame, seen, restarts=True)
         shows_all = seen.motion.shows_all
         self._check.add_tracked(frame, seen, shows_all=shows_all)
@@ -403,8 +402,7 @@ class ByFusion:
             self._replace_filter(self.filter.begun_at(T_odom_base, spread))
         first = len(self.odometry.store)
         T_map_camera = self._map.camera_at(T_odom_base)
-        place = None if self.loops is None else self.loops.confirmation
-        if self.loops is None or not (self._kidnap.is_kidnapped or (place is not None and place.is_refuted)):
+        if self.loops is None or not (self._kidnap.is_kidnapped or self.loops.confirmation.is_refuted):
             again = self._camera.restart(frame, T_map_camera, wheels.covariance)
         else:
             again = self._camera.restart(frame, self.loops.apart(T_map_camera), wheels.covariance)
@@ -484,11 +482,11 @@ class ByFusion:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """One sentence for each fault of the gyroscope or of the calibration."""
-        of_gyro = self._base.warnings if self._base.has_gyro else ()
-        of_gyro += () if self._health is None else self._health.warnings
-        of_gyro += () if self.loops is None or self.loops.confirmation is None else self.loops.confirmation.warnings
-        return (*of_gyro, *self._check.verdict.warnings) if self._check.verdict.is_sure else of_gyro
+        """One sentence for each fault of a sensor or of the calibration, and for a wrong place in a known map."""
+        found = self._base.warnings if self._base.has_gyro else ()
+        found += () if self._health is None else self._health.warnings
+        found += () if self.loops is None else self.loops.confirmation.warnings
+        return found + self._check.verdict.warnings if self._check.verdict.is_sure else found
 
     @property
     def last_place(self) -> PlaceMatch | None:

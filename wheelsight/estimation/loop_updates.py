@@ -61,7 +61,7 @@ class LoopsBeside:
     Attributes:
         is_laid: whether loops have placed the robot's piece of map, at whatever certainty.
         is_joined: whether the pose of that piece is known well enough.
-        confirmation: of the place in the known map; None without a map.
+        confirmation: of the place in the known map.
         tracked_s: stamp of the last frame in `add_tracked`.
     """
 
@@ -89,8 +89,8 @@ class LoopsBeside:
         self._loops: IntArray = np.zeros((0, 2), np.int64)
         self._pieces: list[int] = [0]  # numbers of their first keyframes
         self.is_laid, self.is_joined, self._is_new = True, True, False
-        is_given = known is not None and known.start is not None
-        self.confirmation = None if known is None or not len(store) else PlaceConfirmation(is_given=is_given)
+        self._has_known = known is not None and len(store) > 0
+        self.confirmation = PlaceConfirmation(is_given=known is not None and known.start is not None)
         if known is not None and len(store) and known.start is None:
             self.begin_piece(KeyframeId(len(store)))
             self._is_new = True  # the robot has not been localized in this map yet
@@ -262,7 +262,7 @@ class LoopsBeside:
         if not self.is_joined:
             return PoseEvidence(PoseFinding.NOT_RECOGNISED if self._is_new else PoseFinding.PLACE_UNCERTAIN)
         doubt = None
-        if self.confirmation is not None and T_odom_body is not None:
+        if self._has_known and T_odom_body is not None:
             doubt = self.confirmation.update(stamp_s, T_odom_body, self._live.recognised_views, self._live.missed)
         if doubt is not None and status in (Status.TRACKING, Status.COASTING):
             return PoseEvidence(doubt, covariance_map=C)
@@ -283,9 +283,9 @@ class LoopsBeside:
         """Begin a piece of map, apart from the others, at a keyframe."""
         self._pieces.append(keyframe)
         self.is_laid = self.is_joined = self._was_sure = False
-        if self.confirmation is not None and self.confirmation.is_refuted:
+        if self.confirmation.is_refuted:
             self._is_new = True
-            self.confirmation.forget(self._live.recognised_views)
+            self.confirmation.reset(self._live.recognised_views)
 
     def tie(self, number: int) -> bool:
         """Whether loops connect keyframes from `number` on to older ones, from views as far apart as between pieces.
@@ -363,8 +363,7 @@ class PlaceConfirmation:
             missed: number of keyframes in a row that were not recognised though they lie among those of the map.
         """
         if recognised - self._recognised >= (_CONFIRM_VIEWS if self._is_given else 1):
-            self._recognised, self._since = recognised, None
-            self._is_doubtful = self._is_given = self.is_refuted = False
+            self.reset(recognised)
         self._is_doubtful |= missed >= _MOST_MISSED
         if not self._is_doubtful:
             return None
@@ -381,8 +380,8 @@ class PlaceConfirmation:
             self.warnings = (f"nothing looks like the map {where} {within}: the place was wrong, or it is another map",)
         return PoseFinding.NOT_RECOGNISED if self.is_refuted else PoseFinding.UNCONFIRMED
 
-    def forget(self, recognised: int) -> None:
-        """Forget a place that was refuted, after `recognised` views."""
+    def reset(self, recognised: int) -> None:
+        """Begin again without a doubt, after `recognised` views: a place is confirmed, or a piece of map begins."""
         self._is_doubtful = self._is_given = self.is_refuted = False
         self._recognised, self._since = recognised, None
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from wheelsight.core.errors import MapError
 from wheelsight.core.files import StrPath, output_error, write_bytes, write_text
 from wheelsight.core.geometry import MOST_PIXELS, ByteArray, FloatArray, se2
-from wheelsight.core.inputs import Kind, is_there, line_of, picture_size, read_bytes, read_yaml, scan_count
+from wheelsight.core.inputs import PNM_GAP, Kind, is_there, line_of, picture_size, read_bytes, read_yaml, scan_count
 
 OCCUPIED, FREE, UNKNOWN = 100, 0, -1
 # The thresholds that map_server documents and map_saver writes; defaults where a YAML file states none.
@@ -35,7 +35,7 @@ _LARGEST_CELL_M = 10.0
 _LARGEST_SPAN_M = 10_000.0
 _OPAQUE, _DEEPEST = 255, 65535
 # A portable grey or colour map states the value of white. Not all decoders scale by it.
-_PNM_WHITE = re.compile(rb"P[2356](?:(?:\s|#[^\n]*\n)+\d{1,9}){2}(?:\s|#[^\n]*\n)+(\d{1,5})\s")
+_PNM_WHITE = re.compile(rb"P[2356](?:%b\d{1,9}){2}%b(\d{1,5})\s" % (PNM_GAP, PNM_GAP))
 _PNM_REACH = 2048
 # NaN as C and C++ programs print it: nan, -nan, -nan(ind), 1.#QNAN.
 _NOT_A_NUMBER = re.compile(r"[-+]?(\.?nan\b.*|1\.#.*)", re.IGNORECASE)

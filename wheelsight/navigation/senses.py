@@ -475,9 +475,8 @@ class WhereNow:
             return math.inf, math.inf
         if estimate.covariance_map is None or not math.isfinite(held.sigma_m):
             return None
-        x, y, _ = se2.to_parts(se2.invert(held.T_wheels) @ self._rolled_at(math.inf))
         sigma_rad = math.sqrt(max(float(estimate.covariance_map[5, 5]), 0.0))
-        return _95_IN_PLANE * math.hypot(held.sigma_m, _WHEELS_SHARE * math.hypot(x, y)), _95_OF_ONE * sigma_rad
+        return _95_IN_PLANE * held.sigma_m_at(self._rolled_at(math.inf)), _95_OF_ONE * sigma_rad
 
     @property
     def odom_pose(self) -> FloatArray | None:
@@ -564,10 +563,16 @@ class HeldPlace:
         """Return (3, 3), the pose of the base when the wheels' own pose is (3, 3)."""
         return np.asarray(self.T_map_base @ se2.invert(self.T_wheels) @ T_wheels)
 
+    def _way_m(self, T_wheels: FloatArray) -> float:
+        x, y, _ = se2.to_parts(se2.invert(self.T_wheels) @ T_wheels)
+        return float(np.hypot(x, y))
+
+    def sigma_m_at(self, T_wheels: FloatArray) -> float:
+        """Return the standard deviation of the carried pose when the wheels' own pose is (3, 3)."""
+        return float(np.hypot(self.sigma_m, _WHEELS_SHARE * self._way_m(T_wheels)))
+
     def holds(self, sigma_m: float, T_wheels: FloatArray, stamp_s: float) -> bool:
         """Return whether it is still better than a new estimate with the deviation `sigma_m`."""
-        x, y, _ = se2.to_parts(se2.invert(self.T_wheels) @ T_wheels)
-        way_m = float(np.hypot(x, y))
-        is_late = stamp_s - self.stamp_s > _HOLD_S or way_m > _HOLD_M
-        is_sure = sigma_m <= max(float(np.hypot(self.sigma_m, _WHEELS_SHARE * way_m)), _SURE_M)
+        is_late = stamp_s - self.stamp_s > _HOLD_S or self._way_m(T_wheels) > _HOLD_M
+        is_sure = sigma_m <= max(self.sigma_m_at(T_wheels), _SURE_M)
         return not is_late and not is_sure and np.isfinite(sigma_m)

@@ -293,13 +293,13 @@ class DriveGraph(PieceGraph):
         alike = np.flatnonzero((pieces == pieces[-1]) & (pieces > 0))
         return tuple(KeyframeId(int(number)) for number in alike)
 
-    def near(self, limit_m: float) -> tuple[KeyframeId, ...]:
-        """Return keyframes of the last one's piece within a distance of it, the nearest first.
+    def near(self, limit_m: float) -> dict[KeyframeId, float]:
+        """Return keyframes of the last one's piece within a distance of it, the nearest first, each with its distance.
 
         A turn by a radian counts as 1.5 m.
         """
         poses, pieces = self.poses, self.pieces
         apart_m = se3.view_shift_m(se3.invert(poses[:-1]) @ poses[-1])
         apart_m[pieces[:-1] != pieces[-1]] = np.inf
-        order = np.argsort(apart_m)
-        return tuple(KeyframeId(int(number)) for number in order[: np.count_nonzero(apart_m < limit_m)])
+        order = np.argsort(apart_m)[: np.count_nonzero(apart_m < limit_m)]
+        return {KeyframeId(int(number)): float(apart_m[number]) for number in order}

@@ -164,11 +164,12 @@ class LiveLoops:
         """Process one keyframe in the thread."""
         started = time.perf_counter()
         self._graph.add(keyframe)
-        loops: tuple[RelativePose, ...] = ()
-        is_expected = has_time and any(number < self._known for number in self._graph.near(_SAME_VIEW_M))
+        loops, is_expected = tuple[RelativePose, ...](), False
         if has_time:
             near = self._graph.near(_NEAR_M)
-            loops = self._watcher.find_loops(keyframe.number, near, self._graph.unjoined)
+            if self._known:
+                is_expected = any(number < self._known and apart_m < _SAME_VIEW_M for number, apart_m in near.items())
+            loops = self._watcher.find_loops(keyframe.number, tuple(near), self._graph.unjoined)
         else:
             self._watcher.add(keyframe.number)
         alignment = keyframe.seen_from
@@ -184,10 +185,16 @@ class LiveLoops:
     def request_place(self, revisit: Revisit) -> None:
         """Request the pose and covariance of a revisited keyframe. A busy thread skips the request."""
         if revisit.number < self._known:
-            self._recognised, self.recognised_views, self.missed = self._recognised + 1, self.recognised_views + 1, 0
+            self._count_recognitions(1)
         if self._thread is not None and (self._waits or not self._waiting):
             found = self._thread.submit(lambda: KeyframeResult(None, self._graph.place(revisit)))
             self._waiting.append((revisit.stamp_s, found))
+
+    def _count_recognitions(self, of_a_view: int) -> None:
+        """Count the recognitions of the known map by a view."""
+        self._recognised += of_a_view
+        self.recognised_views += 1
+        self.missed = 0
 
     def add_revisit(self, revisit: Revisit) -> None:
         """Add a revisit of a keyframe to the points that the corrected trajectory follows."""
@@ -208,11 +215,10 @@ class LiveLoops:
             newest = newest if found.update is None else found.update
             self.place = found.place
             recognised = sum(tie.first < self._known <= tie.second for tie in found.ties)
-            self._recognised, self.recognised_views = (
-                self._recognised + recognised,
-                self.recognised_views + bool(recognised),
-            )
-            self.missed = 0 if recognised else self.missed + found.is_expected
+            if recognised:
+                self._count_recognitions(recognised)
+            else:
+                self.missed += found.is_expected
             for tie in found.ties:
                 self._store.add_loop(tie.first, tie.second)
         return newest

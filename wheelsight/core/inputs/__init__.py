@@ -1,6 +1,7 @@
 """Readers of untrusted files: regular files only, text, YAML, JSON, arrays and headers of images, all bounded."""
 
 from wheelsight.core.inputs.gate import (
+    PNM_GAP,
     ArrayFile,
     ArrayHeader,
     Kind,
@@ -29,6 +30,7 @@ from wheelsight.core.inputs.text import (
 )
 
 __all__ = [
+    "PNM_GAP",
     "YAML_FILE",
     "ArrayFile",
     "ArrayHeader",

@@ -419,8 +419,9 @@ _PNG_BITS, _PNG_COLORS = (1, 2, 4, 8, 16), (0, 2, 3, 4, 6)
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _JPEG_BARE = frozenset([0x01, *range(0xD0, 0xD9)])
 _JPEG_SCAN = 0xDA
-# No repetition within a repetition: a long run of spaces would take exponential time.
-_PNM = re.compile(rb"P[1-6](?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s")
+# Between the numbers of a header. No repetition within a repetition: a run of spaces would take exponential time.
+PNM_GAP = rb"(?:\s|#[^\n]*\n)+"
+_PNM = re.compile(rb"P[1-6]%b(\d{1,9})%b(\d{1,9})\s" % (PNM_GAP, PNM_GAP))
 _PNM_REACH = 1024
 _TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_SAMPLES, _TIFF_TILE_WIDTH, _TIFF_TILE_HEIGHT = _TIFF_TAGS = (256, 257, 277, 322, 323)
 _TIFF_MOST_FIELDS = 512
