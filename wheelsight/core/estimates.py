@@ -156,8 +156,8 @@ class Estimate:
         stamp_s: time of the event, seconds.
         status: state of the estimate.
         T_odom_body: (4, 4) in the frame odom, or None if unknown. `body` is "camera" or "base". After a rejected wheel
-            reading it is the previous pose with a larger covariance. A localizer's pose in odom is continuous; that of
-            a filter may jump when it corrects the past.
+            reading it is the previous pose with a larger covariance. A localizer's pose in odom is continuous. A filter
+            gives T_filter_body here, which may jump when it corrects the past; `OdomFrame.framed` converts it to odom.
         covariance: (6, 6) of the left perturbation (v, ω) of `T_odom_body`, or None.
         reason: why the event yields no pose of its own, or None.
         matches: number of matches of this frame's alignment.
@@ -404,7 +404,7 @@ class PoseEvidence:
         finding: what was found.
         accused: sensors that may be wrong, each a `Culprit`.
         by: estimate of the sensors that are not accused, in place of the fused one; None for the fused one.
-        T_odom_base: (4, 4) pose, if it is not that of the estimate.
+        T_filter_base: (4, 4) pose in the filter's frame, if it is not that of the estimate.
         covariance: (6, 6) that also covers what was found, in place of that of the estimate; or None.
         covariance_map: (6, 6) of the left perturbation of the pose in the map; or None.
     """
@@ -412,7 +412,7 @@ class PoseEvidence:
     finding: PoseFinding
     accused: frozenset[Enum] = frozenset()
     by: FusedEstimate | None = None
-    T_odom_base: FloatArray | None = None
+    T_filter_base: FloatArray | None = None
     covariance: FloatArray | None = None
     covariance_map: FloatArray | None = None
 
@@ -450,7 +450,7 @@ def decide(evidence: Iterable[PoseEvidence | None], before: PoseDecision = UNDEC
         status, slip = then.status or status, slip if then.slip is None else then.slip
         is_degenerate, is_doubtful = is_degenerate or then.is_degenerate, is_doubtful or then.is_doubtful
         reason = reason or then.reason
-        T = T if one.T_odom_base is None else one.T_odom_base
+        T = T if one.T_filter_base is None else one.T_filter_base
         C = C if one.covariance is None else one.covariance
         C_map = C_map if one.covariance_map is None else one.covariance_map
     return PoseDecision(status, slip, is_degenerate, is_doubtful, reason, T, C, C_map)
@@ -467,12 +467,12 @@ class FrameUpdate:
 
     Attributes:
         answer: the estimate.
-        T_odom_base: (4, 4) pose at the time of the image; None without a cloned pose.
+        T_filter_base: (4, 4) pose in the filter's frame at the time of the image; None without a cloned pose.
         is_reference: whether the camera's next motions refer to this frame.
     """
 
     answer: FusedEstimate
-    T_odom_base: FloatArray | None
+    T_filter_base: FloatArray | None
     is_reference: bool
 
 

@@ -134,10 +134,10 @@ class BaseCheck:
         if self.by_wheels is not None:
             self._camera.add(frame.stamp_s, seen, shows_all=shows_all)
 
-    def begin(self, frame: RgbdFrame, seen: Estimate, T_odom_map: FloatArray) -> None:
-        """Note that the camera starts or restarts at a frame, with its map at `T_odom_map` (4, 4)."""
+    def begin(self, frame: RgbdFrame, seen: Estimate, T_filter_map: FloatArray) -> None:
+        """Note that the camera starts or restarts at a frame, with its map at `T_filter_map` (4, 4)."""
         self._segments.interrupt()
-        self._camera.begin(T_odom_map)
+        self._camera.begin(T_filter_map)
         if self.by_wheels is not None:
             self._camera.add(frame.stamp_s, seen, shows_all=True)
 
@@ -431,21 +431,21 @@ class CameraPoses:
         self.frames = self.tracked = 0
         self.waiting: deque[tuple[float, FloatArray | None]] = deque(maxlen=_WAITING_FRAMES)
         self._T_camera_base = motions.inverse(T_base_camera)
-        self._T_odom_map: FloatArray | None = None
-        self._seen: tuple[Estimate, FloatArray, FloatArray] | None = None  # the last one, T_odom_map, T_map_base
+        self._T_filter_map: FloatArray | None = None
+        self._seen: tuple[Estimate, FloatArray, FloatArray] | None = None  # the last one, T_filter_map, T_map_base
 
-    def begin(self, T_odom_map: FloatArray) -> None:
-        """Start or restart: no motion continues from earlier frames. The first map defines odom."""
+    def begin(self, T_filter_map: FloatArray) -> None:
+        """Start or restart: no motion continues from earlier frames. The first map defines the filter's frame."""
         self.waiting.clear()
-        if self._T_odom_map is None:
-            self._T_odom_map = T_odom_map.copy()
+        if self._T_filter_map is None:
+            self._T_filter_map = T_filter_map.copy()
 
     def add(self, stamp_s: float, seen: Estimate, *, shows_all: bool) -> None:
         """Add the pose T_map_camera of a frame, and whether it shows all directions."""
-        if self._T_odom_map is None or seen.T_odom_body is None:
+        if self._T_filter_map is None or seen.T_odom_body is None:
             return
         T_map_base = motions.times(seen.T_odom_body, self._T_camera_base)
-        self._seen = seen, self._T_odom_map, T_map_base
+        self._seen = seen, self._T_filter_map, T_map_base
         if shows_all:
             self.newest = stamp_s, T_map_base
         self.waiting.append((stamp_s, T_map_base if shows_all else None))
@@ -454,21 +454,21 @@ class CameraPoses:
         """Apply a correction (4, 4) of the map, from the left, at the camera. Waiting frames are dropped."""
         self.waiting.clear()
         self.newest = None
-        if self._T_odom_map is not None:
-            self._T_odom_map = motions.times(self._T_odom_map, motions.inverse(T_new_old))
+        if self._T_filter_map is not None:
+            self._T_filter_map = motions.times(self._T_filter_map, motions.inverse(T_new_old))
 
     @property
     def seen(self) -> tuple[FloatArray, FloatArray] | None:
-        """T_odom_base (4, 4) at the last tracked frame, by the camera alone, and its covariance (6, 6)."""
+        """T_filter_base (4, 4) at the last tracked frame, by the camera alone, and its covariance (6, 6)."""
         if self._seen is None:
             return None
-        seen, T_odom_map, T_map_base = self._seen
-        C = np.zeros((6, 6)) if seen.covariance is None else motions.carried(T_odom_map, seen.covariance)
-        return motions.renormalized(motions.times(T_odom_map, T_map_base)), C
+        seen, T_filter_map, T_map_base = self._seen
+        C = np.zeros((6, 6)) if seen.covariance is None else motions.carried(T_filter_map, seen.covariance)
+        return motions.renormalized(motions.times(T_filter_map, T_map_base)), C
 
 
 class WheelPoses:
-    """Poses T_odom_base (4, 4) of the wheels, and angles of the gyroscope, over the last seconds.
+    """Poses T_odom_base (4, 4) of wheel odometry, in its own frame, and angles of the gyroscope, over the last seconds.
 
     Attributes:
         way_m: distance that the wheels rolled so far.
@@ -760,14 +760,14 @@ class KidnapDetection:
         if not self._is_inflated:
             self._from = None
 
-    def add_unknown_view(self, stamp_s: float, T_last_now: FloatArray | None, T_odom_base: FloatArray) -> None:
+    def add_unknown_view(self, stamp_s: float, T_last_now: FloatArray | None, T_filter_base: FloatArray) -> None:
         """Add the first frame that shows nothing known.
 
         Args:
             stamp_s: of the frame.
             T_last_now: (4, 4) motion of the camera, by the wheels, since the last frame with a known view; None if the
                 filter no longer remembers that.
-            T_odom_base: (4, 4) pose of the base by the wheels.
+            T_filter_base: (4, 4) pose of the base by the wheels.
         """
         stood_s = self._stood_s if self._stood_s > _STANDS_S else 0.0
         dark_s = stamp_s - self._known_s
@@ -778,16 +778,16 @@ class KidnapDetection:
             return
         self._away_s, self._up_m = dark_s + stood_s, _FLOOR_M if stood_s else 0.0
         self._was_dark = was_dark
-        self._from = T_odom_base[:2, 3].copy()
+        self._from = T_filter_base[:2, 3].copy()
 
     def waits(self, T_last_now: FloatArray | None) -> bool:
         """Whether the known view may return: by the wheels (4, 4), the camera has not moved away from it."""
         return self.is_suspected and _is_within(_SAME_VIEW_M, T_last_now)
 
-    def inflate(self, T_odom_base: FloatArray, covariance: FloatArray) -> FloatArray:
+    def inflate(self, T_filter_base: FloatArray, covariance: FloatArray) -> FloatArray:
         """Return the covariance (6, 6) at a restart of the camera, for any motion that is possible meanwhile."""
         self._is_inflated = True
-        return covariance + self._spread(T_odom_base)
+        return covariance + self._spread(T_filter_base)
 
     def restart(self) -> None:
         """Forget how long the wheels stood: the camera restarts, so its view is not that of an elevator's cabin."""
@@ -802,24 +802,24 @@ class KidnapDetection:
         if self._is_apart:
             self._from, self._is_inflated, self._is_apart = None, False, False
 
-    def evidence(self, T_odom_base: FloatArray, covariance: FloatArray) -> PoseEvidence | None:
+    def evidence(self, T_filter_base: FloatArray, covariance: FloatArray) -> PoseEvidence | None:
         """Return a larger covariance for a pose (4, 4) with its covariance (6, 6), until the heading is known again."""
         if self._from is None:
             return None
         C = covariance
         if not self._is_inflated:
-            C = C + self._spread(T_odom_base)
+            C = C + self._spread(T_filter_base)
         elif C[5, 5] < _KNOWN_TURN_RAD**2:
             self._from, self._is_inflated, self._is_apart = None, False, False
             return None
-        astray_m = _ASTRAY * float(np.linalg.norm(T_odom_base[:2, 3] - self._from))
+        astray_m = _ASTRAY * float(np.linalg.norm(T_filter_base[:2, 3] - self._from))
         C = C + np.diag(np.square([astray_m, astray_m, 0, 0, 0, 0]))
         return PoseEvidence(PoseFinding.KIDNAPPED, covariance=C)
 
-    def _spread(self, T_odom_base: FloatArray) -> FloatArray:
+    def _spread(self, T_filter_base: FloatArray) -> FloatArray:
         """Return the covariance (6, 6) of a base that was carried and turned by any angle, perhaps to another floor."""
         carried_m = _CARRIED_M_S * self._away_s
-        Ad = motions.adjoint(T_odom_base)
+        Ad = motions.adjoint(T_filter_base)
         return np.asarray(Ad @ np.diag(np.square([carried_m, carried_m, self._up_m, 0, 0, _TURNED_RAD])) @ Ad.T)
 
 
@@ -862,11 +862,11 @@ class UncertainRestart:
         """Note that loops connect keyframes since the restart to older ones."""
         self.since = None
 
-    def evidence(self, T_odom_base: FloatArray, covariance: FloatArray) -> PoseEvidence | None:
+    def evidence(self, T_filter_base: FloatArray, covariance: FloatArray) -> PoseEvidence | None:
         """Return the finding until the position of a pose (4, 4) with its covariance (6, 6) is known again."""
         if self.since is None:
             return None
-        if _variance_m2(T_odom_base, covariance) < self._enough_m2:
+        if _variance_m2(T_filter_base, covariance) < self._enough_m2:
             self.since = None
             return None
         return PoseEvidence(PoseFinding.UNCERTAIN_RESTART)

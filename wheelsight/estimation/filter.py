@@ -94,7 +94,7 @@ class ErrorStateFilter:
 
     Args:
         T_base_camera: (4, 4), or None without a camera.
-        T_odom_base: (4, 4) at the first event; None for the identity, in a frame `odom` with z up.
+        T_odom_base: (4, 4) at the first event, in the filter's frame, whose z is up; None for the identity.
         covariance: (6, 6) of its left perturbation; None for zero.
         settings: of the filter, or all its parameters; None for the defaults.
         gyro: noise of the gyroscope; None for the defaults of `Gyro`, or those of the parameters.
@@ -137,9 +137,9 @@ class ErrorStateFilter:
         """State after the newest event; immutable."""
         return self._history.newest
 
-    def begun_at(self, T_odom_base: ArrayLike, covariance: ArrayLike) -> ErrorStateFilter:
+    def begun_at(self, T_filter_base: ArrayLike, covariance: ArrayLike) -> ErrorStateFilter:
         """Return a new filter of the same sensors that starts at a pose. Raises ConfigError."""
-        return ErrorStateFilter(self._mount.T_base_camera, T_odom_base, covariance, self.parameters)
+        return ErrorStateFilter(self._mount.T_base_camera, T_filter_base, covariance, self.parameters)
 
     def predict(self, stamp_s: float, T_prev_now: ArrayLike, covariance: ArrayLike, begin_s: float) -> FusedEstimate:
         """Predict by a step of the wheels, from `begin_s` to `stamp_s`.
@@ -253,9 +253,9 @@ class ErrorStateFilter:
             covariance: (6, 6) of the camera's left perturbation, in its own frame; see `clone`.
         """
         answer = self.clone(stamp_s, FRAME)
-        T_odom_base = self.remembered(FRAME)
+        T_filter_base = self.remembered(FRAME)
         self.clone(stamp_s, REFERENCE, covariance)
-        return FrameUpdate(answer, T_odom_base, is_reference=True)
+        return FrameUpdate(answer, T_filter_base, is_reference=True)
 
     def update_frame(
         self, stamp_s: float, motion: MotionEstimate, covariance: ArrayLike, *, is_far: bool
@@ -272,10 +272,10 @@ class ErrorStateFilter:
             is_far: whether the frame is far from the reference.
         """
         answer = self.update_relative(stamp_s, motion, REFERENCE, remember=FRAME)
-        T_odom_base, is_reference = self.remembered(FRAME), is_far or answer.reason is not None or answer.doubtful
+        T_filter_base, is_reference = self.remembered(FRAME), is_far or answer.reason is not None or answer.doubtful
         if is_reference:
             self.clone(stamp_s, REFERENCE, covariance)
-        return FrameUpdate(answer, T_odom_base, is_reference)
+        return FrameUpdate(answer, T_filter_base, is_reference)
 
     def miss_frame(self, stamp_s: float, motion: MotionEstimate) -> FusedEstimate:
         """Add a frame without a motion; `motion` has the reason."""
@@ -324,14 +324,14 @@ class ErrorStateFilter:
         return float(np.sqrt(np.trace(se3.position_covariance(T, Ad @ expected[1] @ Ad.T)[:2, :2])))
 
     def when_imaged(self, stamp_s: float) -> FloatArray:
-        """Return T_odom_base (4, 4) when the image with a stamp was taken; the camera's stamps are delayed."""
+        """Return T_filter_base (4, 4) when the image with a stamp was taken; the camera's stamps are delayed."""
         self.clone(stamp_s, _IMAGED)
-        T_odom_base = self.remembered(_IMAGED)
-        assert T_odom_base is not None
-        return T_odom_base
+        T_filter_base = self.remembered(_IMAGED)
+        assert T_filter_base is not None
+        return T_filter_base
 
     def last_frame(self) -> FloatArray | None:
-        """Return the current estimate of T_odom_base (4, 4) at the last frame; None without one."""
+        """Return the current estimate of T_filter_base (4, 4) at the last frame; None without one."""
         return self.remembered(FRAME)
 
     def update_position(self, stamp_s: float, xy: ArrayLike, covariance: ArrayLike) -> FusedEstimate:
@@ -369,7 +369,7 @@ class ErrorStateFilter:
         return self._take(FilterEvent(stamp_s, gyro_bias=bias))
 
     def remembered(self, name: str) -> FloatArray | None:
-        """Return the current estimate of T_odom_base (4, 4) remembered as `name`; None if there is none.
+        """Return the current estimate of T_filter_base (4, 4) remembered as `name`; None if there is none.
 
         The time of the pose is when the image with that stamp was taken, by the estimated delay of stamps.
         """

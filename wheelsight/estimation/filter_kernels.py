@@ -310,9 +310,9 @@ def seen_from(
     """Return the camera's motion (4, 4) since the pose at an index, in its frame, and its covariance (6, 6)."""
     here = slice(6 * at, 6 * at + 6)
     T_imaged, rows, spread = imaged_now(T[0], rest, P)
-    T_camera_odom = inverse(times(T[at], T_base_camera))
+    T_camera_filter = inverse(times(T[at], T_base_camera))
     apart = spread - rows[:, here] - rows[:, here].T + P[here, here]
-    return times(times(T_camera_odom, T_imaged), T_base_camera), carried(T_camera_odom, apart)
+    return times(times(T_camera_filter, T_imaged), T_base_camera), carried(T_camera_filter, apart)
 
 
 @kernel

@@ -181,7 +181,7 @@ class ByFusion:
         )
         if sensors is not None:
             decided = decide([sensors], decided)
-        T, C, T_map_filter = decided.T_odom_body, decided.covariance, self._map.T_map_odom
+        T, C, T_map_filter = decided.T_odom_body, decided.covariance, self._map.T_map_filter
         if T is not None and C is not None:  # without a pose, the status of the sensors stays
             watched = [self._restart.evidence(T, C), self._kidnap.evidence(T, C), *found]
             if self._health is not None and self._health.is_suspicious:
@@ -196,7 +196,7 @@ class ByFusion:
         if T_keyframe_map is not None and T is not None:
             T_keyframe_base = motions.times(T_keyframe_map, motions.times(T_map_filter, T))
         odom = self._odom.answered if T is None else self._odom.frame_at(T, self.filter, event)
-        estimate = replace(
+        estimate = replace(  # with poses in the filter's frame; `framed` below converts them to odom
             by,
             **decided._asdict(),
             keyframe=None if T_keyframe_base is None else self._map.keyframe,
@@ -340,17 +340,17 @@ class ByFusion:
         # While another sensor is suspected, it is the filter that has left the camera's map.
         is_camera = self._health is None or self._health.accused in (None, RobotSensor.CAMERA)
         is_left = is_accepted and is_camera and self._map.is_contradicted
-        if is_left and self._map.is_left(seen.T_odom_body, update.T_odom_base):
+        if is_left and self._map.is_left(seen.T_odom_body, update.T_filter_base):
             # The camera jumped: restart it at the pose in its map that the filter has.
-            assert update.T_odom_base is not None
+            assert update.T_filter_base is not None
             assert answer.covariance is not None
-            again = self._camera.restart(frame, self._map.camera_at(update.T_odom_base), answer.covariance)
+            again = self._camera.restart(frame, self._map.camera_at(update.T_filter_base), answer.covariance)
             return answer if again.T_odom_body is None else self._begin(frame, again)
         if is_accepted:
-            self._map.accept(frame.stamp_s, seen, update.T_odom_base)
+            self._map.accept(frame.stamp_s, seen, update.T_filter_base)
             if self.loops is not None and answer.covariance is not None:
                 against = strayed(seen.motion, self._of_frame, _FRAME_WALK_PER_M)
-                self.loops.add_tracked(replace(seen, motion=against), self._map.T_odom_map, answer.covariance)
+                self.loops.add_tracked(replace(seen, motion=against), self._map.T_filter_map, answer.covariance)
             self._restart.add_accepted(answer, self.odometry.store)
             if self.mapper is not None and isinstance(seen, DenseEstimate):
                 self.mapper.fuse_tracked(frame, seen)
@@ -363,12 +363,12 @@ class ByFusion:
         assert seen.T_odom_body is not None
         self._map.anchor = Anchor.at(seen.T_odom_body, seen.motion)
         update = self.filter.begin_frame(frame.stamp_s, self._map.anchor.covariance)
-        self._map.accept(frame.stamp_s, seen, update.T_odom_base)
+        self._map.accept(frame.stamp_s, seen, update.T_filter_base)
         self._kidnap.add_known_view(frame.stamp_s)
         if self._health is not None:
             self._health.interrupt()
             self._health.add_frame(frame.stamp_s, seen.T_odom_body)
-        self._check.begin(frame, seen, self._map.T_odom_map)
+        self._check.begin(frame, seen, self._map.T_filter_map)
         reason = reason or update.answer.reason
         return replace(update.answer, reason=reason, matches=seen.matches, inliers=seen.inliers)
 
@@ -395,13 +395,13 @@ class ByFusion:
         that loops have to join to the rest.
         """
         assert wheels.covariance is not None
-        T_odom_base = self.filter.when_imaged(frame.stamp_s)
+        T_filter_base = self.filter.when_imaged(frame.stamp_s)
         spread_m = self.filter.spread_since_frame_m(frame.stamp_s)
         if self._kidnap.is_kidnapped:
-            spread = self._kidnap.inflate(T_odom_base, wheels.covariance)
-            self._replace_filter(self.filter.begun_at(T_odom_base, spread))
+            spread = self._kidnap.inflate(T_filter_base, wheels.covariance)
+            self._replace_filter(self.filter.begun_at(T_filter_base, spread))
         first = len(self.odometry.store)
-        T_map_camera = self._map.camera_at(T_odom_base)
+        T_map_camera = self._map.camera_at(T_filter_base)
         if self.loops is None or not (self._kidnap.is_kidnapped or self.loops.confirmation.is_refuted):
             again = self._camera.restart(frame, T_map_camera, wheels.covariance)
         else:
@@ -422,7 +422,7 @@ class ByFusion:
         if loops.tracked_s != stamp_s:
             loops.forget_tracked()
         if loops.has_new and covariance is not None:
-            loops.keep(stamp_s, self._map.T_odom_map, covariance, self.filter.keep_frame(stamp_s))
+            loops.keep(stamp_s, self._map.T_filter_map, covariance, self.filter.keep_frame(stamp_s))
         motions_there = self.filter.settled_motions() if loops.is_waiting else None
         if motions_there is not None:
             self._move_map(loops.hand_over(motions_there, self._map.keyframe))
@@ -468,7 +468,7 @@ class ByFusion:
     @property
     def T_odom_map(self) -> FloatArray:
         """(4, 4) current pose of the map of camera and surfels."""
-        return motions.times(self._odom.answered.T_odom_filter, self._map.T_odom_map)
+        return motions.times(self._odom.answered.T_odom_filter, self._map.T_filter_map)
 
     @property
     def last_matches(self) -> MatchedPixels | None:
@@ -654,7 +654,7 @@ class FusedOdom:
         self._readings_s: deque[float] = deque(maxlen=_LONGEST_READING_GAP)
 
     def frame_at(self, T_filter_body: FloatArray, fusion: ErrorStateFilter, event: Event | None) -> OdomFrame:
-        """Return the frame of an estimate (4, 4) after an event; None for one with an invalid stamp."""
+        """Return odom for an estimate's pose (4, 4), after an event; None for one with an invalid stamp."""
         own, frame = fusion.current, self._frame
         if own is None or own.decision.status is Status.LOST:
             return self.answered
@@ -762,7 +762,8 @@ class CameraMap:
     moves, so that the camera's last accepted pose in it is the filter's pose of that frame.
 
     Attributes:
-        T_odom_map, T_map_odom: (4, 4) current pose of the map of camera and surfels, and its inverse.
+        T_filter_map, T_map_filter: (4, 4) current pose of the map of camera and surfels, and its inverse. `FusedOdom`
+            relates the filter's frame to odom.
         T_map_camera: (4, 4) of the last frame, if it was accepted; else None.
         anchor: reference frame of the camera's motions in the filter; None before the camera starts.
         seen_s: stamp of the last accepted frame.
@@ -771,16 +772,16 @@ class CameraMap:
 
     Args:
         T_base_camera: (4, 4).
-        T_map_camera: (4, 4) initial pose of the camera, with the base at the origin of odom; None if the map starts
-            there.
+        T_map_camera: (4, 4) initial pose of the camera, with the base at the origin of the filter's frame; None if the
+            map starts there.
     """
 
     def __init__(self, T_base_camera: FloatArray, T_map_camera: FloatArray | None = None) -> None:
-        self.T_odom_map: FloatArray = np.eye(4)
+        self.T_filter_map: FloatArray = np.eye(4)
         self.anchor: Anchor | None = None
         self.seen_s = -np.inf
         self._T_base_camera = T_base_camera
-        self.T_map_odom: FloatArray = np.eye(4)
+        self.T_map_filter: FloatArray = np.eye(4)
         if T_map_camera is not None:
             self._lay(T_base_camera, T_map_camera)
         self.T_map_camera: FloatArray | None = None
@@ -788,7 +789,7 @@ class CameraMap:
         self.T_keyframe_map: FloatArray | None = None
         self._tracked_s, self.is_contradicted = -np.inf, False
         self._T_tracked: FloatArray | None = None  # T_map_camera at the last frame that the filter remembers
-        self._past: deque[tuple[float, FloatArray]] = deque(maxlen=_REMEMBERED_POSES)  # stamp, T_odom_map
+        self._past: deque[tuple[float, FloatArray]] = deque(maxlen=_REMEMBERED_POSES)  # stamp, T_filter_map
 
     def track(self, stamp_s: float, T_map_camera: FloatArray, *, is_accepted: bool) -> None:
         """Note that a frame was tracked at a pose (4, 4), and whether the filter accepted it."""
@@ -797,62 +798,62 @@ class CameraMap:
             self.is_contradicted = True
         self._tracked_s = stamp_s
 
-    def is_left(self, T_map_camera: FloatArray, T_odom_base: FloatArray | None) -> bool:
+    def is_left(self, T_map_camera: FloatArray, T_filter_base: FloatArray | None) -> bool:
         """Whether a camera at a pose (4, 4) has left the map, by the filter's pose of the base.
 
         If the filter rejected consecutive frames and accepts the next ones, the camera has jumped, for instance by the
         period of a repeating pattern. Aligning the map with the camera's pose would make the map jump as well.
         """
-        if T_odom_base is None:
+        if T_filter_base is None:
             return False
-        T_odom_camera = motions.times(T_odom_base, self._T_base_camera)
-        by_map = motions.times(self.T_odom_map, T_map_camera)
-        return bool(motions.view_shift_m(motions.times(motions.inverse(by_map), T_odom_camera)) > _LEFT_MAP_M)
+        T_filter_camera = motions.times(T_filter_base, self._T_base_camera)
+        by_map = motions.times(self.T_filter_map, T_map_camera)
+        return bool(motions.view_shift_m(motions.times(motions.inverse(by_map), T_filter_camera)) > _LEFT_MAP_M)
 
-    def accept(self, stamp_s: float, seen: Estimate, T_odom_base: FloatArray | None) -> None:
-        """Accept the camera's pose in the map at a frame; `T_odom_base` is the base's pose when its image was taken."""
+    def accept(self, stamp_s: float, seen: Estimate, T_filter_base: FloatArray | None) -> None:
+        """Accept the camera's pose in the map at a frame; `T_filter_base` is the base's when its image was taken."""
         self.T_map_camera, self.seen_s = seen.T_odom_body, stamp_s
         self._T_tracked = seen.T_odom_body
         self._tracked_s, self.is_contradicted = stamp_s, False
-        if self.T_map_camera is not None and T_odom_base is not None:
-            self._lay(motions.times(T_odom_base, self._T_base_camera), self.T_map_camera)
-            self._past.append((stamp_s, self.T_odom_map))
+        if self.T_map_camera is not None and T_filter_base is not None:
+            self._lay(motions.times(T_filter_base, self._T_base_camera), self.T_map_camera)
+            self._past.append((stamp_s, self.T_filter_map))
         if seen.keyframe is not None and seen.T_keyframe_body is not None and seen.T_odom_body is not None:
             self.keyframe = seen.keyframe
             self.T_keyframe_map = motions.times(seen.T_keyframe_body, motions.inverse(seen.T_odom_body))
 
-    def lay(self, T_odom_base: FloatArray | None) -> None:
+    def lay(self, T_filter_base: FloatArray | None) -> None:
         """Align the map so that the last frame, if it was accepted, is at the filter's current estimate of its pose."""
-        if self.T_map_camera is not None and T_odom_base is not None:
-            self._lay(motions.times(T_odom_base, self._T_base_camera), self.T_map_camera)
+        if self.T_map_camera is not None and T_filter_base is not None:
+            self._lay(motions.times(T_filter_base, self._T_base_camera), self.T_map_camera)
 
-    def correct(self, since_s: float, T_odom_base: FloatArray | None) -> None:
+    def correct(self, since_s: float, T_filter_base: FloatArray | None) -> None:
         """Align the map after the filter corrected its poses since a stamp.
 
         Args:
             since_s: the stamp.
-            T_odom_base: (4, 4) corrected pose of the base at the last frame; None if the camera is left out, so that
+            T_filter_base: (4, 4) corrected pose of the base at the last frame; None if the camera is left out, so that
                 its map stays where it was before.
         """
-        if T_odom_base is not None and self._T_tracked is not None:
-            self._lay(motions.times(T_odom_base, self._T_base_camera), self._T_tracked)
+        if T_filter_base is not None and self._T_tracked is not None:
+            self._lay(motions.times(T_filter_base, self._T_base_camera), self._T_tracked)
             self.is_contradicted = False
-        elif T_odom_base is None:
+        elif T_filter_base is None:
             while len(self._past) > 1 and self._past[-1][0] >= since_s:
                 self._past.pop()
             if self._past:
-                self.T_odom_map = self._past[-1][1]
-                self.T_map_odom = motions.inverse(self.T_odom_map)
+                self.T_filter_map = self._past[-1][1]
+                self.T_map_filter = motions.inverse(self.T_filter_map)
 
-    def _lay(self, T_odom_camera: FloatArray, T_map_camera: FloatArray) -> None:
-        self.T_odom_map = motions.renormalized(motions.times(T_odom_camera, motions.inverse(T_map_camera)))
-        self.T_map_odom = motions.inverse(self.T_odom_map)
+    def _lay(self, T_filter_camera: FloatArray, T_map_camera: FloatArray) -> None:
+        self.T_filter_map = motions.renormalized(motions.times(T_filter_camera, motions.inverse(T_map_camera)))
+        self.T_map_filter = motions.inverse(self.T_filter_map)
 
     def moved(self, T_new_old: FloatArray) -> None:
-        """Apply a correction (4, 4) of the map by loops, from the left, at the camera. In odom nothing moves."""
+        """Apply a correction (4, 4) of the map by loops, from the left. The camera stays in the filter's frame."""
         T_old_new = motions.inverse(T_new_old)
-        self.T_odom_map = motions.renormalized(motions.times(self.T_odom_map, T_old_new))
-        self.T_map_odom = motions.inverse(self.T_odom_map)
+        self.T_filter_map = motions.renormalized(motions.times(self.T_filter_map, T_old_new))
+        self.T_map_filter = motions.inverse(self.T_filter_map)
         if self.anchor is not None:
             self.anchor = replace(self.anchor, T_map_camera=motions.times(T_new_old, self.anchor.T_map_camera))
         if self.T_map_camera is not None:
@@ -865,9 +866,9 @@ class CameraMap:
         if self.T_keyframe_map is not None:
             self.T_keyframe_map = motions.times(self.T_keyframe_map, T_old_new)
 
-    def camera_at(self, T_odom_base: FloatArray) -> FloatArray:
-        """Return T_map_camera (4, 4) for a pose of the base in odom."""
-        T_map_base = motions.times(motions.inverse(self.T_odom_map), T_odom_base)
+    def camera_at(self, T_filter_base: FloatArray) -> FloatArray:
+        """Return T_map_camera (4, 4) for a pose of the base in the filter's frame."""
+        T_map_base = motions.times(motions.inverse(self.T_filter_map), T_filter_base)
         return np.asarray(motions.renormalized(motions.times(T_map_base, self._T_base_camera)))
 
 

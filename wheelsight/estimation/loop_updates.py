@@ -126,8 +126,8 @@ class LoopsBeside:
 
         Args:
             seen: of the frame, with its keyframe.
-            T_odom_map: (4, 4) pose of the map.
-            covariance: (6, 6) of the camera's pose in odom.
+            T_odom_map: (4, 4) pose of the map in the frame of odometry; with a filter, that is the filter's frame.
+            covariance: (6, 6) of the camera's pose in that frame.
         """
         number, motion, T_keyframe_camera = seen.keyframe, seen.motion.covariance, seen.T_keyframe_body
         before, self._tracked_by, self._seen_from = self._tracked_by, number, None
@@ -181,8 +181,7 @@ class LoopsBeside:
 
         Args:
             stamp_s: of the frame.
-            T_odom_map: (4, 4) pose of the map.
-            covariance: (6, 6) of the camera's pose in odom.
+            T_odom_map, covariance: as of `add_tracked`.
             motion: of the camera since the previous frame with new keyframes; see `OdometryKeyframe`.
         """
         kept: list[OdometryKeyframe] = []
@@ -241,10 +240,10 @@ class LoopsBeside:
         """Return whether the pose in the map is known, with its covariance (6, 6) if loops know that.
 
         Args:
-            stamp_s: of the pose in odom.
+            stamp_s: of the pose.
             status: its status.
-            T_odom_body, covariance: (4, 4) and (6, 6) pose in odom; or None.
-            T_map_odom: (4, 4) pose of odom in the map.
+            T_odom_body, covariance: (4, 4) and (6, 6) pose in the frame of `add_tracked`; or None.
+            T_map_odom: (4, 4) pose of that frame in the map.
         """
         place, C, T = self._live.place, None, None
         if self.is_laid and place is not None and T_odom_body is not None and covariance is not None:

@@ -255,7 +255,7 @@ class PoseBelief:
     """Mean and covariance; see the module.
 
     Attributes:
-        T: (1 + K, 4, 4) T_odom_base now, and at the times when the images with the remembered stamps were taken.
+        T: (1 + K, 4, 4) T_filter_base now, and at the times when the images with the remembered stamps were taken.
         remembered: the K remembered poses.
         rest: (17,) twist (vx, vy, ωz); errors of the wheels (scale, drift, turn); errors of the camera (the same, drift
             in pitch, shift and rotation of its mount, delay of its stamps); bias of the gyroscope.
@@ -267,7 +267,7 @@ class PoseBelief:
         known_twist: (3,) twist at the last measurement, `known_for_s` ago; its yaw rate is from a gyroscope,
             `turn_known_for_s` ago.
         turn_known_for_s: see `known_twist`.
-        by_errors: (6, 3) derivative of the pose by the wheels' errors, as left perturbations in the map.
+        by_errors: (6, 3) derivative of the pose by the wheels' errors, as left perturbations in the filter's frame.
     """
 
     T: FloatArray
@@ -283,14 +283,14 @@ class PoseBelief:
     by_errors: FloatArray = field(default_factory=lambda: np.zeros((6, 3)))
 
     @classmethod
-    def begin(cls, T_odom_base: FloatArray, covariance: FloatArray, settings: FilterParameters) -> PoseBelief:
+    def begin(cls, T_filter_base: FloatArray, covariance: FloatArray, settings: FilterParameters) -> PoseBelief:
         """Return a belief at rest, at a pose with its covariance (6, 6)."""
         s = settings
         P = np.zeros((6 + REST_SIZE, 6 + REST_SIZE))
         P[:6, :6] = covariance
         still = [s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2]
         P[6:, 6:] = np.diag([*np.square(still), *s.variances])
-        return cls(T_odom_base[None].copy(), (), np.zeros(REST_SIZE), P, _NO_SLIP)
+        return cls(T_filter_base[None].copy(), (), np.zeros(REST_SIZE), P, _NO_SLIP)
 
     @property
     def gyro_bias_rad_s(self) -> float:
@@ -403,12 +403,12 @@ class PoseBelief:
         one, other = self.place_of(first), self.place_of(second)
         if not one or not other:
             return None
-        T_camera_odom = motions.inverse(motions.times(self.T[one], T_base_camera))
+        T_camera_filter = motions.inverse(motions.times(self.T[one], T_base_camera))
         both = np.r_[6 * other + _SIX, 6 * one + _SIX]
         P = self.covariance[np.ix_(both, both)]
         apart = P[:6, :6] - P[:6, 6:] - P[6:, :6] + P[6:, 6:]
-        T = motions.times(motions.times(T_camera_odom, self.T[other]), T_base_camera)
-        return motions.renormalized(T), motions.carried(T_camera_odom, apart)
+        T = motions.times(motions.times(T_camera_filter, self.T[other]), T_base_camera)
+        return motions.renormalized(T), motions.carried(T_camera_filter, apart)
 
     def apart(self, measurement: RelativeMotion) -> FloatArray:
         """Return log(Z Ẑ⁻¹) (6,) of the camera's motion, corrected by its estimated errors, and the predicted one."""
