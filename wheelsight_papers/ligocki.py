@@ -30,7 +30,7 @@ from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.checks import Untimed
 from wheelsight.core.errors import ConfigError
-from wheelsight.core.estimates import UNDECIDED, Estimate, PoseDecision, PoseEvidence, PoseFinding, Reason, decide
+from wheelsight.core.estimates import NO_DECISION, Estimate, PoseDecision, PoseEvidence, PoseFinding, Reason, decide
 from wheelsight.core.geometry import FloatArray, se2, se3
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame
 from wheelsight.core.settings.fusion import LigockiSettings
@@ -104,7 +104,7 @@ class ByLigocki:
         if seen.reason is Reason.REPEATED and self._answer is not None:
             return replace(self._answer, reason=Reason.REPEATED)
         if self._rolled is None or self._rolled.T_odom_body is None:
-            return replace(seen, T_odom_body=None, covariance=None, status=UNDECIDED.status)
+            return replace(seen, T_odom_body=None, covariance=None, status=NO_DECISION.status)
         # The wheels' velocity predicts the pose at the frame, for at most the longest gap.
         seconds = min(max(seen.stamp_s - self._rolled.stamp_s, 0.0), self._max_gap_s)
         T_odom_base = self._rolled.T_odom_body @ self._wheels.odometry.motion_in(seconds)

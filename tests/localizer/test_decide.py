@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wheelsight.core.estimates import DECISIONS, UNDECIDED, PoseDecision, PoseEvidence, PoseFinding, Status, decide
+from wheelsight.core.estimates import DECISIONS, NO_DECISION, PoseDecision, PoseEvidence, PoseFinding, Status, decide
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "fusion.md"
 
@@ -19,7 +19,7 @@ def of(*findings: PoseFinding) -> list[PoseEvidence]:
 def test_without_evidence_the_decision_before_stays() -> None:
     before = PoseDecision(Status.LOST, slip=True)
     assert decide([], before) == before
-    assert decide([]) == UNDECIDED
+    assert decide([]) == NO_DECISION
 
 
 def test_the_last_status_counts_and_the_first_reason() -> None:

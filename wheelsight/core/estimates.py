@@ -1,6 +1,7 @@
 """Estimates of motion and pose, by one odometry or by all sensors, with status and covariance.
 
-`decide` alone decides the status, the flags and the covariance of an estimate, from `PoseEvidence`, by `DECISIONS`.
+`decide` derives the status, the flags and the reason of an estimate from `PoseEvidence`, by the table `DECISIONS`.
+The evidence may replace the pose and the covariance. A localizer decides what becomes of the decision.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from enum import Enum, StrEnum
+from enum import StrEnum
 from functools import cached_property
 from itertools import repeat
 from typing import Any, NamedTuple, TypeVar
@@ -295,9 +296,13 @@ STEP_BEGIN = "step begin"
 class FusedEstimate(Estimate):
     """The base's pose by all sensors.
 
-    Status: initializing, before any event. tracking: the filter accepted vision within `coast_after_s`. coasting: the
-    pose comes from wheels alone, and the covariance grows. lost: all sensors were silent for `lost_after_s`, and no
-    measurement against a cloned pose has followed (a position does not give the heading); there is no pose.
+    Status of a filter's own estimate: initializing, before any event. tracking: the filter accepted vision within
+    `coast_after_s`. coasting: the wheels alone give the pose, and the covariance grows. lost, without a pose: all
+    sensors were silent for `lost_after_s`, the filter diverged, or the covariance is too large for a known pose. A
+    measurement against a cloned pose ends it; a position does not, since it gives no heading.
+
+    In a localizer, more evidence changes the status: a suspected sensor, a kidnapping, a poor restart, a jumping clock,
+    or the place in a known map. `DECISIONS` has all of it.
 
     Attributes:
         slip: the filter ignores the wheels, because camera or gyroscope contradict them.
@@ -335,7 +340,7 @@ class PoseFinding(StrEnum):
     TURNS_CONTRADICTED = "wheels and gyroscope turn differently, and no other sensor shows which is wrong"
     SLIP = "the camera or the gyroscope contradicts the wheels, and is accepted"
     DEGENERATE = "the last image does not constrain all directions"
-    UNDECIDED = "camera and wheels contradict each other, without a decision"
+    FAULT_UNDECIDED = "camera and wheels contradict each other, without a decision"
     UNCOMPARED = "wheels and camera have not been compared over enough way"
     FLOOR_ELSEWHERE = "the camera sees the floor at a wrong distance"
     SENSOR_SUSPECTED = "a sensor may be wrong since a moment, and is left out"
@@ -381,7 +386,7 @@ DECISIONS = {
     PoseFinding.TURNS_CONTRADICTED: Consequence(Status.COASTING),
     PoseFinding.SLIP: Consequence(slip=True),
     PoseFinding.DEGENERATE: Consequence(is_degenerate=True),
-    PoseFinding.UNDECIDED: Consequence(is_doubtful=True),
+    PoseFinding.FAULT_UNDECIDED: Consequence(is_doubtful=True),
     PoseFinding.UNCOMPARED: Consequence(),
     PoseFinding.FLOOR_ELSEWHERE: Consequence(),
     PoseFinding.SENSOR_SUSPECTED: Consequence(Status.COASTING, is_doubtful=True),
@@ -402,16 +407,14 @@ class PoseEvidence:
 
     Attributes:
         finding: what was found.
-        accused: sensors that may be wrong, each a `Culprit`.
-        by: estimate of the sensors that are not accused, in place of the fused one; None for the fused one.
+        by_wheels: estimate of the wheels alone, from which the decision starts; None for the fused one.
         T_filter_base: (4, 4) pose in the filter's frame, if it is not that of the estimate.
         covariance: (6, 6) that also covers what was found, in place of that of the estimate; or None.
         covariance_map: (6, 6) of the left perturbation of the pose in the map; or None.
     """
 
     finding: PoseFinding
-    accused: frozenset[Enum] = frozenset()
-    by: FusedEstimate | None = None
+    by_wheels: FusedEstimate | None = None
     T_filter_base: FloatArray | None = None
     covariance: FloatArray | None = None
     covariance_map: FloatArray | None = None
@@ -430,11 +433,11 @@ class PoseDecision(NamedTuple):
     covariance_map: FloatArray | None = None
 
 
-UNDECIDED = PoseDecision()
+NO_DECISION = PoseDecision()
 """Without evidence: no pose yet."""
 
 
-def decide(evidence: Iterable[PoseEvidence | None], before: PoseDecision = UNDECIDED) -> PoseDecision:
+def decide(evidence: Iterable[PoseEvidence | None], before: PoseDecision = NO_DECISION) -> PoseDecision:
     """Return what is decided of an estimate, by `DECISIONS`.
 
     Args:

@@ -173,15 +173,15 @@ class Agreement:
         """Whether both motions agree up to a share `most` of their squares; default `_DISAGREES`."""
         return max(self.unexplained(_seen_of(np.eye(2)))) < most
 
-    def explanations(self, floor_ratio: float | None, *, is_accused: bool = False) -> list[Explanation]:
+    def explanations(self, floor_ratio: float | None, *, was_contradicted: bool = False) -> list[Explanation]:
         """The explanations of a disagreement, filtered by floor and gyroscope; none if both motions agree.
 
         Args:
             floor_ratio: the camera's height over the floor by its view divided by that by its mount; None if no floor
                 is in view.
-            is_accused: whether an explanation was found before; then a better agreement is needed to drop it.
+            was_contradicted: whether an explanation was found before; then a better agreement is needed to drop it.
         """
-        if not self.pieces or self.agrees(_EXPLAINED if is_accused else _DISAGREES):
+        if not self.pieces or self.agrees(_EXPLAINED if was_contradicted else _DISAGREES):
             return []
         turned = self._turned()
         is_near = min(turned[0, 0], turned[2, 2]) > math.cos(math.radians(_LEAST_TURN_DEG))

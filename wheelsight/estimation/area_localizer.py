@@ -16,7 +16,15 @@ from wheelsight.core.areas import AreaMap, load_areas
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.checks import Repeats, Untimed
 from wheelsight.core.errors import ConfigError
-from wheelsight.core.estimates import UNDECIDED, Estimate, FusedEstimate, PoseFinding, Reason, WheelEstimate, status_of
+from wheelsight.core.estimates import (
+    NO_DECISION,
+    Estimate,
+    FusedEstimate,
+    PoseFinding,
+    Reason,
+    WheelEstimate,
+    status_of,
+)
 from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame
@@ -140,7 +148,7 @@ class ByPlaces:
 
     def _reading(self, wheels: WheelEstimate) -> Estimate:
         if wheels.stamp_s < self._begin_s:
-            return Estimate(wheels.stamp_s, UNDECIDED.status, body=self.body)
+            return Estimate(wheels.stamp_s, NO_DECISION.status, body=self.body)
         self._rectifier.predict(wheels)
         if wheels.reason is not Reason.CLOCK_BACKWARDS:
             self._reading_s = wheels.stamp_s
@@ -150,7 +158,7 @@ class ByPlaces:
     def _why_not(self, frame: RgbdFrame | SkippedFrame) -> tuple[Estimate, str] | None:
         """Return the estimate at a frame without a current pose of the wheels, else None."""
         if self._reading_s == -np.inf:
-            return Estimate(frame.stamp_s, UNDECIDED.status, body=self.body), "no wheel reading yet"
+            return Estimate(frame.stamp_s, NO_DECISION.status, body=self.body), "no wheel reading yet"
         if frame.stamp_s > self._reading_s + self._max_gap_s:
             note = f"the last wheel reading is {frame.stamp_s - self._reading_s:.3f} s old"
             status = status_of(PoseFinding.FRAME_FAILED)

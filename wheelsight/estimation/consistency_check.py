@@ -160,14 +160,14 @@ class BaseCheck:
             seen = self._camera.seen
             if seen is None:
                 return None
-            accused = frozenset(one.culprit for one in found)
+            contradicted = {one.culprit for one in found}
             first, second = (wheels.T_odom_body, wheels.covariance), seen
-            if accused == {Culprit.WHEELS}:
+            if contradicted == {Culprit.WHEELS}:
                 first, second = second, first
             covers_both = covering_pose(*first, *second, COVERED_SIGMAS)
-            return PoseEvidence(PoseFinding.SENSOR_WRONG, accused, wheels, *covers_both)
+            return PoseEvidence(PoseFinding.SENSOR_WRONG, wheels, *covers_both)
         if self._is_floor_off:
-            return PoseEvidence(PoseFinding.FLOOR_ELSEWHERE, frozenset({Culprit.CAMERA}), wheels)
+            return PoseEvidence(PoseFinding.FLOOR_ELSEWHERE, wheels)
         newest, T_odom_base = self._camera.newest, self._wheels.newest
         T, C = fused.T_odom_body, fused.covariance
         if newest is None or newest[0] != fused.stamp_s or T_odom_base is None or T is None or C is None:
@@ -301,7 +301,7 @@ class Verdict:
 
     def judge(self, agreement: Agreement, floor_ratio: float | None) -> bool:
         """Evaluate all segments and the floor; return False if nothing contradicts."""
-        explanations = agreement.explanations(floor_ratio, is_accused=bool(self.found))
+        explanations = agreement.explanations(floor_ratio, was_contradicted=bool(self.found))
         is_apart = np.ptp(agreement.ways_m) > _LIKELY_M or np.ptp(agreement.turns_rad) > _LIKELY_RAD
         self.found = [one for one in explanations if is_apart or not one.is_scale]
         self.is_sure = bool(self.found) and all(_is_certain(one, agreement) for one in self.found)

@@ -691,7 +691,7 @@ class SensorHealth:
         warnings: a sentence for each sensor that was faulty.
         is_suspicious: whether a sensor may be wrong, without certainty.
         is_without_wheels: whether a wheel is left out.
-        accused: the sensor that is most likely wrong, without certainty; None if all are likely sound.
+        suspected: the sensor that is most likely wrong, without certainty; None if all are likely sound.
         is_armed: whether faults are looked for; before, usual values are learned.
     """
 
@@ -704,7 +704,7 @@ class SensorHealth:
         # Of each sensor: how often it was left out, and the last time from when, until when, and why.
         self._found: dict[RobotSensor, tuple[int, float, float, str]] = {}
         self.is_suspicious = self.is_without_wheels = self.is_armed = self._has_news = False
-        self.accused: RobotSensor | None = None
+        self.suspected: RobotSensor | None = None
         self._half_m = track_m / 2
         self._T_base_camera, self._T_camera_base = T_base_camera, motions.inverse(T_base_camera)
         self._first_s: float | None = None
@@ -741,7 +741,7 @@ class SensorHealth:
             known = current.get(sensor)
             wanted.setdefault(sensor, Exclusion(sensor, begin_s) if known is None or known.is_sure else known)
         largest = max((one for scale in self._scales for one in scale.nats.items()), key=itemgetter(1))
-        self.accused = largest[0] if largest[1] > _SOUND_NATS else None
+        self.suspected = largest[0] if largest[1] > _SOUND_NATS else None
         self.is_suspicious = not all(one.is_sure for one in wanted.values()) or largest[1] > _ALARM_NATS
         self.is_without_wheels = not wanted.keys().isdisjoint((LEFT, RIGHT, WHEELS))
         since_s = stamp_s

@@ -40,8 +40,8 @@ from wheelsight.core.calibration_parts import Gyro
 from wheelsight.core.checks import need_number
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.estimates import (
+    NO_DECISION,
     STEP_BEGIN,
-    UNDECIDED,
     FrameUpdate,
     FusedEstimate,
     MotionEstimate,
@@ -437,7 +437,7 @@ class ErrorStateFilter:
         """Return the estimate after the newest event, with reason, NIS and counts of the current one."""
         now = self.current
         if now is None:
-            return FusedEstimate(-np.inf, UNDECIDED.status, reason=reason, body="base")
+            return FusedEstimate(-np.inf, NO_DECISION.status, reason=reason, body="base")
         status, flags = now.decision.status, now.decision[1:4]  # slip, degenerate and doubtful
         if status is Status.LOST:
             return FusedEstimate(now.stamp_s, status, None, None, reason, "base", *counts, *flags, nis=nis)
@@ -449,7 +449,7 @@ class ErrorStateFilter:
 _TRACKED, _WHEELS_ALONE = PoseEvidence(PoseFinding.TRACKED), PoseEvidence(PoseFinding.WHEELS_ALONE)
 _TOO_UNCERTAIN, _SILENT = PoseEvidence(PoseFinding.TOO_UNCERTAIN), PoseEvidence(PoseFinding.SILENT)
 _SLIP, _DEGENERATE = PoseEvidence(PoseFinding.SLIP), PoseEvidence(PoseFinding.DEGENERATE)
-_UNDECIDED = PoseEvidence(PoseFinding.UNDECIDED)
+_FAULT_UNDECIDED = PoseEvidence(PoseFinding.FAULT_UNDECIDED)
 _decided = cache(decide)  # evidence of the filter has no poses, so equal findings give equal decisions
 
 
@@ -491,7 +491,7 @@ class CurrentPose(NamedTuple):
         if state.is_degenerate:
             evidence.append(_DEGENERATE)
         if detection.fault is Fault.UNDECIDED:
-            evidence.append(_UNDECIDED)
+            evidence.append(_FAULT_UNDECIDED)
         return cls(stamp_s, belief, _decided(tuple(evidence)), T, C, (moving[0], moving[1]))
 
 

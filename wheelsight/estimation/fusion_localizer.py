@@ -1,7 +1,8 @@
 """ByFusion: localization by wheels, gyroscope and camera with the error-state filter.
 
-The wheels predict the pose and the camera corrects it. `ByFusion._decide` passes the evidence of filter, checks and
-loops to `decide`, which alone decides the status, the flags and the covariance of an `Estimate`, and sets its frames.
+The wheels predict the pose and the camera corrects it. `filter.CurrentPose.of` makes pose, covariance, status and flags
+of the filter's estimate. `ByFusion._decide` then applies the evidence of checks and loops by `decide`, and sets the
+frames. With `SENSOR_WRONG` or `FLOOR_ELSEWHERE` it starts from the estimate of the wheels alone.
 
 `FusedCamera` and `BaseSensors` prepare the sensors for the filter. `CameraMap` is the map frame of camera odometry, and
 its pose in odom. `FusedOdom` is the frame `odom`.
@@ -22,8 +23,8 @@ from wheelsight.core.camera_errors import frame_covariance
 from wheelsight.core.checks import FrameGate, Untimed
 from wheelsight.core.estimates import (
     DEGENERATE_SCALE,
+    NO_DECISION,
     STEP_BEGIN,
-    UNDECIDED,
     CameraEstimate,
     Estimate,
     FusedEstimate,
@@ -166,29 +167,29 @@ class ByFusion:
         reason = Reason.FRAME_UNUSABLE if isinstance(event, RgbdFrame | SkippedFrame) else why.reason
         return self._decide(replace(self.filter.estimate, reason=reason), None), why.note
 
-    def _decide(self, fused: FusedEstimate, event: Event | None, *found: PoseEvidence) -> FusedEstimate:
+    def _decide(self, fused: FusedEstimate, event: Event | None, *more_evidence: PoseEvidence) -> FusedEstimate:
         """Return the estimate of an event, by `decide`, from the filter's estimate and all evidence.
 
         Args:
             fused: estimate of the filter.
             event: None if its stamp is invalid.
-            found: evidence beside that of the checks.
+            more_evidence: evidence beside that of the checks.
         """
-        sensors = self._check.evidence(fused)
-        by = fused if sensors is None else sensors.by or fused
-        decided = PoseDecision(
-            by.status, by.slip, by.degenerate, by.doubtful, fused.reason, by.T_odom_body, by.covariance
-        )
-        if sensors is not None:
-            decided = decide([sensors], decided)
+        check_evidence = self._check.evidence(fused)
+        source = fused if check_evidence is None else check_evidence.by_wheels or fused
+        flags = source.slip, source.degenerate, source.doubtful
+        pose = source.T_odom_body, source.covariance
+        decided = PoseDecision(source.status, *flags, fused.reason, *pose)
+        if check_evidence is not None:
+            decided = decide([check_evidence], decided)
         T, C, T_map_filter = decided.T_odom_body, decided.covariance, self._map.T_map_filter
         if T is not None and C is not None:  # without a pose, the status of the sensors stays
-            watched = [self._restart.evidence(T, C), self._kidnap.evidence(T, C), *found]
+            evidence = [self._restart.evidence(T, C), self._kidnap.evidence(T, C), *more_evidence]
             if self._health is not None and self._health.is_suspicious:
-                watched.append(_SUSPICION)
+                evidence.append(_SUSPICION)
             if self._health is not None and self._health.is_without_wheels:
-                watched.append(_SLIP)
-            decided = decide(watched, decided) if any(watched) else decided
+                evidence.append(_SLIP)
+            decided = decide(evidence, decided) if any(evidence) else decided
             if self.loops is not None:
                 in_map = self.loops.evidence(fused.stamp_s, decided.status, T, decided.covariance, T_map_filter)
                 decided = decide([in_map], decided)
@@ -197,7 +198,7 @@ class ByFusion:
             T_keyframe_base = motions.times(T_keyframe_map, motions.times(T_map_filter, T))
         odom = self._odom.answered if T is None else self._odom.frame_at(T, self.filter, event)
         estimate = replace(  # with poses in the filter's frame; `framed` below converts them to odom
-            by,
+            source,
             **decided._asdict(),
             keyframe=None if T_keyframe_base is None else self._map.keyframe,
             T_keyframe_body=T_keyframe_base,
@@ -211,7 +212,7 @@ class ByFusion:
     def _update_wheels(self, reading: WheelReading) -> tuple[Estimate | None, str]:
         wheels, note = self._base.process(reading)
         if self._places is not None and self._is_early(wheels.stamp_s):
-            return Estimate(wheels.stamp_s, UNDECIDED.status, body=self.body), note
+            return Estimate(wheels.stamp_s, NO_DECISION.status, body=self.body), note
         self._camera.gate.has_wheels = True
         check = self._check
         if check.by_wheels is not None:
@@ -238,7 +239,7 @@ class ByFusion:
             self._places.forget()
             if self._is_early(event.stamp_s):
                 note = event.reason if isinstance(event, SkippedFrame) else ""
-                return Estimate(event.stamp_s, UNDECIDED.status, body=self.body), note
+                return Estimate(event.stamp_s, NO_DECISION.status, body=self.body), note
         if isinstance(event, SkippedFrame):
             return self._miss(event.stamp_s), event.reason
         if self._check.verdict.left_out is Culprit.CAMERA:
@@ -251,7 +252,7 @@ class ByFusion:
         if why_not is not None:
             return self._miss(event.stamp_s), why_not.note
         if not gate.has_wheels and gate.waits_for_wheels(event):
-            return Estimate(event.stamp_s, UNDECIDED.status, body=self.body), ""
+            return Estimate(event.stamp_s, NO_DECISION.status, body=self.body), ""
         if self._check.by_wheels is not None:
             self._check.add_frame(event)
         fused = self._track(event, expected)
@@ -338,7 +339,7 @@ class ByFusion:
         is_accepted = agrees and answer.T_odom_body is not None and answer.status is Status.TRACKING
         self._map.track(frame.stamp_s, seen.T_odom_body, is_accepted=is_accepted)
         # While another sensor is suspected, it is the filter that has left the camera's map.
-        is_camera = self._health is None or self._health.accused in (None, RobotSensor.CAMERA)
+        is_camera = self._health is None or self._health.suspected in (None, RobotSensor.CAMERA)
         is_left = is_accepted and is_camera and self._map.is_contradicted
         if is_left and self._map.is_left(seen.T_odom_body, update.T_filter_base):
             # The camera jumped: restart it at the pose in its map that the filter has.
