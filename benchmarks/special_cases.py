@@ -221,7 +221,7 @@ RULES = (
         "repeating paint",
         "recordings",
         fusion_localizer.CameraMap,
-        "is_left",
+        "has_camera_jumped",
         _constant(False),
     ),
     Rule(
@@ -230,7 +230,7 @@ RULES = (
         "one drive without readings",
         "recordings",
         consistency_check.UncertainRestart,
-        "evidence",
+        "update_evidence",
         _constant(None),
         _is_given,
     ),

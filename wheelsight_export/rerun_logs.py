@@ -137,7 +137,7 @@ class RerunLog:
         for number in numbers[self._shown :]:
             self._show_points(store, KeyframeId(number))
         self._shown, self._revision = max(self._shown, len(numbers)), store.revision
-        loops = None if track.localizer.loops is None else track.localizer.loops.kept
+        loops = None if track.localizer.loops is None else track.localizer.loops.accepted_loops
         if loops is not None and len(loops) and (is_moved or len(loops) != len(self._loops)):
             self._loops = loops
             ends = store.T_map_keyframe[loops][:, :, :3, 3]

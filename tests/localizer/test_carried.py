@@ -26,7 +26,7 @@ def kidnapped() -> KidnapDetection:
 def test_wheels_that_stood_and_another_view_say_so_and_a_known_view_takes_it_back() -> None:
     subject = kidnapped()
     assert subject.is_kidnapped
-    evidence = not_none(subject.evidence(*HERE))
+    evidence = not_none(subject.update_evidence(*HERE))
     assert evidence.finding is PoseFinding.KIDNAPPED
     sigmas = np.sqrt(np.diag(not_none(evidence.covariance)))
     np.testing.assert_allclose(sigmas[[0, 1, 5]], [2.8, 2.8, np.pi / np.sqrt(3)], rtol=1e-3)
@@ -58,7 +58,7 @@ def test_frames_that_are_not_believed_show_what_is_known_all_the_same() -> None:
 def test_from_then_on_a_way_leads_astray() -> None:
     subject = kidnapped()
     subject.inflate(np.eye(4), np.eye(6))
-    gone = not_none(subject.evidence(se3.from_plane(3.0, 0.0, 0.0), np.eye(6)))
+    gone = not_none(subject.update_evidence(se3.from_plane(3.0, 0.0, 0.0), np.eye(6)))
     assert np.sqrt(not_none(gone.covariance)[0, 0] - 1.0) == pytest.approx(2.0)
 
 
@@ -66,7 +66,7 @@ def test_from_then_on_a_way_leads_astray() -> None:
 def test_a_heading_that_is_known_again_ends_it(sigma_rad: float, is_kidnapped: bool) -> None:
     subject = kidnapped()
     subject.inflate(np.eye(4), np.eye(6))
-    subject.evidence(np.eye(4), sigma_rad**2 * np.eye(6))
+    subject.update_evidence(np.eye(4), sigma_rad**2 * np.eye(6))
     assert subject.is_kidnapped == is_kidnapped
 
 
@@ -99,7 +99,7 @@ def test_another_view_without_dark_or_a_long_stand_says_nothing_though_the_wheel
 def test_an_elevator_may_have_gone_to_another_floor_and_the_dark_has_not() -> None:
     subject = stood(3.0)
     subject.add_unknown_view(10.03, AHEAD, np.eye(4))
-    of_elevator, of_dark = (not_none(not_none(one.evidence(*HERE)).covariance) for one in (subject, kidnapped()))
+    of_elevator, of_dark = (not_none(not_none(one.update_evidence(*HERE)).covariance) for one in (subject, kidnapped()))
     np.testing.assert_allclose(np.sqrt(np.diag(of_elevator))[:3], [0.7 * 3.03, 0.7 * 3.03, 3.0], rtol=1e-3)
     assert np.sqrt(of_dark[2, 2]) < 0.01
 
@@ -112,7 +112,7 @@ def test_who_hides_the_view_of_a_robot_that_stands_on_may_go_away() -> None:
     assert not subject.waits(None)
     subject.add_known_view(11.0)
     assert not subject.waits(AHEAD)
-    assert subject.evidence(*HERE) is None
+    assert subject.update_evidence(*HERE) is None
 
 
 def test_a_camera_that_began_again_waits_for_nothing() -> None:
@@ -126,8 +126,8 @@ def test_loops_that_join_where_it_was_put_end_it_and_no_others_do() -> None:
     subject = kidnapped()
     subject.inflate(np.eye(4), np.eye(6))
     subject.relocalized()  # loops have always been joined; no piece has begun here
-    assert subject.evidence(*SPREAD) is not None
-    subject.begin_piece()
-    assert subject.evidence(*SPREAD) is not None
+    assert subject.update_evidence(*SPREAD) is not None
+    subject.begin_submap()
+    assert subject.update_evidence(*SPREAD) is not None
     subject.relocalized()
-    assert subject.evidence(*SPREAD) is None
+    assert subject.update_evidence(*SPREAD) is None

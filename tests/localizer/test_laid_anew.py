@@ -14,7 +14,7 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.estimates import CameraEstimate, MotionEstimate, Status
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
-from wheelsight.estimation.loop_updates import LoopsBeside, corrected_keyframes
+from wheelsight.estimation.loop_updates import LoopClosureClient, corrected_keyframes
 from wheelsight.slam.drive_graph import OdometryKeyframe
 from wheelsight.slam.graph import RelativePose
 from wheelsight.slam.loop_closing import LiveLoops
@@ -93,9 +93,9 @@ def handed(monkeypatch: pytest.MonkeyPatch) -> list[OdometryKeyframe]:
     return found
 
 
-def beside_of(store: KeyframeStore) -> LoopsBeside:
+def beside_of(store: KeyframeStore) -> LoopClosureClient:
     settings = load_config(overrides={"loops.source": "keyframes"})
-    return LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
+    return LoopClosureClient(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
 
 
 def add(store: KeyframeStore, stamp_s: float, T: FloatArray) -> None:
@@ -109,7 +109,7 @@ def test_the_camera_goes_with_the_keyframe_on_which_it_hangs(handed: list[Odomet
     moved = []
     for number, T in enumerate((np.eye(4), ASTRAY)):
         add(store, float(number), T)
-        beside.keep(float(number), np.eye(4), C, None if number == 0 else (STEP, C))
+        beside.add_keyframes(float(number), np.eye(4), C, None if number == 0 else (STEP, C))
         moved.append(beside.hand_over([(STEP, C)] if number else (), KeyframeId(number)))
     assert moved[0] is None
     np.testing.assert_allclose(not_none(moved[1]) @ ASTRAY, STEP, atol=1e-9)
@@ -126,7 +126,7 @@ def test_what_is_seen_after_a_frame_that_was_not_believed_ties_nothing(
     beside = beside_of(store)
     for number in (0, 1, 2):
         add(store, float(number), se3.from_plane(0.1 * number, 0.0, 0.0))
-        beside.keep(float(number), np.eye(4), C)
+        beside.add_keyframes(float(number), np.eye(4), C)
     beside.hand_over()
     T, motion = np.eye(4), MotionEstimate(np.eye(4), C)
     for stamp_s, number in ((3.0, 0), (4.0, 3)):
@@ -138,7 +138,7 @@ def test_what_is_seen_after_a_frame_that_was_not_believed_ties_nothing(
         seen = CameraEstimate(stamp_s, Status.TRACKING, T, C, keyframe=by, T_keyframe_body=T, motion=motion)
         beside.add_tracked(seen, np.eye(4), C)
         assert beside.tracked_s == stamp_s
-        beside.keep(stamp_s, np.eye(4), C)
+        beside.add_keyframes(stamp_s, np.eye(4), C)
     beside.hand_over()
     assert (handed[-1].seen_from is None) == is_forgotten
     beside.close()

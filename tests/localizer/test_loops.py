@@ -18,7 +18,7 @@ from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.core.messages import Event, RgbdFrame
 from wheelsight.estimation import Localizer
-from wheelsight.estimation.loop_updates import LoopsBeside
+from wheelsight.estimation.loop_updates import LoopClosureClient
 from wheelsight.io.recordings import Recording, open_recording
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.drive_graph import KeyframePlace, OdometryKeyframe, PoseUpdate, Revisit
@@ -36,8 +36,10 @@ WAYS = {
 }
 
 
-def in_map(beside: LoopsBeside, found: Estimate) -> tuple[PoseFinding, FloatArray | None]:
-    evidence = beside.evidence(found.stamp_s, found.status, found.T_odom_body, found.covariance, found.T_map_odom)
+def in_map(beside: LoopClosureClient, found: Estimate) -> tuple[PoseFinding, FloatArray | None]:
+    evidence = beside.update_evidence(
+        found.stamp_s, found.status, found.T_odom_body, found.covariance, found.T_map_odom
+    )
     return evidence.finding, evidence.covariance_map
 
 
@@ -125,31 +127,31 @@ def test_loops_tie_keyframes_to_older_ones_where_they_are_seen_from_apart(
     blank = np.ones((24, 32), np.float32)
     for x_m in (0.0, 1.0, 2.0, 3.0, 3.1, 4.0):
         store.add(Keyframe.of_images(x_m, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), se3.from_plane(x_m, 0, 0))
-    beside = LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
+    beside = LoopClosureClient(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
     loops = np.array(ends, np.int64).reshape(-1, 2)
     told = PoseUpdate(np.array(store.T_map_keyframe), np.zeros(len(store), np.int64), loops)
     monkeypatch.setattr(LiveLoops, "due", lambda live, stamp_s: told)
-    assert not beside.tie(3)
+    assert not beside.has_loop_across(3)
     beside.move_keyframes(10.0, None)
-    assert beside.tie(3) == ties
+    assert beside.has_loop_across(3) == ties
     beside.close()
 
 
 def test_keyframes_are_handed_over_with_what_is_known_then_of_the_way_to_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of those kept before another filter took over, what was known when they were kept stands."""
     store, settings = KeyframeStore(), load_config(overrides={"loops.source": "keyframes"})
-    beside = LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
+    beside = LoopClosureClient(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
     handed: list[OdometryKeyframe] = []
     monkeypatch.setattr(LiveLoops, "add", lambda live, lived: handed.append(lived))
     blank, C = np.ones((24, 32), np.float32), 1e-4 * np.eye(6)
     for x_m in (0.0, 1.0, 2.0):
         store.add(Keyframe.of_images(x_m, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), se3.from_plane(x_m, 0, 0))
-        beside.keep(x_m, np.eye(4), C, None if x_m == 0 else (se3.from_plane(1, 0, x_m), C))
+        beside.add_keyframes(x_m, np.eye(4), C, None if x_m == 0 else (se3.from_plane(1, 0, x_m), C))
         assert not beside.has_new
-    before = beside.is_waiting, len(handed)
+    before = beside.has_pending, len(handed)
     beside.hand_over([None, (se3.from_plane(1, 0, 0.5), C)])
     assert before == (True, 0)
-    assert not beside.is_waiting
+    assert not beside.has_pending
     assert [lived.number for lived in handed] == [0, 1, 2]
     assert handed[0].motion is None
     for lived, yaw_rad in zip(handed[1:], (1.0, 0.5), strict=True):
@@ -164,11 +166,11 @@ def test_a_piece_counts_as_joined_once_it_is_sure_where_it_lies(
     monkeypatch: pytest.MonkeyPatch, sigma_m: float | None, sigma_rad: float | None, is_sure: bool
 ) -> None:
     store, settings = KeyframeStore(), load_config(overrides={"loops.source": "keyframes"})
-    beside = LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
+    beside = LoopClosureClient(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
     blank = np.ones((24, 32), np.float32)
     for x_m in (0.0, 1.0):
         store.add(Keyframe.of_images(x_m, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), se3.from_plane(x_m, 0, 0))
-    beside.begin_piece(KeyframeId(1))
+    beside.begin_submap(KeyframeId(1))
     assert not beside.is_joined
     C_odom = 0.01 * np.eye(6)
     seen = Estimate(1.1, Status.TRACKING, se3.from_plane(1.5, 0, 0), C_odom + 1e-4 * np.eye(6))
@@ -210,7 +212,7 @@ def test_in_a_map_that_stays_a_pose_is_tracked_while_it_is_sure(monkeypatch: pyt
         store.add(Keyframe.of_images(x_m, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), se3.from_plane(x_m, 0, 0))
     step = RelativePose(KeyframeId(0), KeyframeId(1), se3.from_plane(1, 0, 0), C)
     known = KnownMap(store, Recognizer(), (step,) if grows else (), np.eye(4), 700 * C)
-    beside = LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, known, waits=True)
+    beside = LoopClosureClient(store, Calibration.registered_camera(synthetic.CAMERA), settings, known, waits=True)
     store.add(Keyframe.of_images(2.0, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), se3.from_plane(2, 0, 0))
     place = KeyframePlace(KeyframeId(2), np.eye(4), C, np.eye(4), C, KeyframeId(2))
 
@@ -242,7 +244,7 @@ def test_a_keyframe_that_odometry_comes_back_to_is_told_and_so_is_what_it_sees_f
     monkeypatch.setattr(LiveLoops, "add", lambda live, keyframe: added.append(keyframe))
     monkeypatch.setattr(LiveLoops, "request_place", lambda live, keyframe: again.append(keyframe))
     monkeypatch.setattr(LiveLoops, "add_revisit", lambda live, keyframe: followed.append(keyframe))
-    beside = LoopsBeside(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
+    beside = LoopClosureClient(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
 
     def see(stamp_s: float, keyframe: int, apart_m: float = 0.0, *, is_new: bool = False) -> None:
         if is_new:
@@ -252,7 +254,7 @@ def test_a_keyframe_that_odometry_comes_back_to_is_told_and_so_is_what_it_sees_f
         T, by = se3.from_plane(apart_m, 0.0, 0.0), KeyframeId(keyframe)
         seen = CameraEstimate(stamp_s, Status.TRACKING, np.eye(4), C, keyframe=by, T_keyframe_body=T, motion=motion)
         beside.add_tracked(seen, T_odom_map, 9 * C)
-        beside.keep(stamp_s, T_odom_map, 9 * C)
+        beside.add_keyframes(stamp_s, T_odom_map, 9 * C)
         beside.hand_over()
 
     for number in range(3):

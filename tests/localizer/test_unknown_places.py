@@ -13,7 +13,7 @@ from wheelsight.core.geometry import FloatArray
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.estimation import FusedEstimate
 from wheelsight.estimation import fusion_localizer as by_fusion
-from wheelsight.estimation.loop_updates import PlaceConfirmation
+from wheelsight.estimation.loop_updates import PlaceConfirmation, SubmapState
 from wheelsight_sim.faults import Silence
 
 pytestmark = pytest.mark.slow  # one to three seconds each
@@ -99,13 +99,13 @@ def test_after_a_silence_of_all_sensors_an_unknown_view_is_of_a_doubtful_place(m
 
 @dataclass
 class Loops:
-    """Stand in for LoopsBeside: asked so many times, they tie what is seen since to what was seen before."""
+    """Stand in for LoopClosureClient: asked so many times, they tie what is seen since to what was seen before."""
 
     times: int
-    is_laid: bool = True
+    submap: SubmapState = SubmapState.PLACED
     asked: list[int] = field(default_factory=list)
     has_new: bool = False
-    is_waiting: bool = False
+    has_pending: bool = False
     tracked_s: float = -np.inf
     recognised: int | None = None
     confirmation: PlaceConfirmation = field(default_factory=lambda: PlaceConfirmation(is_given=False))
@@ -119,18 +119,18 @@ class Loops:
     def add_tracked(self, seen: CameraEstimate, T_odom_map: FloatArray, covariance: FloatArray) -> None:
         pass
 
-    def tie(self, number: int) -> bool:
+    def has_loop_across(self, number: int) -> bool:
         self.asked.append(number)
         return len(self.asked) >= self.times
 
-    def evidence(self, *_: object) -> PoseEvidence:
+    def update_evidence(self, *_: object) -> PoseEvidence:
         return PoseEvidence(PoseFinding.PLACE_KNOWN)
 
 
 def test_after_a_silence_loops_tell_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
     made = drive(ROUND_A_CORNER, lambda seconds: Sight(place=int(seconds >= SILENT_S[1])))
     loops = Loops(30)
-    monkeypatch.setattr(by_fusion, "loops_beside", lambda *_, **__: loops)
+    monkeypatch.setattr(by_fusion, "loop_closure_client", lambda *_, **__: loops)
     after = said_after_silence(monkeypatch, made)
     doubts = [answer.doubtful for answer in after]
     begun = doubts.index(True)

@@ -28,7 +28,7 @@ def _about(T: FloatArray, sigma_m: float) -> FloatArray:
 
 def is_uncertain(subject: UncertainRestart, sigma_m: float) -> bool:
     fused = answer(sigma_m)
-    evidence = subject.evidence(not_none(fused.T_odom_body), not_none(fused.covariance))
+    evidence = subject.update_evidence(not_none(fused.T_odom_body), not_none(fused.covariance))
     assert evidence is None or (evidence.finding, evidence.covariance) == (PoseFinding.UNCERTAIN_RESTART, None)
     return evidence is not None
 

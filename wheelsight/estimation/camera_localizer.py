@@ -23,7 +23,7 @@ from wheelsight.core.estimates import (
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame
-from wheelsight.estimation.loop_updates import LoopsBeside, begin_in, loops_beside
+from wheelsight.estimation.loop_updates import LoopClosureClient, begin_in, loop_closure_client
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
 from wheelsight.mapping.surfels import MapBuilder
 from wheelsight.slam.place_recognition import KnownMap
@@ -75,8 +75,8 @@ class ByFrames:
         self.hears: tuple[type[Event], ...] = self.answers
         self._status = Status.INITIALIZING
         self.last_matches: MatchedPixels | None = None
-        detector = parts.loop_detector
-        self.loops = loops_beside(self.odometry.store, calibration, settings, known, waits=waits, detector=detector)
+        store, detector = self.odometry.store, parts.loop_detector
+        self.loops = loop_closure_client(store, calibration, settings, known, waits=waits, detector=detector)
         self.T_odom_map: FloatArray = np.eye(4)
         if known is not None:
             T_odom_camera = np.eye(4) if T_base_camera is None else T_base_camera
@@ -113,7 +113,7 @@ class ByFrames:
             self.T_odom_map = se3.nearest(self.T_odom_map @ se3.invert(T_new_old))
         estimate: CameraEstimate = self.odometry.process(frame)
         if self.loops is not None and estimate.status is Status.LOST and estimate.reason not in BLIND:
-            estimate = self._begin_piece(self.loops, frame, estimate)
+            estimate = self._begin_submap(self.loops, frame, estimate)
         self._keyframe = self._keyframe if estimate.keyframe is None else estimate.keyframe
         if self.mapper is not None and isinstance(estimate, DenseEstimate) and estimate.shows_all:
             self.mapper.fuse_tracked(frame, estimate)
@@ -122,19 +122,19 @@ class ByFrames:
         in_odom = framed(estimate, self.T_odom_map)
         if in_odom.covariance is not None:
             self.loops.add_tracked(estimate, self.T_odom_map, in_odom.covariance)
-            self.loops.keep(frame.stamp_s, self.T_odom_map, in_odom.covariance)
+            self.loops.add_keyframes(frame.stamp_s, self.T_odom_map, in_odom.covariance)
             self.loops.hand_over()
         self._last = self._last if in_odom.T_odom_body is None else in_odom
         T_map_odom = in_odom.T_map_odom
         at = in_odom.stamp_s, in_odom.status, in_odom.T_odom_body, in_odom.covariance
-        in_map = self.loops.evidence(*at, T_map_odom)
+        in_map = self.loops.update_evidence(*at, T_map_odom)
         decided = decide([in_map], PoseDecision(in_odom.status))
         is_known = in_odom.status in (Status.TRACKING, Status.COASTING)
         status = decided.status if is_known else in_odom.status
         return replace(in_odom, status=status, covariance_map=decided.covariance_map)
 
-    def _begin_piece(self, loops: LoopsBeside, frame: RgbdFrame, lost: CameraEstimate) -> CameraEstimate:
-        """Begin a separate piece of map at a frame that shows nothing known.
+    def _begin_submap(self, loops: LoopClosureClient, frame: RgbdFrame, lost: CameraEstimate) -> CameraEstimate:
+        """Begin a submap at a frame that shows nothing known.
 
         In odom the camera stays at its last pose. The covariance grows by the motion that is possible meanwhile.
         """
@@ -145,13 +145,13 @@ class ByFrames:
         sigma_m, sigma_rad = _CARRIED_M_S * seconds, min(_CARRIED_RAD_S * seconds, _MOST_RAD)
         Ad = se3.adjoint(last.T_odom_body)
         C_odom = last.covariance + np.asarray(Ad @ np.diag(np.square([sigma_m] * 3 + [sigma_rad] * 3)) @ Ad.T)
-        T_map_camera = loops.apart(se3.invert(self.T_odom_map) @ last.T_odom_body)
+        T_map_camera = loops.camera_in_new_submap(se3.invert(self.T_odom_map) @ last.T_odom_body)
         T_odom_map = se3.nearest(last.T_odom_body @ se3.invert(T_map_camera))
         Ad = se3.adjoint(se3.invert(T_odom_map))
         found = self.odometry.restart(frame, T_map_camera, Ad @ C_odom @ Ad.T)
         if found.keyframe is None:
             return lost
-        loops.begin_piece(found.keyframe)
+        loops.begin_submap(found.keyframe)
         self.T_odom_map = T_odom_map
         return found
 

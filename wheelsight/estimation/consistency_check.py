@@ -793,17 +793,17 @@ class KidnapDetection:
         """Forget how long the wheels stood: the camera restarts, so its view is not that of an elevator's cabin."""
         self._stands, self._stood_s = None, 0.0
 
-    def begin_piece(self) -> None:
-        """Note that a separate piece of map begins, which loops are to join."""
+    def begin_submap(self) -> None:
+        """Note that a submap begins, which loops are to join."""
         self._is_apart = True
 
     def relocalized(self) -> None:
-        """Note that loops have joined the piece of map that began after the kidnapping, so the pose is known."""
+        """Note that loops have placed the submap that began after the kidnapping, so the pose is known."""
         if self._is_apart:
             self._from, self._is_inflated, self._is_apart = None, False, False
 
-    def evidence(self, T_filter_base: FloatArray, covariance: FloatArray) -> PoseEvidence | None:
-        """Return a larger covariance for a pose (4, 4) with its covariance (6, 6), until the heading is known again."""
+    def update_evidence(self, T_filter_base: FloatArray, covariance: FloatArray) -> PoseEvidence | None:
+        """Return a larger covariance for a pose (4, 4) with its own (6, 6), until its heading is known again."""
         if self._from is None:
             return None
         C = covariance
@@ -862,8 +862,8 @@ class UncertainRestart:
         """Note that loops connect keyframes since the restart to older ones."""
         self.since = None
 
-    def evidence(self, T_filter_base: FloatArray, covariance: FloatArray) -> PoseEvidence | None:
-        """Return the finding until the position of a pose (4, 4) with its covariance (6, 6) is known again."""
+    def update_evidence(self, T_filter_base: FloatArray, covariance: FloatArray) -> PoseEvidence | None:
+        """Return the finding for a pose (4, 4) with its covariance (6, 6); end it once the position is known again."""
         if self.since is None:
             return None
         if _variance_m2(T_filter_base, covariance) < self._enough_m2:

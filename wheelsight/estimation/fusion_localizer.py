@@ -56,7 +56,7 @@ from wheelsight.estimation.consistency_check import (
 )
 from wheelsight.estimation.fault_detection import SensorHealth
 from wheelsight.estimation.filter import ErrorStateFilter
-from wheelsight.estimation.loop_updates import LoopsBeside, begin_in, loops_beside
+from wheelsight.estimation.loop_updates import LoopClosureClient, SubmapState, begin_in, loop_closure_client
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
 from wheelsight.estimation.pose_belief import COAST_AFTER_S, FilterParameters
 from wheelsight.estimation.wheel_localizer import ByWheels, slip_note
@@ -75,9 +75,9 @@ _ANCHOR_WAY_M = 0.3
 # (freiburg1_desk against motion capture: docs/decisions/filter.md).
 _FRAME_WALK_PER_M = 25.0
 _LONGEST_READING_GAP = 256  # stamps kept: frames are hardly ever delayed by more readings
-# Distance between the filter's pose and the camera's in its map, metres, from which on the camera has left its map. A
+# Distance between the filter's pose and the camera's in its map, metres, from which on the camera has jumped. A
 # turn by a radian counts as 1.5 m. The wheels err by less in the second or two of a contradiction.
-_LEFT_MAP_M = 0.15
+_JUMPED_M = 0.15
 # Speed at which the pose in odom moves to the corrected one: slow enough for a controller.
 _CORRECTION_M_S, _CORRECTION_RAD_S = 0.1, math.radians(10.0)
 _REMEMBERED_POSES = 600  # of the map in odom, one a frame: as long as the filter remembers, at 30 frames a second
@@ -132,8 +132,8 @@ class ByFusion:
             return BaseCheck(calibration, T_base_camera, ErrorStateFilter(*begin))
 
         self._check, self._readmission = new_check(), ReadmissionCheck(new_check, self._camera.another)
-        detector = parts.loop_detector
-        self.loops = loops_beside(self.odometry.store, calibration, settings, known, waits=waits, detector=detector)
+        store, detector = self.odometry.store, parts.loop_detector
+        self.loops = loop_closure_client(store, calibration, settings, known, waits=waits, detector=detector)
         wheels = calibration.wheels
         self._health = None if wheels is None else SensorHealth(wheels.track_width_m, T_base_camera)
         self._kidnap, self._restart, self._odom = KidnapDetection(), UncertainRestart(), FusedOdom()
@@ -184,14 +184,14 @@ class ByFusion:
             decided = decide([check_evidence], decided)
         T, C, T_map_filter = decided.T_odom_body, decided.covariance, self._map.T_map_filter
         if T is not None and C is not None:  # without a pose, the status of the sensors stays
-            evidence = [self._restart.evidence(T, C), self._kidnap.evidence(T, C), *more_evidence]
+            evidence = [self._restart.update_evidence(T, C), self._kidnap.update_evidence(T, C), *more_evidence]
             if self._health is not None and self._health.is_suspicious:
                 evidence.append(_SUSPICION)
             if self._health is not None and self._health.is_without_wheels:
                 evidence.append(_SLIP)
             decided = decide(evidence, decided) if any(evidence) else decided
             if self.loops is not None:
-                in_map = self.loops.evidence(fused.stamp_s, decided.status, T, decided.covariance, T_map_filter)
+                in_map = self.loops.update_evidence(fused.stamp_s, decided.status, T, decided.covariance, T_map_filter)
                 decided = decide([in_map], decided)
         T_keyframe_map, T_keyframe_base = self._map.T_keyframe_map, None
         if T_keyframe_map is not None and T is not None:
@@ -222,7 +222,7 @@ class ByFusion:
         if self._readmission.check is not None:
             self._readmission.check.add_wheels(wheels)
         if check.verdict.left_out is not None:
-            if self._excludes(Culprit.CAMERA):
+            if self._switch_filter_without(Culprit.CAMERA):
                 return self.filter.estimate, note
             if check.is_without_wheels:
                 return self.filter.drop(wheels.stamp_s, ""), note  # the camera's velocity predicts the pose
@@ -281,7 +281,7 @@ class ByFusion:
             return self._lose(frame, seen, restarts=True)
         shows_all = seen.motion.shows_all
         self._check.add_tracked(frame, seen, shows_all=shows_all)
-        if self._check.verdict.left_out is not None and self._excludes(Culprit.WHEELS):
+        if self._check.verdict.left_out is not None and self._switch_filter_without(Culprit.WHEELS):
             return self._begin(frame, seen)
         if self._health is not None:
             self._health.is_armed = self._check.is_over
@@ -306,12 +306,12 @@ class ByFusion:
         ended = {one.sensor for one in before if one.is_sure and one not in now}
         return RobotSensor.CAMERA in ended
 
-    def _apply_loops(self, loops: LoopsBeside, stamp_s: float) -> None:
+    def _apply_loops(self, loops: LoopClosureClient, stamp_s: float) -> None:
         """Move keyframes by the loops found so far. The pose in odom does not change."""
         self._move_map(loops.move_keyframes(stamp_s, self._map.keyframe))
-        if self._restart.since is not None and loops.tie(self._restart.since):
+        if self._restart.since is not None and loops.has_loop_across(self._restart.since):
             self._restart.relocalized()
-        if loops.is_laid:  # not `is_joined`, which no doubtful estimate makes true
+        if loops.submap is not SubmapState.APART:  # not only JOINED, which no doubtful estimate reaches
             self._kidnap.relocalized()
 
     def _move_map(self, T_new_old: FloatArray | None) -> None:
@@ -340,8 +340,8 @@ class ByFusion:
         self._map.track(frame.stamp_s, seen.T_odom_body, is_accepted=is_accepted)
         # While another sensor is suspected, it is the filter that has left the camera's map.
         is_camera = self._health is None or self._health.suspected in (None, RobotSensor.CAMERA)
-        is_left = is_accepted and is_camera and self._map.is_contradicted
-        if is_left and self._map.is_left(seen.T_odom_body, update.T_filter_base):
+        may_have_jumped = is_accepted and is_camera and self._map.is_contradicted
+        if may_have_jumped and self._map.has_camera_jumped(seen.T_odom_body, update.T_filter_base):
             # The camera jumped: restart it at the pose in its map that the filter has.
             assert update.T_filter_base is not None
             assert answer.covariance is not None
@@ -392,7 +392,7 @@ class ByFusion:
     def _restart_camera(self, frame: RgbdFrame, seen: CameraEstimate, wheels: FusedEstimate) -> FusedEstimate:
         """Restart the camera, at a frame that shows nothing known, at the pose that the wheels predict.
 
-        After a kidnapping, or at a wrong place in a known map, the pose is unknown: the camera begins a piece of map
+        After a kidnapping, or at a wrong place in a known map, the pose is unknown: the camera begins a submap
         that loops have to join to the rest.
         """
         assert wheels.covariance is not None
@@ -406,10 +406,10 @@ class ByFusion:
         if self.loops is None or not (self._kidnap.is_kidnapped or self.loops.confirmation.is_refuted):
             again = self._camera.restart(frame, T_map_camera, wheels.covariance)
         else:
-            again = self._camera.restart(frame, self.loops.apart(T_map_camera), wheels.covariance)
+            again = self._camera.restart(frame, self.loops.camera_in_new_submap(T_map_camera), wheels.covariance)
             if again.keyframe is not None:
-                self.loops.begin_piece(again.keyframe)
-                self._kidnap.begin_piece()
+                self.loops.begin_submap(again.keyframe)
+                self._kidnap.begin_submap()
         if again.T_odom_body is None:
             return wheels
         self._restart.begin(spread_m, first)
@@ -418,13 +418,13 @@ class ByFusion:
             self._health.interrupt(frame.stamp_s)
         return self._begin(frame, again, seen.reason)
 
-    def _update_loops(self, loops: LoopsBeside, stamp_s: float, covariance: FloatArray | None) -> None:
+    def _update_loops(self, loops: LoopClosureClient, stamp_s: float, covariance: FloatArray | None) -> None:
         """Pass new keyframes on to loop closing once the filter knows which sensor was right on the way to them."""
         if loops.tracked_s != stamp_s:
             loops.forget_tracked()
         if loops.has_new and covariance is not None:
-            loops.keep(stamp_s, self._map.T_filter_map, covariance, self.filter.keep_frame(stamp_s))
-        motions_there = self.filter.settled_motions() if loops.is_waiting else None
+            loops.add_keyframes(stamp_s, self._map.T_filter_map, covariance, self.filter.keep_frame(stamp_s))
+        motions_there = self.filter.settled_motions() if loops.has_pending else None
         if motions_there is not None:
             self._move_map(loops.hand_over(motions_there, self._map.keyframe))
 
@@ -450,8 +450,8 @@ class ByFusion:
         self._map.lay(self.filter.last_frame())
         return placed
 
-    def _excludes(self, sensor: Culprit) -> bool:
-        """Whether a sensor was just found wrong; a filter without it takes over."""
+    def _switch_filter_without(self, sensor: Culprit) -> bool:
+        """Continue with a filter without a sensor that was just found wrong; return whether it was."""
         other = self._check.hand_over(sensor)
         if other is not None:
             self._replace_filter(other)
@@ -799,8 +799,8 @@ class CameraMap:
             self.is_contradicted = True
         self._tracked_s = stamp_s
 
-    def is_left(self, T_map_camera: FloatArray, T_filter_base: FloatArray | None) -> bool:
-        """Whether a camera at a pose (4, 4) has left the map, by the filter's pose of the base.
+    def has_camera_jumped(self, T_map_camera: FloatArray, T_filter_base: FloatArray | None) -> bool:
+        """Whether a camera at a pose (4, 4) in its map is elsewhere by the filter's pose of the base.
 
         If the filter rejected consecutive frames and accepts the next ones, the camera has jumped, for instance by the
         period of a repeating pattern. Aligning the map with the camera's pose would make the map jump as well.
@@ -809,7 +809,7 @@ class CameraMap:
             return False
         T_filter_camera = motions.times(T_filter_base, self._T_base_camera)
         by_map = motions.times(self.T_filter_map, T_map_camera)
-        return bool(motions.view_shift_m(motions.times(motions.inverse(by_map), T_filter_camera)) > _LEFT_MAP_M)
+        return bool(motions.view_shift_m(motions.times(motions.inverse(by_map), T_filter_camera)) > _JUMPED_M)
 
     def accept(self, stamp_s: float, seen: Estimate, T_filter_base: FloatArray | None) -> None:
         """Accept the camera's pose in the map at a frame; `T_filter_base` is the base's when its image was taken."""

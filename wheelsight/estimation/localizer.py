@@ -33,7 +33,7 @@ from wheelsight.core.threads import Closing, OneCaller, Rows, ends, one_at_a_tim
 from wheelsight.estimation.area_localizer import ByPlaces, Places, load_places
 from wheelsight.estimation.camera_localizer import ByFrames, CameraOdometry
 from wheelsight.estimation.fusion_localizer import ByFusion
-from wheelsight.estimation.loop_updates import LoopsBeside
+from wheelsight.estimation.loop_updates import LoopClosureClient
 from wheelsight.estimation.odometry_choice import FRAMES, RATES, READINGS, OwnParts, choose_odometry, why_unused
 from wheelsight.estimation.wheel_localizer import ByWheels
 from wheelsight.mapping import SurfelMap
@@ -212,7 +212,7 @@ class Localizer(Closing, OneCaller):
         return self._estimator.keyframes
 
     @property
-    def loops(self) -> LoopsBeside | None:
+    def loops(self) -> LoopClosureClient | None:
         """Loop closing while driving, with `loops: {source: keyframes}` and a camera; else None."""
         return self._loops
 

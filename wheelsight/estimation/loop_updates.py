@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
+from enum import Enum
 from itertools import chain
 
 import numpy as np
@@ -29,27 +30,35 @@ from wheelsight.slam.settings import FROM_KEYFRAMES
 
 _LOG = logging.getLogger(__name__)
 
-# A piece counts as joined once the standard deviation of a pose in the map is at most this, along the worst axis.
+# A submap counts as joined once the standard deviation of a pose in the map is at most this, along the worst axis.
 # Estimated: a place 0.5 m or 10 degrees off is wrong, and this is less than a third of it.
-_SURE_M, _SURE_RAD = 0.15, 0.06
+_ACCURATE_M, _ACCURATE_RAD = 0.15, 0.06
 # In a fixed known map, a pose with a larger standard deviation is `coasting`. Larger than above, so that the status
 # does not alternate.
-_UNSURE_M, _UNSURE_RAD = 0.2, 0.08
+_INACCURATE_M, _INACCURATE_RAD = 0.2, 0.08
 # Way and time in which the camera has to confirm a place in a known map, and the views that have to recognise it: one
 # alone has been 0.3 m off. And the number of keyframes in a row that lie among those of the map and are not recognised,
 # after which the place is in doubt. At a right place, two in a row were missed among six people (simulator).
 # Time counts in steps of the robot, since one that stands sees nothing new.
 _CONFIRM_M, _CONFIRM_S, _CONFIRM_VIEWS, _MOST_MISSED = 5.0, 20.0, 2, 5
 _STEP_M, _LONGEST_STEP_S = 0.1, 2.0
-# Distance below the map at which unjoined pieces are kept, so that none is visible from another. Estimated: surfels
+# Distance below the map at which unjoined submaps are kept, so that none is visible from another. Estimated: surfels
 # there are still placed to 0.02 mm.
-_APART_M = 200.0
+_SUBMAP_SPACING_M = 200.0
 
-# New keyframes, grouped by the frames at which they were added.
-Kept = list[list[OdometryKeyframe]]
+# New keyframes that the thread does not have yet, grouped by the frames at which they were added.
+PendingKeyframes = list[list[OdometryKeyframe]]
 
 
-class LoopsBeside:
+class SubmapState(Enum):
+    """State of the submap in which the camera is."""
+
+    APART = "no loop joins it to the rest of the map"
+    PLACED = "loops have placed it, at any certainty"
+    JOINED = "the pose in the map is known well enough"
+
+
+class LoopClosureClient:
     """Passes new keyframes of odometry to the thread that closes loops, and moves keyframes by its results.
 
     Args:
@@ -59,8 +68,7 @@ class LoopsBeside:
         waits, detector: see `LiveLoops`.
 
     Attributes:
-        is_laid: whether loops have placed the robot's piece of map, at whatever certainty.
-        is_joined: whether the pose of that piece is known well enough.
+        submap: state of the submap in which the camera is.
         confirmation: of the place in the known map.
         tracked_s: stamp of the last frame in `add_tracked`.
     """
@@ -78,22 +86,22 @@ class LoopsBeside:
         self._store = store
         how = (calibration, settings.loops, settings.recognition)
         self._live = LiveLoops(store, *how, known=known, waits=waits, detector=detector)
-        self._map_stays, self._was_sure = known is not None and not known.edges, False
-        self._added = len(store)  # keyframes of the store that `keep` has taken
-        self._waiting: Kept = []
+        self._is_map_fixed, self._was_accurate = known is not None and not known.edges, False
+        self._added = len(store)  # keyframes of the store that `add_keyframes` has taken
+        self._pending: PendingKeyframes = []
         self._tracked_by: KeyframeId | None = None  # keyframe by which the last frame was tracked
         self.tracked_s = -np.inf
         self._seen_from: tuple[KeyframeId, FloatArray] | None = None
         self._nearest: tuple[float, Revisit] | None = None  # of the frames tracked by a revisited keyframe
         self._closed: ClosedLoops | None = None
         self._loops: IntArray = np.zeros((0, 2), np.int64)
-        self._pieces: list[int] = [0]  # numbers of their first keyframes
-        self.is_laid, self.is_joined, self._is_new = True, True, False
+        self._submap_starts: list[int] = [0]  # numbers of their first keyframes
+        self.submap, self._awaits_recognition = SubmapState.JOINED, False
         self._has_known = known is not None and len(store) > 0
         self.confirmation = PlaceConfirmation(is_given=known is not None and known.start is not None)
         if known is not None and len(store) and known.start is None:
-            self.begin_piece(KeyframeId(len(store)))
-            self._is_new = True  # the robot has not been localized in this map yet
+            self.begin_submap(KeyframeId(len(store)))
+            self._awaits_recognition = True
 
     def move_keyframes(self, stamp_s: float, keyframe: KeyframeId | None) -> FloatArray | None:
         """Move keyframes to their poses by loops; return T_new_old (4, 4) of one of them, or None without a change.
@@ -109,20 +117,23 @@ class LoopsBeside:
         T_known, T_old = update.T_map_keyframe.copy(), np.array(self._store.T_map_keyframe)
         unjoined: IntArray = np.unique(update.piece[update.piece > 0])
         for first in unjoined:  # stays apart
-            T_known[update.piece == first] = apart(self._pieces.index(int(first))) @ T_known[update.piece == first]
+            T_submap = provisional_submap_pose(self._submap_starts.index(int(first)))
+            T_known[update.piece == first] = T_submap @ T_known[update.piece == first]
         count = len(T_known)
         T_newer = T_old[count:]
-        if self._pieces[-1] < count:  # else the thread does not know the piece of the newer ones
+        if self._submap_starts[-1] < count:  # else the thread does not know the submap of the newer ones
             T_newer = T_known[-1] @ se3.invert(T_old[count - 1]) @ T_newer
-            self.is_laid = bool(update.piece[-1] == 0)
-            self.is_joined &= self.is_laid
+            if update.piece[-1] != 0:
+                self.submap = SubmapState.APART
+            elif self.submap is SubmapState.APART:
+                self.submap = SubmapState.PLACED
         T_new = np.concatenate([T_known, T_newer])
         self._store.move(list(self._store), T_new)
         at = count - 1 if keyframe is None else keyframe
         return np.asarray(se3.nearest(T_new[at] @ se3.invert(T_old[at])))
 
     def add_tracked(self, seen: CameraEstimate, T_odom_map: FloatArray, covariance: FloatArray) -> None:
-        """Add a tracked frame, before `keep`. If it is tracked by an older keyframe, that is a measurement.
+        """Add a tracked frame, before `add_keyframes`. If it is tracked by an older keyframe, that is a measurement.
 
         Args:
             seen: of the frame, with its keyframe.
@@ -139,7 +150,7 @@ class LoopsBeside:
         if number >= self._added:
             self._seen_from = None if before is None or before == number - 1 else (before, motion)
             return
-        if self._waiting and number >= self._waiting[0][0].number:
+        if self._pending and number >= self._pending[0][0].number:
             return  # the thread does not know it yet
         apart_m = float(se3.view_shift_m(T_keyframe_camera))
         if number == before and (self._nearest is None or self._nearest[0] <= apart_m):
@@ -166,15 +177,15 @@ class LoopsBeside:
 
     @property
     def has_new(self) -> bool:
-        """Whether odometry has added keyframes since the last `keep`."""
+        """Whether odometry has added keyframes since the last `add_keyframes`."""
         return len(self._store) > self._added
 
     @property
-    def is_waiting(self) -> bool:
+    def has_pending(self) -> bool:
         """Whether keyframes wait for `hand_over`."""
-        return bool(self._waiting)
+        return bool(self._pending)
 
-    def keep(
+    def add_keyframes(
         self, stamp_s: float, T_odom_map: FloatArray, covariance: FloatArray, motion: CameraMotion | None = None
     ) -> None:
         """Take the keyframes that odometry has added at a frame.
@@ -184,42 +195,42 @@ class LoopsBeside:
             T_odom_map, covariance: as of `add_tracked`.
             motion: of the camera since the previous frame with new keyframes; see `OdometryKeyframe`.
         """
-        kept: list[OdometryKeyframe] = []
+        added: list[OdometryKeyframe] = []
         for number in map(KeyframeId, range(self._added, len(self._store))):
             T_map_keyframe = self._store.pose(number)
             T_odom_keyframe = se3.nearest(T_odom_map @ T_map_keyframe)
-            begins = number > 0 and number in self._pieces
+            begins = number > 0 and number in self._submap_starts
             T_before_now = None
             if number:
                 T_map_before = self._store.pose(KeyframeId(number - 1))
                 T_before_now = np.asarray(se3.nearest(se3.invert(T_map_before) @ T_map_keyframe))
             seen_from = None
-            if not kept and self._seen_from is not None:
+            if not added and self._seen_from is not None:
                 older, spread = self._seen_from
                 T_older_new = se3.invert(self._store.pose(older)) @ T_map_keyframe
                 seen_from = aligned_edge((older, number), T_older_new, spread)
-            lived = (number, stamp_s, T_odom_keyframe, covariance, begins, T_before_now)
-            kept.append(OdometryKeyframe(*lived, None if kept else motion, T_map_keyframe, seen_from))
+            by_odometry = (number, stamp_s, T_odom_keyframe, covariance, begins, T_before_now)
+            added.append(OdometryKeyframe(*by_odometry, None if added else motion, T_map_keyframe, seen_from))
         self._added = len(self._store)
-        if kept:
-            self._waiting.append(kept)
+        if added:
+            self._pending.append(added)
 
     def hand_over(
         self, motions: Sequence[CameraMotion | None] = (), keyframe: KeyframeId | None = None
     ) -> FloatArray | None:
-        """Pass all kept keyframes to the thread, with the current estimates of the motions to the last of them.
+        """Pass all pending keyframes to the thread, with the current estimates of the motions to the last of them.
 
         Keyframes that a failing camera has placed wrongly move to where those motions lead. Return T_new_old (4, 4) of
         one keyframe, or None if it stays.
         """
-        waiting, self._waiting = self._waiting, []
+        pending, self._pending = self._pending, []
         # A filter that has taken over knows the motions to the last ones only.
-        for kept, motion in zip(reversed(waiting), reversed(motions), strict=False):
-            kept[0] = kept[0] if motion is None else replace(kept[0], motion=motion)
-        corrected = corrected_keyframes(self._store, waiting, GATE_PROBABILITY)
-        waiting, T_new = (waiting, None) if corrected is None else corrected
-        for lived in chain.from_iterable(waiting):
-            self._live.add(lived)
+        for of_frame, motion in zip(reversed(pending), reversed(motions), strict=False):
+            of_frame[0] = of_frame[0] if motion is None else replace(of_frame[0], motion=motion)
+        corrected = corrected_keyframes(self._store, pending, GATE_PROBABILITY)
+        pending, T_new = (pending, None) if corrected is None else corrected
+        for one in chain.from_iterable(pending):
+            self._live.add(one)
         if T_new is None:
             return None
         numbers = [KeyframeId(len(self._store) - len(T_new) + row) for row in range(len(T_new))]
@@ -229,7 +240,7 @@ class LoopsBeside:
             return None
         return np.asarray(se3.nearest(self._store.pose(keyframe) @ se3.invert(T_old[keyframe])))
 
-    def evidence(
+    def update_evidence(
         self,
         stamp_s: float,
         status: Status,
@@ -239,55 +250,64 @@ class LoopsBeside:
     ) -> PoseEvidence:
         """Return whether the pose in the map is known, with its covariance (6, 6) if loops know that.
 
+        A submap is joined here, and the confirmation of the place continues.
+
         Args:
             stamp_s: of the pose.
             status: its status.
             T_odom_body, covariance: (4, 4) and (6, 6) pose in the frame of `add_tracked`; or None.
             T_map_odom: (4, 4) pose of that frame in the map.
         """
-        place, C, T = self._live.place, None, None
-        if self.is_laid and place is not None and T_odom_body is not None and covariance is not None:
+        place, C, T = None if self.submap is SubmapState.APART else self._live.place, None, None
+        if place is not None and T_odom_body is not None and covariance is not None:
             # That of the newest evaluated keyframe, and what odometry has added since.
             _, grown = motions.step_between(place.T_odom_keyframe, place.covariance_odom, T_odom_body, covariance)
             Ad = se3.adjoint(place.T_map_keyframe)
             C, T = np.asarray(place.covariance + Ad @ grown @ Ad.T), T_map_odom @ T_odom_body
-        is_sure = False
-        if status is Status.TRACKING and not (self.is_joined and (self._was_sure or not self._map_stays)):
-            # Loops have placed the current piece of map, and the pose in the map is accurate enough.
-            is_current = place is not None and place.newest >= self._pieces[-1]
-            is_sure = is_current and _is_within(T, C, _SURE_M, _SURE_RAD)
-        if not self.is_joined and is_sure:
-            self.is_joined, self._is_new = True, False
-        if not self.is_joined:
-            return PoseEvidence(PoseFinding.NOT_RECOGNISED if self._is_new else PoseFinding.PLACE_UNCERTAIN)
+        is_accurate = False
+        is_joined = self.submap is SubmapState.JOINED
+        if status is Status.TRACKING and not (is_joined and (self._was_accurate or not self._is_map_fixed)):
+            # Loops have placed the current submap, and the pose in the map is accurate enough.
+            is_current = place is not None and place.newest >= self._submap_starts[-1]
+            is_accurate = is_current and _is_within(T, C, _ACCURATE_M, _ACCURATE_RAD)
+        if not is_joined and is_accurate:
+            self.submap, self._awaits_recognition = SubmapState.JOINED, False
+        elif not is_joined:
+            return PoseEvidence(PoseFinding.NOT_RECOGNISED if self._awaits_recognition else PoseFinding.PLACE_UNCERTAIN)
         doubt = None
         if self._has_known and T_odom_body is not None:
             doubt = self.confirmation.update(stamp_s, T_odom_body, self._live.recognised_views, self._live.missed)
         if doubt is not None and status in (Status.TRACKING, Status.COASTING):
             return PoseEvidence(doubt, covariance_map=C)
-        if status is Status.TRACKING and self._map_stays:
+        if status is Status.TRACKING and self._is_map_fixed:
             # An existing map does not grow as uncertain as the drive. A given start is accepted as it is until loops
             # make it more certain.
-            self._was_sure |= is_sure
-            if C is not None and self._was_sure and not _is_within(T, C, _UNSURE_M, _UNSURE_RAD):
+            self._was_accurate |= is_accurate
+            if C is not None and self._was_accurate and not _is_within(T, C, _INACCURATE_M, _INACCURATE_RAD):
                 return PoseEvidence(PoseFinding.PLACE_UNCERTAIN, covariance_map=C)
         return PoseEvidence(PoseFinding.PLACE_KNOWN, covariance_map=C)
 
-    def apart(self, T_map_camera: FloatArray) -> FloatArray:
-        """Return T_map_camera (4, 4) at the begin of a new piece of map, for a camera at (4, 4) in the current one."""
-        here = 0 if self.is_laid else len(self._pieces) - 1
-        return apart(len(self._pieces)) @ se3.invert(apart(here)) @ T_map_camera
+    @property
+    def is_joined(self) -> bool:
+        """Whether the pose in the map is known well enough."""
+        return self.submap is SubmapState.JOINED
 
-    def begin_piece(self, keyframe: KeyframeId) -> None:
-        """Begin a piece of map, apart from the others, at a keyframe."""
-        self._pieces.append(keyframe)
-        self.is_laid = self.is_joined = self._was_sure = False
+    def camera_in_new_submap(self, T_map_camera: FloatArray) -> FloatArray:
+        """Return T_map_camera (4, 4) at the begin of a new submap, for a camera at (4, 4) in the current one."""
+        here = len(self._submap_starts) - 1 if self.submap is SubmapState.APART else 0
+        T_new, T_here = (provisional_submap_pose(index) for index in (len(self._submap_starts), here))
+        return T_new @ se3.invert(T_here) @ T_map_camera
+
+    def begin_submap(self, keyframe: KeyframeId) -> None:
+        """Begin a submap, apart from the others, at a keyframe."""
+        self._submap_starts.append(keyframe)
+        self.submap, self._was_accurate = SubmapState.APART, False
         if self.confirmation.is_refuted:
-            self._is_new = True
+            self._awaits_recognition = True
             self.confirmation.reset(self._live.recognised_views)
 
-    def tie(self, number: int) -> bool:
-        """Whether loops connect keyframes from `number` on to older ones, from views as far apart as between pieces.
+    def has_loop_across(self, number: int) -> bool:
+        """Whether loops connect keyframes from `number` on to older ones, from views as far apart as between submaps.
 
         Then their relative pose is known, however uncertain odometry was.
         """
@@ -299,7 +319,7 @@ class LoopsBeside:
         return bool((se3.view_shift_m(se3.invert(T[0]) @ T) >= JOIN_APART_M).any())
 
     @property
-    def kept(self) -> IntArray:
+    def accepted_loops(self) -> IntArray:
         """(K, 2) numbers of the keyframes that accepted loops connect."""
         if self._closed is None:
             return self._loops
@@ -380,12 +400,12 @@ class PlaceConfirmation:
         return PoseFinding.NOT_RECOGNISED if self.is_refuted else PoseFinding.UNCONFIRMED
 
     def reset(self, recognised: int) -> None:
-        """Begin again without a doubt, after `recognised` views: a place is confirmed, or a piece of map begins."""
+        """Begin again without a doubt, after `recognised` views: a place is confirmed, or a submap begins."""
         self._is_doubtful = self._is_given = self.is_refuted = False
         self._recognised, self._since = recognised, None
 
 
-def loops_beside(
+def loop_closure_client(
     store: KeyframeStore,
     calibration: Calibration,
     settings: Config,
@@ -393,10 +413,10 @@ def loops_beside(
     *,
     waits: bool,
     detector: LoopDetector | None = None,
-) -> LoopsBeside | None:
+) -> LoopClosureClient | None:
     """Return loop closing if the settings ask for it. Ligocki's filter has none, as in its paper."""
     is_asked = settings.loops.source == FROM_KEYFRAMES and settings.fusion.filter != "ligocki"
-    return LoopsBeside(store, calibration, settings, known, waits=waits, detector=detector) if is_asked else None
+    return LoopClosureClient(store, calibration, settings, known, waits=waits, detector=detector) if is_asked else None
 
 
 def begin_in(known: KnownMap, calibration: Calibration) -> FloatArray:
@@ -404,13 +424,13 @@ def begin_in(known: KnownMap, calibration: Calibration) -> FloatArray:
     if known.T_map_camera is not None:
         return known.T_map_camera
     T_base_camera = np.eye(4) if calibration.T_base_camera is None else se3.nearest(calibration.T_base_camera)
-    return apart(1) @ T_base_camera if len(known.store) else T_base_camera
+    return provisional_submap_pose(1) @ T_base_camera if len(known.store) else T_base_camera
 
 
-def apart(piece: int) -> FloatArray:
-    """Return (4, 4), the provisional pose of a piece of map until loops join it."""
+def provisional_submap_pose(index: int) -> FloatArray:
+    """Return (4, 4), the pose of a submap in the map until loops join it."""
     T = np.eye(4)
-    T[2, 3] = -_APART_M * piece
+    T[2, 3] = -_SUBMAP_SPACING_M * index
     return T
 
 
@@ -423,8 +443,10 @@ def _is_within(T_map_body: FloatArray | None, covariance: FloatArray | None, mos
     return bool(sigma_m <= most_m and sigma_rad <= most_rad)
 
 
-def corrected_keyframes(store: KeyframeStore, waiting: Kept, probability: float) -> tuple[Kept, FloatArray] | None:
-    """Return the waiting keyframes with corrected poses (K, 4, 4) in the store; None if all may stay.
+def corrected_keyframes(
+    store: KeyframeStore, pending: PendingKeyframes, probability: float
+) -> tuple[PendingKeyframes, FloatArray] | None:
+    """Return the pending keyframes with corrected poses (K, 4, 4) in the store; None if all may stay.
 
     A person who walks past closely can mislead the camera by some decimetres. The keyframes that it adds meanwhile are
     wrong in the map, and the camera continues from them once the filter follows the wheels again.
@@ -433,30 +455,29 @@ def corrected_keyframes(store: KeyframeStore, waiting: Kept, probability: float)
     the quantile of `probability`. Height and tilt stay as the camera measured them. Alignments by the camera alone are
     dropped.
     """
-    first = waiting[0][0].number if waiting else 0
-    is_connected = all(kept[0].motion is not None and not any(lived.begins for lived in kept) for kept in waiting)
+    first = pending[0][0].number if pending else 0
+    is_connected = all(one[0].motion is not None and not any(keyframe.begins for keyframe in one) for one in pending)
     if not first or not is_connected:
         return None
     T_old = T_before = T_last = store.pose(KeyframeId(first - 1))
     T_new: list[FloatArray] = []
-    corrected: Kept = []
-    is_astray = False
-    for kept in waiting:
-        T_now, motion = store.pose(kept[0].number), kept[0].motion
+    corrected: PendingKeyframes = []
+    is_misplaced = False
+    for of_frame in pending:
+        T_now, motion = store.pose(of_frame[0].number), of_frame[0].motion
         assert motion is not None
         step, up = se3.invert(T_old) @ T_now, T_old[2, :3]
-        is_astray |= _misfit(step, motion, up) > quantile(probability, 3)
+        is_misplaced |= _misfit(step, motion, up) > quantile(probability, 3)
         T_along = along_floor(RelativePose(KeyframeId(0), KeyframeId(1), step, np.eye(6)), motion, up).T_first_second
         T_here, T_old = se3.nearest(T_before @ T_along), T_now
         T_new_old = T_here @ se3.invert(T_now)
-        of_frame = []
-        for lived in kept:
-            T_new.append(se3.nearest(T_new_old @ store.pose(lived.number)))
-            of_frame.append(replace(lived, T_before_now=se3.invert(T_last) @ T_new[-1], seen_from=None))
+        corrected.append([])
+        for keyframe in of_frame:
+            T_new.append(se3.nearest(T_new_old @ store.pose(keyframe.number)))
+            corrected[-1].append(replace(keyframe, T_before_now=se3.invert(T_last) @ T_new[-1], seen_from=None))
             T_last = T_new[-1]
-        corrected.append(of_frame)
         T_before = T_here
-    return (corrected, np.array(T_new)) if is_astray else None
+    return (corrected, np.array(T_new)) if is_misplaced else None
 
 
 def _misfit(step: FloatArray, motion: CameraMotion, up: FloatArray) -> float:
