@@ -44,7 +44,7 @@ from wheelsight.navigation import (
     GrowingFloor,
     NavigationSettings,
     Navigator,
-    Planned,
+    PlanningResult,
     SeenFloor,
     WorkerBeside,
     collision_monitor,
@@ -133,7 +133,7 @@ def played(drive: PlayedDrive, minutes: float, profile: str | None) -> list[Quar
         PlayedRobot(drive) as robot,
         _localized(drive, profile) as (localization, counting),
         closing(WorkerBeside[SeenFloor]("floor")) as growing,
-        closing(WorkerBeside[Planned]("planning")) as planning,
+        closing(WorkerBeside[PlanningResult]("planning")) as planning,
     ):
         footprint, holds = settings.footprint.outline, drive.way[:, :2]
         floor = GrowingFloor(localization, drive.calibration, footprint, _TRUSTED_M, holds=holds, worker=growing)

@@ -58,7 +58,7 @@ from wheelsight.io.devices.camera_driver import DeviceImages, OpenedDevice
 from wheelsight.io.devices.live_camera import StreamingCamera
 from wheelsight.io.devices.simulated_controller import SimulatedController
 from wheelsight.mapping import CellKind, OccupancyGrid
-from wheelsight.navigation import Feedback, KnownFloor, Navigator, Planned, Transition, WorkerBeside
+from wheelsight.navigation import Feedback, KnownFloor, Navigator, PlanningResult, Transition, WorkerBeside
 
 WITHIN_S, WITHIN_M, SPEED_M_S = 0.6, 0.3, 0.5
 _TITLE = "Parts that hang or die"
@@ -171,7 +171,7 @@ class ProcessDriver:
         """As `CameraDriver`; the process ends with the program."""
 
 
-class FaultyPlanner(WorkerBeside[Planned]):
+class FaultyPlanner(WorkerBeside[PlanningResult]):
     """Hangs or raises in the next plan, once it has a fault; says so on standard output."""
 
     fault = ""
@@ -184,7 +184,7 @@ class FaultyPlanner(WorkerBeside[Planned]):
             return
         say("fault")
 
-        def failing() -> Planned:
+        def failing() -> PlanningResult:
             if fault == "dies":
                 raise WheelsightError("the planner failed")
             threading.Event().wait(60)

@@ -548,7 +548,7 @@ REMOVED = (
 )
 # Replaced together with a rule's own method.
 _WITH: dict[str, tuple[tuple[Any, str, Callable[..., Any]], ...]] = {
-    "CautiousPlanner with PlanView": ((planning.Planning, "_blind_at", _constant(None)),),
+    "CautiousPlanner with PlanView": ((planning.PlannerClient, "_blind_at", _constant(None)),),
 }
 
 

@@ -18,7 +18,7 @@ from wheelsight.core.keyframes import KeyframeStore
 from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand, WheelSpeeds
 from wheelsight.core.robots import STOPPED
 from wheelsight.mapping import CellKind, OccupancyGrid
-from wheelsight.navigation import KnownFloor, NavigationSettings, Navigator, Planned, Transition, Worker
+from wheelsight.navigation import KnownFloor, NavigationSettings, Navigator, PlanningResult, Transition, Worker
 from wheelsight_sim.robot import RobotModel
 
 CELL_M = 0.05
@@ -175,7 +175,7 @@ class Ride:
         size_m: tuple[float, float],
         mapped: Walls | None = None,
         settings: NavigationSettings | None = None,
-        planning: Worker[Planned] | None = None,
+        planning: Worker[PlanningResult] | None = None,
     ) -> Ride:
         """In a room of a size, whose map has other walls where `mapped` is given."""
         robot, transitions = RoomRobot(walls, pose), list[Transition]()

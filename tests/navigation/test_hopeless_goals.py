@@ -27,7 +27,7 @@ from wheelsight.navigation import (
     Navigator,
     NavigatorSettings,
     PlanFailure,
-    Planned,
+    PlanningResult,
     PlanReason,
     WorkerInStep,
 )
@@ -209,18 +209,18 @@ def test_who_is_larger_than_any_room_hears_that_at_once(width_m: float, length_m
     ends_at_once(ride, result)
 
 
-class Scripted(WorkerInStep[Planned]):
+class Scripted(WorkerInStep[PlanningResult]):
     """Answers plans by a list."""
 
     def __init__(self, *reasons: PlanReason) -> None:
         super().__init__()
         self.reasons = list(reasons)
 
-    def answer(self, now_s: float) -> Planned | None:
+    def answer(self, now_s: float) -> PlanningResult | None:
         if super().answer(now_s) is None:
             return None
         reason = self.reasons.pop(0) if len(self.reasons) > 1 else self.reasons[0]
-        return Planned(PlanFailure(reason, f"number {len(self.reasons)}"), np.zeros(3))
+        return PlanningResult(PlanFailure(reason, f"number {len(self.reasons)}"), np.zeros(3))
 
 
 @pytest.mark.parametrize("last", [PlanReason.START_OCCUPIED, PlanReason.UNREACHABLE])

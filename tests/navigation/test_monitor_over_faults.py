@@ -28,7 +28,7 @@ from wheelsight.navigation.controllers import (
 )
 from wheelsight.navigation.perception import LiveLayer
 from wheelsight.navigation.planner import Plan
-from wheelsight.navigation.planning import CautiousPlanner, Planning
+from wheelsight.navigation.planning import CautiousPlanner, PlannerClient
 from wheelsight.navigation.senses import Senses
 from wheelsight.navigation.settings import PeopleSettings
 
@@ -152,8 +152,8 @@ class Faults:
     def plans_through(self) -> None:
         """It plans through the wall, and finds each plan free for ever."""
         self.patch.setattr(CautiousPlanner, "plan", lambda planner, *asked: straight_on(*asked))
-        self.patch.setattr(Planning, "look", lambda planning, *asked: ("", True))
-        self.patch.setattr(Planning, "is_free", lambda planning, *asked: True)
+        self.patch.setattr(PlannerClient, "look", lambda planning, *asked: ("", True))
+        self.patch.setattr(PlannerClient, "is_free", lambda planning, *asked: True)
 
     def controller(self, controller: Controller) -> None:
         """Another one."""

@@ -18,7 +18,7 @@ from wheelsight.core.estimates import Estimate, Status
 from wheelsight.core.geometry import PinholeCamera
 from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand, WheelTicks
 from wheelsight.core.robots import STOPPED
-from wheelsight.navigation import KnownFloor, NavigationReason, NavigationState, Navigator, Planned, WorkerInStep
+from wheelsight.navigation import KnownFloor, NavigationReason, NavigationState, Navigator, PlanningResult, WorkerInStep
 from wheelsight.navigation.collision_monitor import MonitorReason, MonitorState
 from wheelsight.navigation.settings import SILENT_S
 
@@ -76,7 +76,7 @@ class Place(TrueLocalization):
         return self.waiting.pop(0) if len(self.waiting) > self.late else []
 
 
-class Planner(WorkerInStep[Planned]):
+class Planner(WorkerInStep[PlanningResult]):
     """A plan is asked for, and does not come, while it hangs."""
 
     hangs = False
@@ -85,7 +85,7 @@ class Planner(WorkerInStep[Planned]):
     def is_asked(self) -> bool:
         return self.hangs or super().is_asked
 
-    def answer(self, now_s: float) -> Planned | None:
+    def answer(self, now_s: float) -> PlanningResult | None:
         return None if self.hangs else super().answer(now_s)
 
 

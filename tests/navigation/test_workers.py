@@ -21,7 +21,7 @@ from wheelsight.navigation import (
     NavigationSettings,
     NavigationState,
     NavigatorSettings,
-    Planned,
+    PlanningResult,
     SeenFloor,
     WorkerBeside,
     WorkerInStep,
@@ -147,7 +147,7 @@ def test_what_goes_wrong_beside_is_raised_to_who_asks() -> None:
 
 
 def test_a_plan_in_step_costs_simulated_time() -> None:
-    subject = ride(WorkerInStep[Planned](0.5))
+    subject = ride(WorkerInStep[PlanningResult](0.5))
     subject.go(3, until=lambda: subject.navigator.state is NavigationState.DRIVING)
     begun, drives = subject.transitions[:2]
     assert drives.stamp_s - begun.stamp_s == pytest.approx(0.55, abs=0.051)
@@ -155,7 +155,7 @@ def test_a_plan_in_step_costs_simulated_time() -> None:
 
 
 def test_with_a_planner_beside_it_arrives() -> None:
-    with closing(WorkerBeside[Planned]("planning")) as planning:
+    with closing(WorkerBeside[PlanningResult]("planning")) as planning:
         subject = ride(planning)
         subject.go(120)
         assert not_none(subject.navigator.result).has_arrived

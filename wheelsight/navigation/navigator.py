@@ -53,8 +53,8 @@ from wheelsight.navigation.planner import PathPlanner, Plan, PlanFailure, PlanRe
 from wheelsight.navigation.planning import (
     ONWARD_M,
     Goals,
-    Planned,
-    Planning,
+    PlannerClient,
+    PlanningResult,
     PoseGoals,
     RecordedPath,
     checked_goal,
@@ -254,7 +254,7 @@ class Navigator(OneCaller):
         floor: Floor,
         settings: NavigationSettings | None = None,
         *,
-        planning: Worker[Planned] | None = None,
+        planning: Worker[PlanningResult] | None = None,
         planner: PathPlanner | None = None,
         controller: Controller | None = None,
         trusts_floor: bool = False,
@@ -270,7 +270,7 @@ class Navigator(OneCaller):
         self.monitor = self._chain.monitor
         self.senses = Senses(robot.calibration, localization, floor, self.monitor, self.footprint, s)
         self.monitor.trust_floor(self.senses.near_m if trusts_floor else 0.0)
-        self._planning = Planning(self.senses, self.footprint, s, planning, planner)
+        self._planner = PlannerClient(self.senses, self.footprint, s, planning, planner)
         self._controller: Controller
         if controller is not None:
             self._controller = OwnController(controller, s.follow.goal_m, s.follow.goal_rad)
@@ -312,19 +312,19 @@ class Navigator(OneCaller):
         Args:
             goal: (3,) x, y, yaw in the map, or (2,) x and y.
         """
-        return self._planning.why_no_goal(checked_goal(goal))
+        return self._planner.why_no_goal(checked_goal(goal))
 
     @one_at_a_time
     def begin(self, goals: Goals) -> None:
         """Start a task. Cancels the current one."""
         self.cancel_task()
         self.result = None
-        self._planning.drop()
+        self._planner.drop()
         self._task, self._stepped_s = NavigationTask(goals, self._robot.now_s), self._robot.now_s
-        self._become(NavigationState.PLANNING, f"to {goals.name}")
+        self._set_state(NavigationState.PLANNING, f"to {goals.name}")
         if self.senses.where.is_known:
             # The plan is ready a period earlier if it is requested now.
-            self._planning.ask(goals, self._robot.now_s)
+            self._planner.ask(goals, self._robot.now_s)
 
     def cancel_task(self) -> None:
         """Cancel the task; the robot brakes during the next steps."""
@@ -412,7 +412,7 @@ class Navigator(OneCaller):
         if self.senses.floor.is_silent(now_s):
             return MonitorReason.FLOOR_SILENT
         is_driving = self.state is NavigationState.DRIVING or self._is_moving()
-        return MonitorReason.PLANNER_SILENT if is_driving and self._planning.is_silent(now_s) else None
+        return MonitorReason.PLANNER_SILENT if is_driving and self._planner.is_silent(now_s) else None
 
     def _is_moving(self) -> bool:
         """Return whether the robot moves or has a command to move."""
@@ -450,7 +450,7 @@ class Navigator(OneCaller):
         task = self._task
         if task is None or self.is_task_complete():
             return STOP
-        task.roll(now_s, self.senses.where, meets_people=bool(self.senses.people(now_s)))
+        task.update_progress(now_s, self.senses.where, meets_people=bool(self.senses.people(now_s)))
         if self._chain.checked.reason is MonitorReason.WHEELS_OFF:
             return self._fail(NavigationReason.DISOBEYS, "look at the wheels, then clear the fault")
         if task.seconds("stopped", now_s, is_met=bool(self._robot.stop_reason)) > self.settings.navigator.held_s:
@@ -462,24 +462,24 @@ class Navigator(OneCaller):
             return STOP
         self.senses.avoids_hidden = not task.passes_hidden and self.state is not NavigationState.RECOVERING
         if self.state is NavigationState.RECOVERING:
-            return self._recover(task, now_s)
+            return self._run_recovery(task, now_s)
         return self._drive(task, now_s) if self.state is NavigationState.DRIVING else self._plan(task, now_s)
 
     def _plan(self, task: NavigationTask, now_s: float) -> VelocityCommand:
         """Wait for a plan and drive it, or recover if there is none."""
         if not self.senses.where.is_known:
-            return self._look_about(task, self.senses.where.why_unknown)
-        if not self._planning.is_asked:
-            self._planning.ask(task.goals, now_s)
-        planned = self._planning.answer(now_s)
-        if self._planning.is_lost(now_s, self.settings.navigator.held_s):
-            self._planning.drop()
+            return self._start_relocalization(task, self.senses.where.why_unknown)
+        if not self._planner.is_asked:
+            self._planner.ask(task.goals, now_s)
+        planned = self._planner.answer(now_s)
+        if self._planner.is_lost(now_s, self.settings.navigator.held_s):
+            self._planner.drop()
             return self._fail(NavigationReason.SILENT, MonitorReason.PLANNER_SILENT)
         command = STOP if planned is None else self._take(task, planned, now_s)
         # In the same period, so that the caller does not wait for another one.
         return self._drive(task, now_s) if self.state is NavigationState.DRIVING else command
 
-    def _take(self, task: NavigationTask, planned: Planned, now_s: float) -> VelocityCommand:
+    def _take(self, task: NavigationTask, planned: PlanningResult, now_s: float) -> VelocityCommand:
         """Act on the answer of the planner."""
         task.goals.taken()
         task.passes_hidden |= planned.passes_hidden
@@ -487,17 +487,17 @@ class Navigator(OneCaller):
             reason = NavigationReason.BESIDE if task.beside else NavigationReason.UNSURE
             return self._fail(reason, task.beside or task.unsure)
         if planned.found is None:
-            self._become(NavigationState.ARRIVED, task.goals.name)
+            self._set_state(NavigationState.ARRIVED, task.goals.name)
             self.result = task.result(True, None, task.goals.name, self._robot.now_s)
             return STOP
         if isinstance(planned.found, PlanFailure):
             return self._without_plan(task, planned.found)
         wait_s = self.settings.behaviours.wait_s
         if self.senses.floor.is_fixed and task.await_way(planned.found, self.senses.where, wait_s):
-            self._become(NavigationState.RECOVERING, task.doing)
+            self._set_state(NavigationState.RECOVERING, task.doing)
             return STOP
         task.take(planned.found, now_s, planned.T_map_odom)
-        self._become(NavigationState.DRIVING, f"{planned.found.length_m:.1f} m to go")
+        self._set_state(NavigationState.DRIVING, f"{planned.found.length_m:.1f} m to go")
         return STOP
 
     def _without_plan(self, task: NavigationTask, failure: PlanFailure) -> VelocityCommand:
@@ -510,7 +510,7 @@ class Navigator(OneCaller):
             task.skips += 1
             return STOP
         if not failure.reason.is_for_good and task.may_try(self.settings.navigator):
-            return self._get_out(task, why)
+            return self._start_recovery(task, why)
         # If the last reason differs, the recovery itself, such as backing up, may have caused it.
         is_same = task.why_first.startswith(failure.reason)
         return self._give_up(task, NavigationReason.NO_PLAN, why if is_same else f"{task.why_first}; at last {why}")
@@ -520,17 +520,17 @@ class Navigator(OneCaller):
         where = self.senses.where
         state, local, plan = where.state, self.senses.local(), task.plan
         if (why := where.why_unknown) or state is None or local is None or plan is None:
-            return self._look_about(task, why)
+            return self._start_relocalization(task, why)
         if now_s - task.checked_s >= _CHECK_S:
             task.checked_s = now_s
             if task.goals.is_met(state.pose, self.senses.floor.layer):
                 return self._reached(task)
-            if not self._may_go_on(task, plan, now_s):
-                self._become(NavigationState.PLANNING, task.replan_reason)
+            if not self._check_plan(task, plan, now_s):
+                self._set_state(NavigationState.PLANNING, task.replan_reason)
                 return STOP
-        planned = self._planning.answer(now_s) if self._planning.is_asked else None
+        planned = self._planner.answer(now_s) if self._planner.is_asked else None
         if planned is not None:
-            self._become(NavigationState.PLANNING, task.replan_reason)
+            self._set_state(NavigationState.PLANNING, task.replan_reason)
             command = self._take(task, planned, now_s)
             if self.state is not NavigationState.DRIVING or task.plan is None:
                 return command
@@ -542,18 +542,21 @@ class Navigator(OneCaller):
         self._predicted = result.predicted
         return self._follow(task, result, now_s)
 
-    def _may_go_on(self, task: NavigationTask, plan: Plan, now_s: float) -> bool:
-        """Return whether the plan is free. A new plan is requested a period after the check, as both take long."""
-        if self._planning.is_asked:
-            return self._planning.is_free(plan, ONWARD_M)
+    def _check_plan(self, task: NavigationTask, plan: Plan, now_s: float) -> bool:
+        """Check the plan, and request another if needed; return whether the path is free.
+
+        The request follows a period after the check, as both take long.
+        """
+        if self._planner.is_asked:
+            return self._planner.is_free(plan, ONWARD_M)
         if task.wants_replan:
             task.wants_replan = False
-            self._planning.ask(task.goals, now_s)
-        if self._planning.is_asked or now_s - task.planned_s < _REPLAN_S:
+            self._planner.ask(task.goals, now_s)
+        if self._planner.is_asked or now_s - task.planned_s < _REPLAN_S:
             return True
-        task.replan_reason, is_free = self._planning.look(plan, task.T_map_odom)
+        task.replan_reason, is_free = self._planner.look(plan, task.T_map_odom)
         if not is_free:
-            self._planning.ask(task.goals, now_s)
+            self._planner.ask(task.goals, now_s)
         elif task.replan_reason:
             task.wants_replan, task.checked_s = True, -math.inf
         return is_free
@@ -566,16 +569,16 @@ class Navigator(OneCaller):
             if not task.may_try(self.settings.navigator):
                 return self._give_up(task, NavigationReason.BLOCKED, str(result.reason))
             task.tries += 1
-            self._become(NavigationState.PLANNING, str(result.reason))
+            self._set_state(NavigationState.PLANNING, str(result.reason))
             return STOP
         is_held = result.reason is not None or self._chain.checked.state is MonitorState.STOPPED
         if task.seconds("held", now_s, is_met=is_held) > self.settings.navigator.held_s:
             stopped_by = self._chain.stopped_by(now_s - self.settings.navigator.held_s - STUCK_S)
             stays = stays_words(self.senses.what_stays())
             why = f"{stopped_by or result.reason}{f'; {stays}' if stays else ''}"
-            return self._get_out(task, why, stopped_by)
+            return self._start_recovery(task, why, stopped_by)
         if now_s - task.since_s > _LOITER_S:
-            return self._get_out(task, "it comes no farther")
+            return self._start_recovery(task, "it comes no farther")
         return result.command
 
     def _reached(self, task: NavigationTask) -> VelocityCommand:
@@ -585,21 +588,21 @@ class Navigator(OneCaller):
         """
         why_unsure = self._why_unsure(task.plan) if task.goals.is_asked_for else ""
         if why_unsure and self.settings.limits.turn_rad_s > 0 and not task.has_looked:
-            task.recover(unsure_at_goal(), is_lost=False)
+            task.start_recovery(unsure_at_goal(), is_lost=False)
             task.has_looked = True
-            self._become(NavigationState.RECOVERING, f"{why_unsure}; {task.doing}")
+            self._set_state(NavigationState.RECOVERING, f"{why_unsure}; {task.doing}")
             return STOP
-        self._planning.drop()
-        if self._planning.is_busy:
+        self._planner.drop()
+        if self._planner.is_busy:
             return STOP
         if task.change and not task.has_waited:
-            task.recover(beside_goal(self.settings.behaviours.wait_s), is_lost=False)
+            task.start_recovery(beside_goal(self.settings.behaviours.wait_s), is_lost=False)
             task.has_waited = True
-            self._become(NavigationState.RECOVERING, task.doing)
+            self._set_state(NavigationState.RECOVERING, task.doing)
             return STOP
         task.unsure = task.unsure or why_unsure
         task.reached((self.settings.follow.goal_m, self.settings.follow.goal_rad))
-        self._become(NavigationState.PLANNING, "a goal is reached")
+        self._set_state(NavigationState.PLANNING, "a goal is reached")
         return STOP
 
     def _why_unsure(self, plan: Plan | None) -> str:
@@ -616,11 +619,12 @@ class Navigator(OneCaller):
             return "nothing has confirmed its place in the map"
         return f"it may be {off_m:.2f} m and {math.degrees(off_rad):.0f}° off the goal"
 
-    def _recover(self, task: NavigationTask, now_s: float) -> VelocityCommand:
-        """Continue the recovery behaviour, then plan again."""
+    def _run_recovery(self, task: NavigationTask, now_s: float) -> VelocityCommand:
+        """Run the recovery behaviour until it ends, then plan again."""
         where = self.senses.where
-        if task.is_lost and (is_known := where.is_known):
-            self._become(NavigationState.PLANNING, "it knows where it is")
+        is_known = where.is_known
+        if task.is_lost and is_known:
+            self._set_state(NavigationState.PLANNING, "it knows where it is")
             return STOP
         assert task.behaviour is not None
         command = task.behaviour.command(now_s, where.odom_pose)
@@ -628,48 +632,50 @@ class Navigator(OneCaller):
             task.is_refused = not self.senses.keeps_clear(command)
             return STOP if task.is_refused else command
         if task.is_lost and not is_known:
-            return self._look_about(task, f"still {where.why_unknown}")
+            return self._start_relocalization(task, f"still {where.why_unknown}")
         self.senses.clear(only_ahead=task.awaits_way)
-        self._become(NavigationState.PLANNING, f"after it has done so: {task.behaviour.name}")
+        self._set_state(NavigationState.PLANNING, f"after it has done so: {task.behaviour.name}")
         return STOP
 
-    def _get_out(self, task: NavigationTask, why: str, stopped_by: MonitorReason | None = None) -> VelocityCommand:
+    def _start_recovery(
+        self, task: NavigationTask, why: str, stopped_by: MonitorReason | None = None
+    ) -> VelocityCommand:
         """Start a recovery behaviour, or give up."""
         if not task.may_try(self.settings.navigator):
             return self._give_up(task, NavigationReason.BLOCKED, why)
-        self._planning.drop()
-        task.get_out(self.settings, stopped_by, was_backward=self._chain.was_backward)
-        self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
+        self._planner.drop()
+        task.start_next_recovery(self.settings, stopped_by, was_backward=self._chain.was_backward)
+        self._set_state(NavigationState.RECOVERING, f"{why}; {task.doing}")
         return STOP
 
     def _give_up(self, task: NavigationTask, reason: NavigationReason, why: str) -> VelocityCommand:
         """Continue without an unreachable goal; fail if the task requires it."""
-        self._planning.drop()
-        if self._planning.is_busy:
+        self._planner.drop()
+        if self._planner.is_busy:
             return STOP
         if not task.goals.missed():
             return self._fail(reason, why)
         task.tries = 0
         if self.state is not NavigationState.PLANNING:
-            self._become(NavigationState.PLANNING, f"{why}; on without what is there")
+            self._set_state(NavigationState.PLANNING, f"{why}; on without what is there")
         return STOP
 
-    def _look_about(self, task: NavigationTask, why: str) -> VelocityCommand:
+    def _start_relocalization(self, task: NavigationTask, why: str) -> VelocityCommand:
         """Start a behaviour that finds the robot's pose."""
-        self._planning.drop()
-        task.search(self.settings, self.senses.where.status, self._chain.checked, self.senses.open_way())
-        self._become(NavigationState.RECOVERING, f"{why}; {task.doing}")
+        self._planner.drop()
+        task.start_relocalization(self.settings, self.senses.where.status, self._chain.checked, self.senses.open_way())
+        self._set_state(NavigationState.RECOVERING, f"{why}; {task.doing}")
         return STOP
 
     def _fail(self, reason: NavigationReason, detail: str) -> VelocityCommand:
         """End the task with a reason, and stop."""
         task = self._task
         if task is not None and not self.is_task_complete():
-            self._become(NavigationState.FAILED, f"{reason}: {detail}")
+            self._set_state(NavigationState.FAILED, f"{reason}: {detail}")
             self.result = task.result(False, reason, detail, self._robot.now_s)
         return STOP
 
-    def _become(self, state: NavigationState, why: str) -> None:
+    def _set_state(self, state: NavigationState, why: str) -> None:
         """Change the state and report the transition."""
         transition = Transition(self._robot.now_s, self.state, state, why)
         self.state = state
@@ -690,9 +696,10 @@ class NavigationTask:
         planned_s, checked_s: when the plan was made, and when it was last checked against the surroundings.
         T_map_odom: (3,) x, y, yaw of `odom` in `map` at the request of the plan.
         replan_reason: why another plan was requested while this one is driven.
+        goal_change: why the last reached goal differs from the requested one; empty if it does not.
         wants_replan: whether another plan is still to be requested.
-        beside: the same for the first goal where the robot stopped outside the tolerance; empty without any.
-        unsure: how far off the first goal it may be where its pose was too uncertain; empty without any.
+        beside: `goal_change` of the first goal that the robot missed by more than the tolerance; empty without any.
+        unsure: how far off the robot may be, at the first goal where its pose was too uncertain; empty without any.
         has_looked: whether it has looked around at the current goal to know its pose better.
         behaviour: current recovery behaviour; None without any.
         awaits_way: whether the behaviour waits for a blocked path to become free.
@@ -702,29 +709,54 @@ class NavigationTask:
     """
 
     def __init__(self, goals: Goals, now_s: float) -> None:
-        self.goals, self._why_lost = goals, ""
+        self.goals = goals
         self.plan: Plan | None = None
-        self.planned_s = self.checked_s = -math.inf
+        self.planned_s = -math.inf
+        self.checked_s = -math.inf
         self.T_map_odom: FloatArray = np.zeros(3)
-        self.replan_reason = self.goal_change = self.beside = self.unsure = self.why_first = ""
+        self.wants_replan = False
+        self.replan_reason = ""
+        self.why_first = ""
+        self.passes_hidden = False
+        self.goal_change = ""
+        self.beside = ""
+        self.unsure = ""
+        self.has_waited = False
+        self.has_looked = False
+        # Recovery: the behaviour, and the numbers of attempts, of skipped goals and of searches for the pose.
         self.behaviour: Behaviour | None = None
-        self.is_lost = self.awaits_way = self.is_refused = self.wants_replan = False
-        self.tries = self.skips = self.searches = 0
-        self.passes_hidden = self.has_waited = self._has_awaited_way = self._has_met_people = self.has_looked = False
+        self.is_lost = False
+        self.awaits_way = False
+        self.is_refused = False
+        self.tries = 0
+        self.skips = 0
+        self.searches = 0
+        self._tried_s = now_s
+        self._has_awaited_way = False
+        self._has_met_people = False
+        self._why_lost = ""
+        self.known_s = now_s
+        # Progress: where and when the robot last made some, and where it is.
+        self._from = np.full(2, math.nan)
+        self.since_s = now_s
+        self._here = self._from
+        self._now_s = now_s
+        self._since: dict[str, float] = {}  # begin of each condition that is met
+        # For the result.
         self.transitions: list[Transition] = []
-        self.known_s = self._begun_s = self._rolled_s = self._tried_s = now_s
+        self._begun_s = now_s
+        self._rolled_s = now_s
         self._way_m = 0.0
-        self._here = self._from = np.full(2, math.nan)
-        self._now_s = self.since_s = now_s
-        self._planned_m, self._plans, self._recoveries = 0.0, 0, 0
-        self._since: dict[str, float] = {}
+        self._planned_m = 0.0
+        self._plans = 0
+        self._recoveries = 0
 
     @property
     def doing(self) -> str:
         """Name of the current behaviour or goal."""
         return self.goals.name if self.behaviour is None else self.behaviour.name
 
-    def roll(self, now_s: float, where: WhereNow, *, meets_people: bool) -> None:
+    def update_progress(self, now_s: float, where: WhereNow, *, meets_people: bool) -> None:
         """Update distance and progress. Progress resets the recovery attempts, even if the robot goes to and fro."""
         self._now_s = now_s
         self._has_met_people |= meets_people
@@ -755,7 +787,7 @@ class NavigationTask:
         self.behaviour, self.skips, self.wants_replan, self.why_first = None, 0, False, ""
         self._since.pop("held", None)
 
-    def recover(self, behaviour: Behaviour, *, is_lost: bool) -> None:
+    def start_recovery(self, behaviour: Behaviour, *, is_lost: bool) -> None:
         """Start a recovery behaviour."""
         self.behaviour, self.is_lost, self.skips = behaviour, is_lost, 0
         self._since.pop("held", None)
@@ -772,7 +804,9 @@ class NavigationTask:
         has_time = self._now_s - self._tried_s < settings.patience_s
         return self.tries < settings.tries or (self._has_met_people and has_time)
 
-    def get_out(self, settings: NavigationSettings, stopped_by: MonitorReason | None, *, was_backward: bool) -> None:
+    def start_next_recovery(
+        self, settings: NavigationSettings, stopped_by: MonitorReason | None, *, was_backward: bool
+    ) -> None:
         """Start the next recovery behaviour after a stop by the monitor.
 
         Waiting does not help at unseen floor: only another path does.
@@ -780,11 +814,11 @@ class NavigationTask:
         wait_s, tries = settings.behaviours.wait_s, self.tries
         self.passes_hidden = stopped_by is not MonitorReason.NEVER_SEEN
         if tries >= settings.navigator.tries:
-            self.recover(Wait(wait_s, "wait until people have gone"), is_lost=False)
+            self.start_recovery(Wait(wait_s, "wait until people have gone"), is_lost=False)
         elif self.passes_hidden:
-            self.recover(when_blocked(tries, wait_s), is_lost=False)
+            self.start_recovery(when_blocked(tries, wait_s), is_lost=False)
         else:
-            self.recover(when_unseen(tries, was_backward=was_backward), is_lost=False)
+            self.start_recovery(when_unseen(tries, was_backward=was_backward), is_lost=False)
 
     def why_over(self, now_s: float, settings: NavigationSettings) -> tuple[NavigationReason, str] | None:
         """Return why the task cannot succeed: a limit of zero, or a pose unknown for too long. None if it can."""
@@ -796,7 +830,7 @@ class NavigationTask:
         most_s = settings.navigator.lost_s
         return (NavigationReason.LOST, f"for {most_s:g} s: {self._why_lost}") if lost_s > most_s else None
 
-    def search(
+    def start_relocalization(
         self, settings: NavigationSettings, status: Status, checked: MonitorResult, open_way: OpenWay | None
     ) -> None:
         """Start a behaviour that searches for the pose; see `when_lost`.
@@ -805,11 +839,11 @@ class NavigationTask:
         """
         s = settings.behaviours
         if settings.limits.turn_rad_s == 0:
-            self.recover(Wait(s.wait_s, "wait to see where it is"), is_lost=True)
+            self.start_recovery(Wait(s.wait_s, "wait to see where it is"), is_lost=True)
             return
         is_held = self.is_refused or checked.state is MonitorState.STOPPED
         sees = checked.reason is not MonitorReason.NO_FRAME
-        self.recover(when_lost(self.searches, s, status, open_way, is_held=is_held, sees=sees), is_lost=True)
+        self.start_recovery(when_lost(self.searches, s, status, open_way, is_held=is_held, sees=sees), is_lost=True)
 
     def await_way(self, plan: Plan, where: WhereNow, wait_s: float) -> bool:
         """Wait, once per place, instead of driving a long detour; return whether it does so.
@@ -821,7 +855,7 @@ class NavigationTask:
         left_m = to_go_m(self.plan, where.state.pose)
         if plan.length_m <= _ROUND_TIMES * left_m + _ROUND_M:
             return False
-        self.recover(Wait(wait_s, f"wait, rather than go {plan.length_m - left_m:.1f} m round"), is_lost=False)
+        self.start_recovery(Wait(wait_s, f"wait, rather than go {plan.length_m - left_m:.1f} m round"), is_lost=False)
         self.awaits_way = self._has_awaited_way = True
         return True
 

@@ -1,4 +1,4 @@
-"""Planning: requests plans to the goals of a task, and decides when to replan.
+"""PlannerClient: requests plans to the goals of a task, and decides when to replan.
 
 Plans lead through several poses and prefer floor that the camera can observe (`PlanView`).
 """
@@ -36,7 +36,7 @@ _IN_WALL = "a wall, an obstacle or forbidden floor"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Planned:
+class PlanningResult:
     """Answer to a request for a plan.
 
     Attributes:
@@ -50,8 +50,8 @@ class Planned:
     passes_hidden: bool = False
 
 
-class Planning:
-    """Computes the plans of one robot in a worker.
+class PlannerClient:
+    """Requests the plans of one robot from a worker, and checks whether they stay valid.
 
     Args:
         worker: computes the plans; None for in step, with the duration that the settings give. The caller closes it.
@@ -62,12 +62,12 @@ class Planning:
         senses: Senses,
         footprint: Footprint,
         settings: NavigationSettings,
-        worker: Worker[Planned] | None,
+        worker: Worker[PlanningResult] | None,
         own: PathPlanner | None = None,
     ) -> None:
         self._senses, self._settings, self._footprint = senses, settings, footprint
         self._planner = CautiousPlanner(footprint, settings, PlanView(footprint, senses.eye), own)
-        self._worker: Worker[Planned] = worker or WorkerInStep(PLANNING_S)
+        self._worker: Worker[PlanningResult] = worker or WorkerInStep(PLANNING_S)
         self._asked_s, self._longest_s = 0.0, 0.0
 
     def is_silent(self, now_s: float) -> bool:
@@ -96,23 +96,23 @@ class Planning:
         pose, floor = where.state.pose, self._senses.floor_now()
         hidden = floor.hidden if self._senses.avoids_hidden else floor.hidden[:0]
 
-        def plan() -> Planned:
+        def plan() -> PlanningResult:
             costmap = floor.costmap(hidden[:0, :2])
             ahead = goals.upcoming(pose, costmap)
             if not ahead:
-                return Planned(None, floor.T_map_odom)
+                return PlanningResult(None, floor.T_map_odom)
             made, is_blind = self._planner.plan(costmap, floor.costmap, hidden, pose, ahead)
             found = self._judged(made, costmap, floor, pose, ahead[-1])
             if isinstance(found, Plan) and found.goal_change and len(ahead) == 1 and self._senses.floor.is_fixed:
                 mapped = Costmap.of(floor.layer, floor.footprint, floor.settings)
                 in_wall = self._planner.route.why_in_wall(mapped, ahead[0])
                 found = found if in_wall is None else in_wall
-            return Planned(found, floor.T_map_odom, is_blind)
+            return PlanningResult(found, floor.T_map_odom, is_blind)
 
         self._asked_s = now_s
         self._worker.ask(plan, now_s)
 
-    def answer(self, now_s: float) -> Planned | None:
+    def answer(self, now_s: float) -> PlanningResult | None:
         """Return the newest plan, once; None while it is computed."""
         planned = self._worker.answer(now_s)
         if planned is not None:

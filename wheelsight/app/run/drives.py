@@ -43,7 +43,7 @@ from wheelsight.navigation import (
     NavigationResult,
     Navigator,
     PathPlanner,
-    Planned,
+    PlanningResult,
     SeenFloor,
     Transition,
     Worker,
@@ -281,7 +281,7 @@ def watched_of(robot: Robot) -> WatchedRobot:
     return robot if isinstance(robot, WatchedRobot) else WatchedRobot(robot)
 
 
-def planning_worker(*, in_step: bool, takes_real_time: bool) -> Worker[Planned]:
+def planning_worker(*, in_step: bool, takes_real_time: bool) -> Worker[PlanningResult]:
     """The worker that plans paths. The caller closes it."""
     return WorkerInStep(0.0 if takes_real_time else PLANNING_S) if in_step else WorkerBeside("planning")
 
