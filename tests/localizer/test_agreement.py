@@ -9,7 +9,7 @@ import pytest
 
 from wheelsight.core.calibration_parts import HolonomicWheels, Wheels
 from wheelsight.core.geometry import FloatArray, se3, so3
-from wheelsight.estimation.agreement import Agreement, Culprit, height_below
+from wheelsight.estimation.agreement import MotionComparison, RobotSensor, height_below
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
 T_BASE_CAMERA = np.array([[0.0, -0.1, 0.995, 0.3], [-1, 0, 0, 0.0], [0, -0.995, -0.1, 0.9], [0, 0, 0, 1]])
@@ -36,8 +36,8 @@ def compared(
     told: Callable[[float, float], Piece] = lambda way, turn: (way, turn),
     by_camera: Callable[[FloatArray], FloatArray] = seen,
     gyro: Callable[[float, float], float] | None = None,
-) -> Agreement:
-    agreement = Agreement(WHEELS, T_BASE_CAMERA)
+) -> MotionComparison:
+    agreement = MotionComparison(WHEELS, T_BASE_CAMERA)
     for way, turn in pieces:
         T_by_wheels, T_true = (se3.exp([w, 0, 0, 0, 0, t]) for w, t in (told(way, turn), (way, turn)))
         assert agreement.add(T_by_wheels, by_camera(T_true), None if gyro is None else gyro(way, turn))
@@ -62,9 +62,9 @@ def turned(axis: int, degrees: float) -> Callable[[FloatArray], FloatArray]:
     return lambda T_base: seen(T_base, T)
 
 
-def found(agreement: Agreement, floor_ratio: float | None = None) -> dict[Culprit, str]:
+def found(agreement: MotionComparison, floor_ratio: float | None = None) -> dict[RobotSensor, str]:
     told = agreement.explanations(floor_ratio)
-    return {who: "; ".join(one.cause for one in told if one.culprit is who) for who in {one.culprit for one in told}}
+    return {who: "; ".join(one.cause for one in told if one.sensor is who) for who in {one.sensor for one in told}}
 
 
 def test_a_sound_drive_needs_no_explanation() -> None:
@@ -106,7 +106,7 @@ def test_nor_does_a_leap_of_the_camera_in_turns_on_the_spot_turn_its_mount(rng: 
     for leap_m in 0.15 * rng.standard_normal((20, 2)):
         astray = np.eye(4)
         astray[:2, 3] = leap_m
-        agreement = Agreement(WHEELS, T_BASE_CAMERA)
+        agreement = MotionComparison(WHEELS, T_BASE_CAMERA)
         T_turn = se3.exp([0.0001, 0, 0, 0, 0, 0.08])
         assert agreement.add(T_turn, astray @ T_turn, None)
         assert not agreement.agrees()
@@ -115,34 +115,34 @@ def test_nor_does_a_leap_of_the_camera_in_turns_on_the_spot_turn_its_mount(rng: 
 
 def test_turns_on_the_spot_the_other_way_are_told_all_the_same() -> None:
     mirrored = compared([(0.0, 0.08)] * 12, by_camera=lambda T: seen(T, flip=0))
-    assert "mirrored left to right" in found(mirrored)[Culprit.CAMERA]
+    assert "mirrored left to right" in found(mirrored)[RobotSensor.CAMERA]
 
 
 @pytest.mark.parametrize("depth", [0.2, 0.5, 1.3, 5.0])
 @pytest.mark.parametrize("pieces", [STRAIGHT, BENDS], ids=["straight", "bends"])
 def test_depth_is_wrong_where_ways_and_floor_are_by_one_factor(depth: float, pieces: list[Piece]) -> None:
     causes = found(compared(pieces, by_camera=lambda T: seen(T, depth=depth)), depth)
-    assert list(causes) == [Culprit.CAMERA]
-    assert f"depth is {depth:.2g} times the true one: check depth_factor" in causes[Culprit.CAMERA]
+    assert list(causes) == [RobotSensor.CAMERA]
+    assert f"depth is {depth:.2g} times the true one: check depth_factor" in causes[RobotSensor.CAMERA]
 
 
 @pytest.mark.parametrize("factor", [0.25, 4.0, 1.3])
 def test_wheels_are_wrong_where_ways_are_and_the_floor_is_not(factor: float) -> None:
     for pieces in (STRAIGHT, BENDS):
         causes = found(compared(pieces, wheels_with(factor, factor)), 1.02)
-        assert list(causes) == [Culprit.WHEELS]
-        assert f"are {factor:.2g} times the true ones: check ticks_per_turn" in causes[Culprit.WHEELS]
+        assert list(causes) == [RobotSensor.WHEELS]
+        assert f"are {factor:.2g} times the true ones: check ticks_per_turn" in causes[RobotSensor.WHEELS]
 
 
 def test_without_a_floor_a_straight_way_does_not_tell_whose_are_wrong_but_turns_do() -> None:
     halved = wheels_with(0.5, 0.5)
-    assert set(found(compared(STRAIGHT, halved))) == set(Culprit)
-    assert list(found(compared(BENDS, halved))) == [Culprit.WHEELS]
+    assert set(found(compared(STRAIGHT, halved))) == {RobotSensor.WHEELS, RobotSensor.CAMERA}
+    assert list(found(compared(BENDS, halved))) == [RobotSensor.WHEELS]
 
 
 def test_a_track_width_is_wrong_where_turns_alone_are() -> None:
     causes = found(compared(BENDS, lambda way, turn: (way, turn / 1.5)), 1.0)
-    assert causes == {Culprit.WHEELS: "their turns are 0.67 times the true ones: check track_width_m"}
+    assert causes == {RobotSensor.WHEELS: "their turns are 0.67 times the true ones: check track_width_m"}
 
 
 @pytest.mark.parametrize(
@@ -156,17 +156,17 @@ def test_a_track_width_is_wrong_where_turns_alone_are() -> None:
 )
 def test_signs_of_wheels(told: Callable[[float, float], Piece], cause: str) -> None:
     causes = found(compared(BENDS, told), 1.0)
-    assert list(causes) == [Culprit.WHEELS]
-    assert causes[Culprit.WHEELS].startswith(cause)
+    assert list(causes) == [RobotSensor.WHEELS]
+    assert causes[RobotSensor.WHEELS].startswith(cause)
 
 
 @pytest.mark.parametrize(("axis", "degrees"), [(2, 90.0), (2, -30.0), (1, 30.0), (0, 60.0), (1, -90.0)])
 def test_a_mount_is_wrong_where_directions_are(axis: int, degrees: float) -> None:
     causes = found(compared(BENDS, by_camera=turned(axis, degrees)))
-    assert list(causes) == [Culprit.CAMERA]
-    assert "T_base_camera" in causes[Culprit.CAMERA]
+    assert list(causes) == [RobotSensor.CAMERA]
+    assert "T_base_camera" in causes[RobotSensor.CAMERA]
     if abs(degrees) < 90:
-        told = float(causes[Culprit.CAMERA].split("about ")[1].split("°")[0])
+        told = float(causes[RobotSensor.CAMERA].split("about ")[1].split("°")[0])
         assert told == pytest.approx(abs(degrees), abs=3)
 
 
@@ -178,19 +178,19 @@ def test_mirrored_images_and_swapped_wheels_are_alike_until_a_gyroscope_tells() 
 
     for agreement in (compared(BENDS, swapped), compared(BENDS, by_camera=mirrored)):
         causes = found(agreement, 1.0)
-        assert set(causes) == set(Culprit)
-        assert "swapped" in causes[Culprit.WHEELS]
-        assert "mirrored left to right" in causes[Culprit.CAMERA]
+        assert set(causes) == {RobotSensor.WHEELS, RobotSensor.CAMERA}
+        assert "swapped" in causes[RobotSensor.WHEELS]
+        assert "mirrored left to right" in causes[RobotSensor.CAMERA]
 
     def turns(way: float, turn: float) -> float:
         return turn + 0.002
 
-    assert list(found(compared(BENDS, swapped, gyro=turns), 1.0)) == [Culprit.WHEELS]
-    assert list(found(compared(BENDS, by_camera=mirrored, gyro=turns), 1.0)) == [Culprit.CAMERA]
+    assert list(found(compared(BENDS, swapped, gyro=turns), 1.0)) == [RobotSensor.WHEELS]
+    assert list(found(compared(BENDS, by_camera=mirrored, gyro=turns), 1.0)) == [RobotSensor.CAMERA]
 
 
 def test_a_piece_waits_until_there_is_some_motion() -> None:
-    agreement = Agreement(WHEELS, T_BASE_CAMERA)
+    agreement = MotionComparison(WHEELS, T_BASE_CAMERA)
     assert not agreement.add(np.eye(4), se3.exp([0.02, 0, 0, 0, 0, 0.02]), None)
     assert agreement.pieces == 0
 
@@ -229,8 +229,8 @@ ASKEW = [(0.1, 0.0, 0.0)] * 4 + [(0.0, 0.1, 0.05)] * 6 + [(-0.07, 0.07, 0.0)] * 
 
 def of_holonomic(
     told: Callable[[FloatArray], FloatArray] = lambda twist: twist, by_camera: Callable[[FloatArray], FloatArray] = seen
-) -> Agreement:
-    agreement = Agreement(HOLONOMIC, T_BASE_CAMERA)
+) -> MotionComparison:
+    agreement = MotionComparison(HOLONOMIC, T_BASE_CAMERA)
     for way_m, left_m, turn_rad in ASKEW:
         twist = np.array([way_m, left_m, 0.0, 0.0, 0.0, turn_rad])
         assert agreement.add(se3.exp(told(twist)), by_camera(se3.exp(twist)), None)
@@ -243,7 +243,7 @@ def test_a_holonomic_base_agrees_wherever_it_goes() -> None:
 
 
 def test_two_wheels_would_not_agree_with_what_goes_sideways() -> None:
-    agreement = Agreement(WHEELS, T_BASE_CAMERA)
+    agreement = MotionComparison(WHEELS, T_BASE_CAMERA)
     for way_m, left_m, turn_rad in ASKEW:
         T = se3.exp([way_m, left_m, 0.0, 0.0, 0.0, turn_rad])
         agreement.add(T, seen(T), None)
@@ -253,20 +253,20 @@ def test_two_wheels_would_not_agree_with_what_goes_sideways() -> None:
 def test_wrong_sizes_signs_and_depth_of_a_holonomic_base_are_named() -> None:
     wrong = of_holonomic(lambda twist: 1.5 * twist)
     assert not wrong.agrees()
-    assert "1.5 times the true ones" in found(wrong, 1.0)[Culprit.WHEELS]
-    assert "all wheels count backwards" in found(of_holonomic(lambda twist: -twist), 1.0)[Culprit.WHEELS]
+    assert "1.5 times the true ones" in found(wrong, 1.0)[RobotSensor.WHEELS]
+    assert "all wheels count backwards" in found(of_holonomic(lambda twist: -twist), 1.0)[RobotSensor.WHEELS]
     shallow = of_holonomic(by_camera=lambda T_base: seen(T_base, depth=0.5))
     # About: what a turn moves the camera aside is not known by the direction of the way.
-    assert "depth is 0.47 times the true one" in found(shallow, 0.5)[Culprit.CAMERA]
+    assert "depth is 0.47 times the true one" in found(shallow, 0.5)[RobotSensor.CAMERA]
 
 
 def test_a_camera_that_looks_elsewhere_on_a_holonomic_base_does_not_agree() -> None:
     assert not of_holonomic(by_camera=turned(2, 40.0)).agrees()
 
 
-def scaled(scale: float) -> Agreement:
+def scaled(scale: float) -> MotionComparison:
     """Of a camera whose ways and turns are `scale` times those of the wheels."""
-    agreement = Agreement(WHEELS, np.eye(4))
+    agreement = MotionComparison(WHEELS, np.eye(4))
     for _ in range(30):
         agreement.add(se3.exp([0.1, 0, 0, 0, 0, 0.05]), se3.exp([0.1 * scale, 0, 0, 0, 0, 0.05 * scale]), None)
     return agreement
@@ -282,7 +282,7 @@ def test_a_scale_of_15_percent_agrees_and_one_of_50_is_explained() -> None:
 
 
 def test_shorter_motions_are_no_piece() -> None:
-    agreement = Agreement(WHEELS, np.eye(4))
+    agreement = MotionComparison(WHEELS, np.eye(4))
     assert not agreement.add(se3.exp([0.05, 0, 0, 0, 0, 0.05]), np.eye(4), None)
     assert agreement.pieces == 0
 

@@ -270,7 +270,7 @@ def test_a_leap_while_the_view_hid_directions_is_held_against_nobody(*, hides: b
             if event.index == 0:
                 check.begin(event, seen, np.eye(4))
             check.add_tracked(event, seen, shows_all=not (hides and 0 < astray_m < 1))
-    assert check.agreement.agrees() == hides
+    assert check.comparison.agrees() == hides
 
 
 def carried(made: Drive, begin_s: float, end_s: float) -> list[Event]:

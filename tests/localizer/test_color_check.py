@@ -12,7 +12,7 @@ from wheelsight.core.estimates import Status, WheelEstimate
 from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera, se3
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.estimation import ErrorStateFilter
-from wheelsight.estimation.agreement import Culprit
+from wheelsight.estimation.agreement import RobotSensor
 from wheelsight.estimation.consistency_check import BaseCheck, ColorCheck
 
 CAMERA = PinholeCamera(80, 60, 73.0, 73.0, 39.5, 29.5)
@@ -101,6 +101,6 @@ def test_a_camera_whose_colour_is_late_is_left_out() -> None:
             T = se3.from_plane(0.0, 0.0, heading_at(stamp_s))
             check.add_wheels(WheelEstimate(stamp_s, Status.TRACKING, T, 1e-6 * np.eye(6), body="base"))
         check.add_frame(view.frame(index, 2))
-    assert check.verdict.left_out is Culprit.CAMERA
+    assert check.verdict.left_out is RobotSensor.CAMERA
     (warning,) = check.verdict.warnings
     assert "its colour images are 2 frames later than the depth" in warning

@@ -8,7 +8,7 @@ import pytest
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.estimation import consistency_check
-from wheelsight.estimation.agreement import Culprit
+from wheelsight.estimation.agreement import RobotSensor
 from wheelsight.estimation.consistency_check import MotionSegments, Verdict
 
 WHEELS = Wheels(0.17, 0.17, 0.52, 3200.0)
@@ -27,7 +27,7 @@ def judged(way_m: float, turns: float, ratio: float | None = None) -> Verdict:
     for at_m in np.arange(0, way_m, 0.02):
         mirrored = se3.from_plane(np.sin(at_m), turns * (1 - np.cos(at_m)), turns * at_m)
         if pieces.add(float(at_m), base_at(at_m), mirrored, lambda begin_s, end_s: None):
-            if not verdict.judge(pieces.agreement, ratio):
+            if not verdict.judge(pieces.comparison, ratio):
                 pieces.agree()
             if verdict.left_out is not None:
                 break
@@ -49,7 +49,7 @@ def test_less_is_not_enough(setting: str, value: float, monkeypatch: pytest.Monk
 def test_turns_the_other_way_are_the_fault_of_either() -> None:
     verdict = judged(2.0, -1.0)
     assert verdict.is_sure
-    assert {one.culprit for one in verdict.found} == set(Culprit)
+    assert {one.sensor for one in verdict.found} == {RobotSensor.WHEELS, RobotSensor.CAMERA}
     assert verdict.left_out is None
     (warning,) = verdict.warnings
     assert warning.startswith("Wheels and camera contradict each other all along: either the wheels' fault (")
@@ -68,7 +68,7 @@ def test_it_is_sure_after_enough(settings: dict[str, float], monkeypatch: pytest
 def test_late_colour_and_a_camera_that_sees_nothing_are_left_out_with_their_cause() -> None:
     verdict = Verdict()
     verdict.leave_out_late_color(2)
-    assert (verdict.left_out, verdict.is_sure) == (Culprit.CAMERA, True)
+    assert (verdict.left_out, verdict.is_sure) == (RobotSensor.CAMERA, True)
     assert "its colour images are 2 frames later than the depth" in verdict.warnings[0]
     verdict.leave_out_blind(0.2)
     assert "or the height in T_base_camera" in verdict.warnings[0]

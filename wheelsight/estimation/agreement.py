@@ -1,9 +1,10 @@
-"""`Agreement` detects a disagreement between the motions of wheels and camera, and returns its possible explanations.
+"""`MotionComparison` detects a disagreement between the motions of wheels and camera, and returns its explanations.
 
 Both motions are cut into pieces of some centimetres or degrees. The wheels give a distance ahead and a rotation to the
 left for each piece; the camera, by its mount, gives a translation and a rotation of three components each. All faults
-are linear: a wheel that counts backwards, wrong sizes, a depth factor, a mirrored image, a rotated mount. So sums of
-products over all pieces suffice, and the share of both motions that an explanation leaves over decides.
+are linear: a wheel that counts backwards, wrong sizes, a depth factor, a mirrored image, a rotated mount. So a Gram
+matrix, the sum of products over all pieces, suffices. The residual of an explanation, as a share of both motions,
+decides.
 
 Motions alone leave ambiguities: mirrored images and swapped wheels both reverse rotations, and on a straight line short
 depth and large wheels are equivalent. The height over the floor and a gyroscope resolve them.
@@ -30,9 +31,9 @@ _PIECE_M, _PIECE_RAD, _USUAL_M, _USUAL_RAD = 0.06, 0.06, 0.01, 0.01
 # Tolerance of rotations, as a multiple of the calibration's slip, and by radii that differ by 2 %, rad/m; chosen.
 _SLIPS, _DRIFT_RAD_PER_M = 2.0, 0.04
 _LARGEST_FACTOR = 100.0  # of sizes: a missing gear; beyond, only one sensor reports motion
-# Share of the squared motion beyond which both disagree, a scale of 20 % or a direction of 10°, and that a good
-# explanation leaves; chosen.
-_DISAGREES, _EXPLAINED = 0.03, 0.015
+# Largest residual, as a share of the squared motion, of motions that agree and of a good explanation. A scale that is
+# 20 % off, or a direction that is 10° off, leaves more than the first; chosen.
+_MAX_RESIDUAL_AGREE, _MAX_RESIDUAL_EXPLAINED = 0.03, 0.015
 _SAME_SCALE = 0.15  # largest difference of the logarithm of the height over a floor; chosen
 # Least rotation of a mount that differs, and least tilt of its vertical axis that moves the floor; chosen.
 _LEAST_TURN_DEG, _LARGEST_TILT_DEG = 8.0, 10.0
@@ -40,7 +41,7 @@ _LEAST_TURN_DEG, _LARGEST_TILT_DEG = 8.0, 10.0
 _LEAST_WAY_M = 0.005  # a holonomic base's shorter translations have no direction: it turns on the spot
 _LITTLE = 1e-3  # of the usual squares: the prior of a fit for a drive without turns
 _UP = np.array([0.0, 0.0, 1.0])
-_WAYS, _TURNS, _WHEELS = slice(2, 5), slice(5, 8), slice(2)
+_CAMERA_TRANSLATION, _CAMERA_ROTATION, _WHEELS = slice(2, 5), slice(5, 8), slice(2)
 
 # The floor in one view: least sine of a ray's angle below the horizon that gives the height, bins and range of the
 # height's logarithm (8 %, ten times as high or low), share of the largest bin and number of points that a floor has,
@@ -49,13 +50,6 @@ _STEEP, _BIN_LOG, _RANGE_LOG, _PEAK_SHARE, _FEWEST_POINTS, _STEEPEST_DEG = 0.2, 
 
 
 _LEAST_MIRRORED_RAD = 0.05  # turn of the wheels that distinguishes mirrored images from noise
-
-
-class Culprit(Enum):
-    """The sensor whose motions are wrong."""
-
-    WHEELS = "wheels"
-    CAMERA = "camera"
 
 
 class RobotSensor(Enum):
@@ -82,7 +76,7 @@ class Explanation:
     """A fault that explains all pieces.
 
     Attributes:
-        culprit: the sensor with the fault.
+        sensor: the sensor with the fault.
         cause: a clause that names the fault and its fix.
         expected: (6, 2) translation and rotation of the camera as a linear function of those of the wheels.
         is_scale: whether it is a scale factor. Clocks with an offset and slipping wheels may mimic one for a while.
@@ -90,7 +84,7 @@ class Explanation:
         tilts: whether it changes the vertical axis of the mount.
     """
 
-    culprit: Culprit
+    sensor: RobotSensor
     cause: str
     expected: FloatArray
     is_scale: bool = False
@@ -99,33 +93,33 @@ class Explanation:
 
 
 @dataclass(slots=True)
-class Agreement:
+class MotionComparison:
     """The sums over all pieces, and the explanations that follow from them.
 
     Attributes:
         wheels: assumed wheels.
         T_base_camera: (4, 4) assumed mount.
-        products: (8, 8) of distance and rotation by wheels, translation (3) and rotation (3) by the camera, in the
-            base's axes.
-        of_gyro: (3, 3) of rotations by wheels, camera and gyroscope, for pieces with a gyroscope.
+        gram: (8, 8) sum of products of distance and rotation by wheels, translation (3) and rotation (3) by the camera,
+            in the base's axes.
+        of_gyro: (3, 3) the same of rotations by wheels, camera and gyroscope, for pieces with a gyroscope.
         pieces: number of pieces.
-        drift: sum of squared rotations, the tolerance of rotations by slip and drift.
-        ways_m, turns_rad: (2,) total distance and rotation by wheels and by the camera.
+        rotation_tolerance_rad2: sum of squared rotations that slip and unequal radii may cause.
+        distances_m, turns_rad: (2,) total distance and rotation by wheels and by the camera.
     """
 
     wheels: Wheels | HolonomicWheels
     T_base_camera: FloatArray
-    products: FloatArray = field(default_factory=lambda: np.zeros((8, 8)))
+    gram: FloatArray = field(default_factory=lambda: np.zeros((8, 8)))
     of_gyro: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     pieces: int = 0
-    drift: float = 0.0
-    ways_m: FloatArray = field(default_factory=lambda: np.zeros(2))
+    rotation_tolerance_rad2: float = 0.0
+    distances_m: FloatArray = field(default_factory=lambda: np.zeros(2))
     turns_rad: FloatArray = field(default_factory=lambda: np.zeros(2))
 
     @property
     def way_m(self) -> float:
         """Total distance, the larger of both."""
-        return float(self.ways_m.max())
+        return float(self.distances_m.max())
 
     @property
     def turn_rad(self) -> float:
@@ -135,8 +129,8 @@ class Agreement:
     def add(self, T_by_wheels: FloatArray, T_by_camera: FloatArray, gyro_rad: float | None) -> bool:
         """Add a piece, the base's motion (4, 4) by each; returns False if it is too short, and then adds nothing."""
         w, c = _way_and_turn(T_by_wheels), _way_and_turn(T_by_camera)
-        ways_m, turns_rad = (np.array([_size(w[part]), _size(c[part])]) for part in (np.s_[:3], np.s_[3:]))
-        if ways_m.max() < _PIECE_M and turns_rad.max() < _PIECE_RAD:
+        distances_m, turns_rad = (np.array([_size(w[part]), _size(c[part])]) for part in (np.s_[:3], np.s_[3:]))
+        if distances_m.max() < _PIECE_M and turns_rad.max() < _PIECE_RAD:
             return False
         if isinstance(self.wheels, HolonomicWheels):  # in axes along the direction of travel
             along = so3.exp([0.0, 0.0, -math.atan2(w[1], w[0]) if _size(w[:2]) > _LEAST_WAY_M else 0.0])
@@ -145,32 +139,33 @@ class Agreement:
         if gyro_rad is not None:
             turns = np.array([w[5], c[5], gyro_rad])
             self.of_gyro += np.outer(turns, turns)
-        way_m = float(ways_m[0])
+        way_m = float(distances_m[0])
         if isinstance(self.wheels, HolonomicWheels):  # variance of the rotation by the wheels' slip
             slip_rad2 = self.wheels.turn_variance_per_m * way_m
         else:
             slip_rad2 = 2 * self.wheels.slip_m_per_sqrt_m**2 * way_m / self.wheels.track_width_m**2
-        self.drift += _SLIPS * slip_rad2 + (_DRIFT_RAD_PER_M * ways_m.max()) ** 2
-        self.products += np.outer(motion, motion)
+        self.rotation_tolerance_rad2 += _SLIPS * slip_rad2 + (_DRIFT_RAD_PER_M * distances_m.max()) ** 2
+        self.gram += np.outer(motion, motion)
         self.pieces += 1
-        self.ways_m += ways_m
+        self.distances_m += distances_m
         self.turns_rad += turns_rad
         return True
 
     def unexplained(self, expected: FloatArray) -> tuple[float, float]:
         """The shares of translations and of rotations that `expected` (6, 2) does not explain."""
-        G = self.products
+        G = self.gram
         cross = expected @ G[_WHEELS, 2:]
-        left = np.diag(G[2:, 2:] - cross - cross.T + expected @ G[_WHEELS, _WHEELS] @ expected.T)
+        residual = np.diag(G[2:, 2:] - cross - cross.T + expected @ G[_WHEELS, _WHEELS] @ expected.T)
         # Differences of usual size do not count; translations of turns on the spot are nothing else.
-        usual = np.square([_USUAL_M, _USUAL_RAD]) / _DISAGREES
+        usual = np.square([_USUAL_M, _USUAL_RAD]) / _MAX_RESIDUAL_AGREE
         least_m2, least_rad2 = self.pieces * usual
-        way = max(np.trace(G[_WAYS, _WAYS]), G[0, 0], least_m2)
-        turn = max(np.trace(G[_TURNS, _TURNS]), G[1, 1], least_rad2)
-        return float(left[:3].sum() / way), max(float(left[3:].sum() - self.drift), 0.0) / turn
+        way = max(np.trace(G[_CAMERA_TRANSLATION, _CAMERA_TRANSLATION]), G[0, 0], least_m2)
+        turn = max(np.trace(G[_CAMERA_ROTATION, _CAMERA_ROTATION]), G[1, 1], least_rad2)
+        of_rotation = max(float(residual[3:].sum() - self.rotation_tolerance_rad2), 0.0)
+        return float(residual[:3].sum() / way), of_rotation / turn
 
-    def agrees(self, most: float = _DISAGREES) -> bool:
-        """Whether both motions agree up to a share `most` of their squares; default `_DISAGREES`."""
+    def agrees(self, most: float = _MAX_RESIDUAL_AGREE) -> bool:
+        """Whether both motions agree up to a share `most` of their squares; default `_MAX_RESIDUAL_AGREE`."""
         return max(self.unexplained(_seen_of(np.eye(2)))) < most
 
     def explanations(self, floor_ratio: float | None, *, was_contradicted: bool = False) -> list[Explanation]:
@@ -181,13 +176,14 @@ class Agreement:
                 is in view.
             was_contradicted: whether an explanation was found before; then a better agreement is needed to drop it.
         """
-        if not self.pieces or self.agrees(_EXPLAINED if was_contradicted else _DISAGREES):
+        if not self.pieces or self.agrees(_MAX_RESIDUAL_EXPLAINED if was_contradicted else _MAX_RESIDUAL_AGREE):
             return []
-        turned = self._turned()
-        is_near = min(turned[0, 0], turned[2, 2]) > math.cos(math.radians(_LEAST_TURN_DEG))
-        looks_elsewhere = [] if is_near else [self._of_mount(turned)]
-        fit = [*self._explained(self._of_wheels())[:1], *self._explained([*self._of_camera(), *looks_elsewhere])]
-        found = fit or self._explained([self._of_mount(turned, self._swings()[:, 1]) for _ in looks_elsewhere])
+        mount_rotation = self._mount_rotation()
+        is_near = min(mount_rotation[0, 0], mount_rotation[2, 2]) > math.cos(math.radians(_LEAST_TURN_DEG))
+        camera_faults = self._of_camera() if is_near else [*self._of_camera(), self._of_mount(mount_rotation)]
+        found = [*self._explained(self._of_wheels())[:1], *self._explained(camera_faults)]
+        if not found and not is_near:  # the mount may also be at another place
+            found = self._explained([self._of_mount(mount_rotation, self._camera_translations()[:, 1])])
         # The explanations that agree with the floor: its height is right, or wrong by the factor of depth.
         if floor_ratio is not None and abs(math.log(floor_ratio)) < _SAME_SCALE:
             found = [one for one in found if one.depth is None and not one.tilts]
@@ -197,26 +193,26 @@ class Agreement:
         return self._by_gyro(found)
 
     def _explained(self, candidates: list[Explanation]) -> list[Explanation]:
-        return [one for one in candidates if max(self.unexplained(one.expected)) < _EXPLAINED]
+        return [one for one in candidates if max(self.unexplained(one.expected)) < _MAX_RESIDUAL_EXPLAINED]
 
     def _of_wheels(self) -> list[Explanation]:
         """Faults of wheels, the simplest first: signs, swapped wheels, sizes."""
-        G = self.products
+        G = self.gram
         half_m = self.wheels.track_width_m / 2 if isinstance(self.wheels, Wheels) else 1.0
-        left = np.array([[0.0, half_m], [1 / half_m, 0.0]])
+        left_backwards = np.array([[0.0, half_m], [1 / half_m, 0.0]])
         swapped = np.diag([1.0, -1.0])
-        ways: tuple[tuple[FloatArray, str], ...] = (
-            (left, "the left wheel counts backwards: turn its sign"),
-            (-left, "the right wheel counts backwards: turn its sign"),
+        faults: tuple[tuple[FloatArray, str], ...] = (
+            (left_backwards, "the left wheel counts backwards: turn its sign"),
+            (-left_backwards, "the right wheel counts backwards: turn its sign"),
             (-np.eye(2), "both wheels count backwards: turn their signs"),
             (swapped, "left and right wheel are swapped: swap their columns"),
             (-swapped, "left and right wheel are swapped and count backwards: swap their columns and turn their signs"),
-            (swapped @ left, "left and right wheel are swapped, and one counts backwards: see which"),
-            (left @ swapped, "left and right wheel are swapped, and one counts backwards: see which"),
+            (swapped @ left_backwards, "left and right wheel are swapped, and one counts backwards: see which"),
+            (left_backwards @ swapped, "left and right wheel are swapped, and one counts backwards: see which"),
         )
         if isinstance(self.wheels, HolonomicWheels):
-            ways = ((-np.eye(2), "all wheels count backwards: turn their signs"),)
-        found = [Explanation(Culprit.WHEELS, cause, _seen_of(M)) for M, cause in ways]
+            faults = ((-np.eye(2), "all wheels count backwards: turn their signs"),)
+        found = [Explanation(RobotSensor.WHEELS, cause, _seen_of(M)) for M, cause in faults]
         way, turn = _ratio(G[0, 2], G[0, 0]), _ratio(G[1, 7], G[1, 1])
         weights = np.array([G[0, 0] / _USUAL_M**2, G[1, 1] / _USUAL_RAD**2])
         both = float(weights @ [way, turn] / max(weights.sum(), 1e-12))
@@ -228,80 +224,84 @@ class Agreement:
         for M, ratio, cause in sizes:
             if 1 / _LARGEST_FACTOR < ratio < _LARGEST_FACTOR:
                 text = cause.format(f"{1 / ratio:.2g}")
-                found.append(Explanation(Culprit.WHEELS, text, _seen_of(np.diag(M)), is_scale=True))
+                found.append(Explanation(RobotSensor.WHEELS, text, _seen_of(np.diag(M)), is_scale=True))
         return found
 
     def _of_camera(self) -> list[Explanation]:
         """Faults of the camera: depth factor and mirrored images."""
-        way, R = _ratio(self.products[0, 2], self.products[0, 0]), self.T_base_camera[:3, :3]
-        swing = np.cross(_UP, self._place)  # of the camera, in a rotation of the base
+        way, R = _ratio(self.gram[0, 2], self.gram[0, 0]), self.T_base_camera[:3, :3]
+        lever_arm_translation = np.cross(_UP, self._lever_arm)  # of the camera, per radian of the base
         found = []
         if 1 / _LARGEST_FACTOR < way < _LARGEST_FACTOR:
             expected = _seen_of(np.diag([way, 1.0]))
-            expected[:3, 1] = (way - 1) * swing
-            found.append(Explanation(Culprit.CAMERA, depth_cause(way), expected, True, way))
+            expected[:3, 1] = (way - 1) * lever_arm_translation
+            found.append(Explanation(RobotSensor.CAMERA, depth_cause(way), expected, True, way))
         for axis, how in enumerate(("left to right", "top to bottom")):
-            over = R @ np.diag(np.where(np.arange(3) == axis, -1.0, 1.0)) @ R.T
+            mirror = R @ np.diag(np.where(np.arange(3) == axis, -1.0, 1.0)) @ R.T
             expected = np.zeros((6, 2))
-            expected[:3, 0], expected[3:, 1] = over[:, 0], -over[:, 2]
-            expected[:3, 1] = over @ swing + np.cross(over[:, 2], self._place)
+            expected[:3, 0], expected[3:, 1] = mirror[:, 0], -mirror[:, 2]
+            expected[:3, 1] = mirror @ lever_arm_translation + np.cross(mirror[:, 2], self._lever_arm)
             found.append(
-                Explanation(Culprit.CAMERA, f"its images are mirrored {how}: turn them back", expected, tilts=axis == 1)
+                Explanation(
+                    RobotSensor.CAMERA, f"its images are mirrored {how}: turn them back", expected, tilts=axis == 1
+                )
             )
         return found
 
     @property
-    def _place(self) -> FloatArray:
+    def _lever_arm(self) -> FloatArray:
         """Position (3,) of the camera in the base frame."""
         return self.T_base_camera[:3, 3]
 
-    def _swings(self) -> FloatArray:
+    def _camera_translations(self) -> FloatArray:
         """(3, 2) the camera's translation as a linear function of the wheels' distance and rotation, least squares."""
-        G = self.products
+        G = self.gram
         usual = self.pieces * np.diag(np.square([_USUAL_M, _USUAL_RAD])) * _LITTLE
-        return np.asarray(G[_WAYS, _WHEELS] @ np.linalg.inv(G[_WHEELS, _WHEELS] + usual))
+        return np.asarray(G[_CAMERA_TRANSLATION, _WHEELS] @ np.linalg.inv(G[_WHEELS, _WHEELS] + usual))
 
-    def _turned(self) -> FloatArray:
+    def _mount_rotation(self) -> FloatArray:
         """The rotation (3, 3) that aligns the wheels' motions best with the camera's (Kabsch).
 
         The assumed mount is a prior with the usual differences as its standard deviation, because turns on the spot
         give no direction of travel.
         """
-        G, M = self.products, np.eye(3)
-        M[:, 0] += self._swings()[:, 0] * G[0, 0] / _USUAL_M**2
-        M[:, 2] += G[_TURNS, 1] / _USUAL_RAD**2
+        G, M = self.gram, np.eye(3)
+        M[:, 0] += self._camera_translations()[:, 0] * G[0, 0] / _USUAL_M**2
+        M[:, 2] += G[_CAMERA_ROTATION, 1] / _USUAL_RAD**2
         return np.asarray(so3.nearest(M))
 
-    def _of_mount(self, turned: FloatArray, swing: FloatArray | None = None) -> Explanation:
-        """A mount rotated by `turned` at its assumed position, or with the translation `swing` (3,) in a rotation."""
-        G, expected = self.products, np.zeros((6, 2))
-        expected[:3, 0], expected[3:, 1] = turned[:, 0], turned[:, 2]
-        expected[:3, 1] = np.cross(self._place - turned @ self._place, turned[:, 2]) if swing is None else swing
+    def _of_mount(self, mount_rotation: FloatArray, lever_arm_translation: FloatArray | None = None) -> Explanation:
+        """A rotated mount, at its assumed position or with a translation (3,) of the camera per radian of the base."""
+        G, expected = self.gram, np.zeros((6, 2))
+        expected[:3, 0], expected[3:, 1] = mount_rotation[:, 0], mount_rotation[:, 2]
+        if lever_arm_translation is None:
+            lever_arm_translation = np.cross(self._lever_arm - mount_rotation @ self._lever_arm, mount_rotation[:, 2])
+        expected[:3, 1] = lever_arm_translation
         is_turning = G[1, 1] > self.pieces * _USUAL_RAD**2
         off_deg = (
-            math.degrees(float(so3.angle(turned)))
+            math.degrees(float(so3.angle(mount_rotation)))
             if is_turning
-            else math.degrees(math.acos(min(max(turned[0, 0], -1.0), 1.0)))
+            else math.degrees(math.acos(min(max(mount_rotation[0, 0], -1.0), 1.0)))
         )
         cause = f"it looks about {off_deg:.0f}° from where T_base_camera says (wheelsight calibrate base finds it)"
         return Explanation(
-            Culprit.CAMERA,
+            RobotSensor.CAMERA,
             cause,
             expected,
-            tilts=is_turning and turned[2, 2] < math.cos(math.radians(_LARGEST_TILT_DEG)),
+            tilts=is_turning and mount_rotation[2, 2] < math.cos(math.radians(_LARGEST_TILT_DEG)),
         )
 
     def _by_gyro(self, found: list[Explanation]) -> list[Explanation]:
         """The explanations that agree with the gyroscope, if that agrees clearly with one sensor."""
         wheels, camera, gyro = np.diag(self.of_gyro)
-        if gyro < self.pieces * _USUAL_RAD**2 or len({one.culprit for one in found}) < 2:
+        if gyro < self.pieces * _USUAL_RAD**2 or len({one.sensor for one in found}) < 2:
             return found
         by_wheels = (wheels + gyro - 2 * self.of_gyro[0, 2]) / max(wheels, gyro)
         by_camera = (camera + gyro - 2 * self.of_gyro[1, 2]) / max(camera, gyro)
-        if max(by_wheels, by_camera) < 2 * _DISAGREES or min(by_wheels, by_camera) > _DISAGREES:
+        if max(by_wheels, by_camera) < 2 * _MAX_RESIDUAL_AGREE or min(by_wheels, by_camera) > _MAX_RESIDUAL_AGREE:
             return found
-        wrong = Culprit.CAMERA if by_wheels < by_camera else Culprit.WHEELS
-        return [one for one in found if one.culprit is wrong]
+        wrong = RobotSensor.CAMERA if by_wheels < by_camera else RobotSensor.WHEELS
+        return [one for one in found if one.sensor is wrong]
 
 
 def depth_cause(ratio: float) -> str:

@@ -24,13 +24,14 @@ from wheelsight.core.estimates import Estimate, FusedEstimate, PoseEvidence, Pos
 from wheelsight.core.geometry import Float32Array, FloatArray, interpolate_at, se3
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.estimation.agreement import Agreement, Culprit, Explanation, depth_cause, height_below
+from wheelsight.estimation.agreement import Explanation, MotionComparison, RobotSensor, depth_cause, height_below
 from wheelsight.estimation.camera_localizer import RESTART_AFTER, CameraOdometry
 from wheelsight.estimation.fault_detection import COVERED_SIGMAS, covering_pose
 from wheelsight.estimation.filter import ErrorStateFilter
 
 # Comparison after which wheels and camera agree; later disagreements are slip, which the filter detects.
 ENOUGH_M, _ENOUGH_RAD = 3.0, 1.5  # found on the simulator
+_COMPARED = (RobotSensor.WHEELS, RobotSensor.CAMERA)
 # Difference that makes a factor likely. Clocks that are 0.1 s apart look like one, at 0.5 m/s and 1 rad/s.
 _LIKELY_M, _LIKELY_RAD = 0.05, 0.1
 # Segments, and way or turns, after which a finding is certain (simulator). Wheels also slip by a factor.
@@ -160,9 +161,9 @@ class BaseCheck:
             seen = self._camera.seen
             if seen is None:
                 return None
-            contradicted = {one.culprit for one in found}
+            contradicted = {one.sensor for one in found}
             first, second = (wheels.T_odom_body, wheels.covariance), seen
-            if contradicted == {Culprit.WHEELS}:
+            if contradicted == {RobotSensor.WHEELS}:
                 first, second = second, first
             covers_both = covering_pose(*first, *second, COVERED_SIGMAS)
             return PoseEvidence(PoseFinding.SENSOR_WRONG, wheels, *covers_both)
@@ -180,13 +181,13 @@ class BaseCheck:
         _, C = covering_pose(T, C, other, np.zeros((6, 6)), COVERED_SIGMAS)
         return PoseEvidence(PoseFinding.UNCOMPARED, covariance=C)
 
-    def hand_over(self, left_out: Culprit) -> ErrorStateFilter | None:
+    def hand_over(self, left_out: RobotSensor) -> ErrorStateFilter | None:
         """Return the filter that continues without `left_out`, once after that sensor was left out; else None."""
         wheels = self.by_wheels
         if self.verdict.left_out is not left_out or wheels is None:
             return None
         self.by_wheels = None
-        if left_out is Culprit.CAMERA:
+        if left_out is RobotSensor.CAMERA:
             return wheels
         seen = self._camera.seen
         assert seen is not None
@@ -199,7 +200,7 @@ class BaseCheck:
     @property
     def is_without_wheels(self) -> bool:
         """Whether the wheels are left out, and the filter without them has taken over."""
-        return self.verdict.left_out is Culprit.WHEELS and self.by_wheels is None
+        return self.verdict.left_out is RobotSensor.WHEELS and self.by_wheels is None
 
     @property
     def is_over(self) -> bool:
@@ -212,16 +213,16 @@ class BaseCheck:
         return self.verdict.has_agreed and self.verdict.left_out is None and not self._colors.late
 
     @property
-    def agreement(self) -> Agreement:
+    def comparison(self) -> MotionComparison:
         """Sum of all comparisons so far."""
-        return self._segments.agreement
+        return self._segments.comparison
 
     @property
     def _is_floor_off(self) -> bool:
         """Whether the floor's distance is so wrong that the camera waits until its motions are known to be right."""
         ratio = self._floor.ratio
         is_off = ratio is not None and abs(np.log(ratio)) > np.log(_FLOOR_FACTOR)
-        return bool(is_off and self.agreement.way_m < _FLOOR_AGREED_M)
+        return bool(is_off and self.comparison.way_m < _FLOOR_AGREED_M)
 
     def _compare(self, stamp_s: float, T_map_base: FloatArray | None) -> None:
         """Compare both motions since the segment began, up to a frame; None if that does not show all directions."""
@@ -232,7 +233,7 @@ class BaseCheck:
         if T_odom_base is None or verdict.has_agreed or verdict.left_out is not None:
             return
         if self._segments.add(stamp_s, T_odom_base, T_map_base, self._wheels.turned_between):
-            if not verdict.judge(self.agreement, self._floor.ratio):
+            if not verdict.judge(self.comparison, self._floor.ratio):
                 self._segments.agree()
             self._stop_if_sound()
 
@@ -266,7 +267,7 @@ class ReadmissionCheck:
         """Add a frame that is newer than the previous one; return whether wheels and camera agree by now."""
         check = self.check
         # A new comparison starts after a verdict, or after a long way without one.
-        if check is None or check.verdict.left_out is not None or check.agreement.way_m > _AGAIN_WAYS * ENOUGH_M:
+        if check is None or check.verdict.left_out is not None or check.comparison.way_m > _AGAIN_WAYS * ENOUGH_M:
             check, self._begins = self._new_check(), True
             self.check = check
         if self._camera is None or self._failed >= RESTART_AFTER or len(self._camera.store) > _AGAIN_KEYFRAMES:
@@ -297,60 +298,60 @@ class Verdict:
     def __init__(self) -> None:
         self.found: list[Explanation] = []
         self.is_sure = self.has_agreed = False
-        self.left_out: Culprit | None = None
+        self.left_out: RobotSensor | None = None
 
-    def judge(self, agreement: Agreement, floor_ratio: float | None) -> bool:
+    def judge(self, comparison: MotionComparison, floor_ratio: float | None) -> bool:
         """Evaluate all segments and the floor; return False if nothing contradicts."""
-        explanations = agreement.explanations(floor_ratio, was_contradicted=bool(self.found))
-        is_apart = np.ptp(agreement.ways_m) > _LIKELY_M or np.ptp(agreement.turns_rad) > _LIKELY_RAD
+        explanations = comparison.explanations(floor_ratio, was_contradicted=bool(self.found))
+        is_apart = np.ptp(comparison.distances_m) > _LIKELY_M or np.ptp(comparison.turns_rad) > _LIKELY_RAD
         self.found = [one for one in explanations if is_apart or not one.is_scale]
-        self.is_sure = bool(self.found) and all(_is_certain(one, agreement) for one in self.found)
-        if self.is_sure and len({one.culprit for one in self.found}) == 1:
-            self.left_out = self.found[0].culprit
-        is_enough = agreement.way_m > ENOUGH_M and agreement.turn_rad > _ENOUGH_RAD
-        if not self.found and is_enough and agreement.agrees():
+        self.is_sure = bool(self.found) and all(_is_certain(one, comparison) for one in self.found)
+        if self.is_sure and len({one.sensor for one in self.found}) == 1:
+            self.left_out = self.found[0].sensor
+        is_enough = comparison.way_m > ENOUGH_M and comparison.turn_rad > _ENOUGH_RAD
+        if not self.found and is_enough and comparison.agrees():
             self.has_agreed = True
         return bool(explanations)
 
     def leave_out_late_color(self, late_frames: int) -> None:
         """Leave the camera out: its colour is certainly later than its depth."""
-        self.found, self.is_sure, self.left_out = [late_color(late_frames)], True, Culprit.CAMERA
+        self.found, self.is_sure, self.left_out = [late_color(late_frames)], True, RobotSensor.CAMERA
 
     def leave_out_blind(self, floor_ratio: float) -> None:
         """Leave the camera out: it sees the floor at a wrong distance, and cannot be tracked."""
         cause = f"{depth_cause(floor_ratio)}, or the height in T_base_camera"
-        self.found = [Explanation(Culprit.CAMERA, cause, np.zeros((6, 2)), True, floor_ratio)]
-        self.is_sure, self.left_out = True, Culprit.CAMERA
+        self.found = [Explanation(RobotSensor.CAMERA, cause, np.zeros((6, 2)), True, floor_ratio)]
+        self.is_sure, self.left_out = True, RobotSensor.CAMERA
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What contradicts what, why, and what to do, as a sentence."""
         if not self.is_sure:
             return ()
-        causes = [" or ".join(dict.fromkeys(one.cause for one in self.found if one.culprit is who)) for who in Culprit]
+        causes = [" or ".join(dict.fromkeys(one.cause for one in self.found if one.sensor is who)) for who in _COMPARED]
         if self.left_out is None:
             faults = f"either the wheels' fault ({causes[0]}) or the camera's ({causes[1]})"
             return (f"Wheels and camera contradict each other all along: {faults}. The answer covers both.",)
-        whose = "the camera's: " if self.left_out is Culprit.CAMERA else "the wheels': "
-        other = "the wheels" if self.left_out is Culprit.CAMERA else "the camera"
-        cause = causes[list(Culprit).index(self.left_out)]
+        whose = "the camera's: " if self.left_out is RobotSensor.CAMERA else "the wheels': "
+        other = "the wheels" if self.left_out is RobotSensor.CAMERA else "the camera"
+        cause = causes[_COMPARED.index(self.left_out)]
         return (
             f"Wheels and camera contradict each other all along, and the fault is {whose}{cause}. "
             f"The answer is by {other} alone.",
         )
 
 
-def _is_certain(one: Explanation, agreement: Agreement) -> bool:
-    slips = one.is_scale and one.culprit is Culprit.WHEELS
+def _is_certain(one: Explanation, comparison: MotionComparison) -> bool:
+    slips = one.is_scale and one.sensor is RobotSensor.WHEELS
     way_m, turn_rad = (_SURE_SLIP_M, _SURE_SLIP_RAD) if slips else (_SURE_M, _SURE_RAD)
-    return agreement.pieces >= _SURE_PIECES and (agreement.way_m > way_m or agreement.turn_rad > turn_rad)
+    return comparison.pieces >= _SURE_PIECES and (comparison.way_m > way_m or comparison.turn_rad > turn_rad)
 
 
 def late_color(late_frames: int) -> Explanation:
     """Return the explanation that colour is later than its depth by a number of frames."""
     frames = "a frame" if late_frames == 1 else f"{late_frames} frames"
     cause = f"its colour images are {frames} later than the depth that they come with: pair them by their stamps"
-    return Explanation(Culprit.CAMERA, cause, np.zeros((6, 2)))
+    return Explanation(RobotSensor.CAMERA, cause, np.zeros((6, 2)))
 
 
 class MotionSegments:
@@ -361,11 +362,11 @@ class MotionSegments:
         T_base_camera: (4, 4), rigid.
 
     Attributes:
-        agreement: sum over all segments.
+        comparison: sum over all segments.
     """
 
     def __init__(self, wheels: Wheels | HolonomicWheels, T_base_camera: FloatArray) -> None:
-        self.agreement = Agreement(wheels, T_base_camera)
+        self.comparison = MotionComparison(wheels, T_base_camera)
         # Stamp, T_odom_base and T_map_base at the begin of the segment, and where both were last known to agree.
         self._begin: tuple[float, FloatArray, FloatArray] | None = None
         self._agreed: tuple[float, FloatArray, FloatArray] | None = None
@@ -394,7 +395,7 @@ class MotionSegments:
         begin_s, T_odom_begin, T_map_begin = self._begin
         by_wheels = motions.times(motions.inverse(T_odom_begin), T_odom_base)
         by_camera = motions.times(motions.inverse(T_map_begin), T_map_base)
-        if not self.agreement.add(by_wheels, motions.renormalized(by_camera), turned_between(begin_s, stamp_s)):
+        if not self.comparison.add(by_wheels, motions.renormalized(by_camera), turned_between(begin_s, stamp_s)):
             return False
         self._begin = now
         return True

@@ -44,7 +44,7 @@ from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, WheelReading, WheelSpeeds, YawRate
 from wheelsight.estimation import camera_localizer as cameras
-from wheelsight.estimation.agreement import Culprit, Exclusion, RobotSensor
+from wheelsight.estimation.agreement import Exclusion, RobotSensor
 from wheelsight.estimation.area_localizer import Places, PlaceSense
 from wheelsight.estimation.camera_localizer import RESTART_AFTER, CameraOdometry, mount_of
 from wheelsight.estimation.consistency_check import (
@@ -222,7 +222,7 @@ class ByFusion:
         if self._readmission.check is not None:
             self._readmission.check.add_wheels(wheels)
         if check.verdict.left_out is not None:
-            if self._switch_filter_without(Culprit.CAMERA):
+            if self._switch_filter_without(RobotSensor.CAMERA):
                 return self.filter.estimate, note
             if check.is_without_wheels:
                 return self.filter.drop(wheels.stamp_s, ""), note  # the camera's velocity predicts the pose
@@ -242,7 +242,7 @@ class ByFusion:
                 return Estimate(event.stamp_s, NO_DECISION.status, body=self.body), note
         if isinstance(event, SkippedFrame):
             return self._miss(event.stamp_s), event.reason
-        if self._check.verdict.left_out is Culprit.CAMERA:
+        if self._check.verdict.left_out is RobotSensor.CAMERA:
             return self._without_camera(event), ""
         expected = self.filter.expect_frame(event.stamp_s)
         gate = self._camera.gate
@@ -270,7 +270,7 @@ class ByFusion:
             self.odometry.begin_at(self._map.camera_at(self.filter.when_imaged(frame.stamp_s)))
         twist = self._camera.twist(self.filter.estimate)
         found = self._check.verdict.found
-        ask_wheels = not found or Culprit.WHEELS not in [one.culprit for one in found]
+        ask_wheels = not found or RobotSensor.WHEELS not in [one.sensor for one in found]
         seen = self._camera.process(frame, expected, twist, ask_wheels=ask_wheels)
         if seen.T_odom_body is None:
             return self._lose(frame, seen)
@@ -281,7 +281,7 @@ class ByFusion:
             return self._lose(frame, seen, restarts=True)
         shows_all = seen.motion.shows_all
         self._check.add_tracked(frame, seen, shows_all=shows_all)
-        if self._check.verdict.left_out is not None and self._switch_filter_without(Culprit.WHEELS):
+        if self._check.verdict.left_out is not None and self._switch_filter_without(RobotSensor.WHEELS):
             return self._begin(frame, seen)
         if self._health is not None:
             self._health.is_armed = self._check.is_over
@@ -450,7 +450,7 @@ class ByFusion:
         self._map.lay(self.filter.last_frame())
         return placed
 
-    def _switch_filter_without(self, sensor: Culprit) -> bool:
+    def _switch_filter_without(self, sensor: RobotSensor) -> bool:
         """Continue with a filter without a sensor that was just found wrong; return whether it was."""
         other = self._check.hand_over(sensor)
         if other is not None:
