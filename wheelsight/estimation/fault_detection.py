@@ -210,7 +210,7 @@ def updated(
             return now, Reason.CONTRADICTION
         if now.agreed >= settings.agreements:
             now = _with_fault(now, Fault.NONE, stamp_s)
-        return changed(now, primary=now.primary.corrected(by).vision_accepted()), None
+        return changed(now, primary=now.primary.updated(by).vision_accepted()), None
     seconds = 0.0 if detection.last is None else stamp_s - detection.last.stamp_s
     if agreed == 0 and _shows_all(measurement):
         log_ratio += min(seconds, settings.compared_s) * settings.contradiction_nats_per_s
@@ -250,7 +250,7 @@ def _update_sound(
         share, usual_share = measurement.inlier_share, detection.usual_share
         if share is not None:
             usual_share = share if usual_share is None else usual_share + settings.inlier_memory * (share - usual_share)
-        primary = detection.primary.corrected(usual).vision_accepted()
+        primary = detection.primary.updated(usual).vision_accepted()
         return changed(detection, usual_share=usual_share, primary=primary), None
     alternative = _slip_hypothesis(detection.primary, stamp_s, measurement, settings)
     if alternative is None:
@@ -271,7 +271,7 @@ def _update_undecided(
     assert detection.alternative is not None
     by = detection.alternative.innovation(measurement, settings)
     fits = by.nis <= gate(settings, len(measurement.covariance))
-    alternative = detection.alternative.corrected(by).vision_accepted() if fits else detection.alternative
+    alternative = detection.alternative.updated(by).vision_accepted() if fits else detection.alternative
     if not agrees and _shows_all(measurement):
         is_healthy = fits and _is_healthy(detection, measurement, settings)
         log_ratio += settings.contradiction_nats if is_healthy else -settings.poor_inliers_nats
@@ -289,7 +289,7 @@ def _update_failing(
     """Follow the wheels while vision fails; end that after enough measurements that agree, or decide for slip."""
     if detection.agreed >= settings.agreements:
         belief = detection.answer(settings).vision_accepted()
-        belief = belief.corrected(belief.innovation(measurement, settings)).vision_accepted()
+        belief = belief.updated(belief.innovation(measurement, settings)).vision_accepted()
         return changed(_with_fault(detection, Fault.NONE, stamp_s), primary=belief, log_ratio=0.0), None
     if not _is_healthy(detection, measurement, settings):
         return changed(detection, alternative=None), Reason.CONTRADICTION
@@ -299,9 +299,7 @@ def _update_failing(
             detection, alternative=_slip_hypothesis(detection.primary, stamp_s, measurement, settings)
         ), Reason.CONTRADICTION
     log_ratio = max(detection.log_ratio + log_ratio, -settings.decision_nats)
-    detection = changed(
-        detection, alternative=detection.alternative.corrected(by).vision_accepted(), log_ratio=log_ratio
-    )
+    detection = changed(detection, alternative=detection.alternative.updated(by).vision_accepted(), log_ratio=log_ratio)
     return _verdict(_settled(detection, stamp_s, settings))
 
 
@@ -335,10 +333,10 @@ def _slip_hypothesis(
     belief: PoseBelief, stamp_s: float, measurement: RelativeMotion, settings: FilterParameters
 ) -> PoseBelief | None:
     """Return the belief if wheels slipped since the measurement's reference; None if that does not explain it."""
-    since_s = belief.remembered[belief.reference(measurement.name) - 1].stamp_s
+    since_s = belief.remembered[belief.index_of(measurement.name) - 1].stamp_s
     slipping = belief.slipped(max(stamp_s - since_s, 0.0), settings, since_s)
     by = slipping.innovation(measurement, settings)
-    return slipping.corrected(by).vision_accepted() if by.nis <= gate(settings, len(measurement.covariance)) else None
+    return slipping.updated(by).vision_accepted() if by.nis <= gate(settings, len(measurement.covariance)) else None
 
 
 def _compare(
@@ -373,13 +371,14 @@ def _motion_since(
     last: LastMeasurement, measurement: RelativeMotion, belief: PoseBelief
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return the camera's motion since the last measurement, and its covariance (3, 3); None for other references."""
-    reference_s = belief.remembered[belief.reference(measurement.name) - 1].stamp_s
+    reference_s = belief.remembered[belief.index_of(measurement.name) - 1].stamp_s
     if reference_s == last.stamp_s:
-        return measurement.Z, measurement.spread[IN_PLANE]
+        return measurement.Z, measurement.covariance_full[IN_PLANE]
     if reference_s > last.stamp_s or last.measurement.name != measurement.name:
         return None
     # The errors of both measurements add up.
-    T, spread = motions.between(last.measurement.Z, -last.measurement.spread, measurement.Z, measurement.spread)
+    before = last.measurement
+    T, spread = motions.between(before.Z, -before.covariance_full, measurement.Z, measurement.covariance_full)
     return T, spread[IN_PLANE]
 
 
@@ -403,7 +402,7 @@ def _is_healthy(detection: FaultDetection, measurement: RelativeMotion, settings
 def mixed(one: PoseBelief, other: PoseBelief, share: float) -> PoseBelief:
     """Return a belief with the moments of a mixture, in which `other` has the probability `share`."""
     way = [motions.log(motions.times(T, motions.inverse(S))) for T, S in zip(other.T, one.T, strict=True)]
-    between = one.moved(share * np.concatenate([*way, other.rest - one.rest]), one.covariance)
+    between = one.retracted(share * np.concatenate([*way, other.aux - one.aux]), one.covariance)
     P = np.zeros_like(one.covariance)
     for belief, weight in ((one, 1 - share), (other, share)):
         apart = _shift(between, belief)
@@ -417,11 +416,11 @@ def covering(one: PoseBelief, other: PoseBelief, since_s: float, sigmas: float) 
     Both differ since a stamp. Poses that were remembered later get the error of the current one.
     """
     apart = _shift(one, other)
-    apart[one.rest_at :] = 0.0  # measured again soon, which must not move the pose
+    apart[one.aux_offset :] = 0.0  # measured again soon, which must not move the pose
     later = [0, *(place + 1 for place, pose in enumerate(one.remembered) if pose.stamp_s > since_s)]
-    apart[: one.rest_at].reshape(-1, 6)[later] = apart[:6]
+    apart[: one.aux_offset].reshape(-1, 6)[later] = apart[:6]
     P = one.covariance + np.outer(apart, apart) / sigmas**2
-    P[: one.rest_at, : one.rest_at] += _less_known(one, other)
+    P[: one.aux_offset, : one.aux_offset] += _less_known(one, other)
     return changed(one, covariance=P)
 
 
@@ -448,7 +447,7 @@ def _rows(places: list[int]) -> IntArray:
 
 def _of_poses_alone(belief: PoseBelief) -> FloatArray:
     """Return the covariance (6 + 6K, 6 + 6K) of the poses for a known twist and delay of the camera."""
-    poses, given = slice(belief.rest_at), belief.rest_at + np.array([0, 1, 2, LAG])
+    poses, given = slice(belief.aux_offset), belief.aux_offset + np.array([0, 1, 2, LAG])
     C, V = belief.covariance[poses, given], belief.covariance[np.ix_(given, given)]
     return np.asarray(belief.covariance[poses, poses] - C @ np.linalg.pinv(V, hermitian=True) @ C.T)
 
@@ -458,7 +457,7 @@ def _shift(one: PoseBelief, other: PoseBelief) -> FloatArray:
     shifts = np.zeros((len(one.T), 6))
     for shift, T, S in zip(shifts, other.T, one.T, strict=True):
         shift[:] = _shift_of(S, T)
-    return np.concatenate([shifts.ravel(), other.rest - one.rest])
+    return np.concatenate([shifts.ravel(), other.aux - one.aux])
 
 
 def covering_pose(

@@ -376,8 +376,8 @@ class ErrorStateFilter:
         if self.current is None:
             return None
         belief = self.current.belief
-        place = belief.place_of(name)
-        return belief.T[place].copy() if place else None
+        index = belief.find_index(name)
+        return None if index is None else belief.T[index].copy()
 
     @property
     def estimate(self) -> FusedEstimate:
@@ -394,7 +394,7 @@ class ErrorStateFilter:
         if not np.isfinite(stamp_s):
             return None
         known = self._history.known_at(stamp_s)
-        if not known.detection.primary.place_of(name):
+        if known.detection.primary.find_index(name) is None:
             return None
         late = known.stamp_s is not None and stamp_s < known.stamp_s
         then = known if late else moved_to(known, stamp_s, self._history.events, self.parameters)
@@ -442,7 +442,7 @@ class ErrorStateFilter:
         if status is Status.LOST:
             return FusedEstimate(now.stamp_s, status, None, None, reason, "base", *counts, *flags, nis=nis)
         pose = (now.T, now.covariance, reason, "base", *counts)
-        errors = now.belief.rest[ERRORS].copy()
+        errors = now.belief.aux[ERRORS].copy()
         return FusedEstimate(now.stamp_s, status, *pose, *flags, *now.twist, nis=nis, wheel_errors=errors)
 
 
@@ -472,7 +472,7 @@ class CurrentPose(NamedTuple):
         """Return those of a state."""
         detection, s = state.detection, settings
         belief = detection.primary if detection.alternative is None else detection.answer(s)
-        T, C, *moving = answered(belief.T, belief.rest, belief.covariance, s.clock_sigma_s)
+        T, C, *moving = answered(belief.T, belief.aux, belief.covariance, s.clock_sigma_s)
         stamp_s = -np.inf if state.stamp_s is None else state.stamp_s
         evidence = [_WHEELS_ALONE]
         if stamp_s - state.vision_s <= s.coast_after_s:
@@ -497,7 +497,7 @@ class CurrentPose(NamedTuple):
 
 def _diverged(before: FusionState, event: FilterEvent, settings: FilterParameters) -> FusionState:
     """Return the state after an event that makes the filter diverge: the state before it, lost."""
-    belief = before.detection.primary.scattered(settings)
+    belief = before.detection.primary.inflated_as_lost(settings)
     scattered = changed(before.detection, primary=belief, alternative=None, fault=Fault.NONE, nis=None)
     stamp_s = event.stamp_s if before.stamp_s is None else max(before.stamp_s, event.stamp_s)
     return changed(before, detection=scattered, stamp_s=stamp_s, is_lost=True, reason=Reason.INVALID)
@@ -545,7 +545,7 @@ def after(
         now = _update_relative(now, event, settings)
     if event.gyro_bias is not None:
         bias = event.gyro_bias
-        return changed(now, detection=_each(now.detection, lambda belief: belief.corrected(belief.gyro_bias(*bias))))
+        return changed(now, detection=_each(now.detection, lambda belief: belief.updated(belief.gyro_bias(*bias))))
     if event.position is not None:
         return _update_position(now, *event.position, settings)
     if event.clone is not None:
@@ -580,7 +580,7 @@ def moved_to(
         detection = _predict(detection, covers, start_s, until_s, settings)
         measured_s = measured_s if covers is None else end_s
         if not is_lost and end_s - measured_s > settings.lost_after_s:
-            detection, is_lost = _each(detection, lambda belief: belief.scattered(settings)), True
+            detection, is_lost = _each(detection, lambda belief: belief.inflated_as_lost(settings)), True
     return changed(state, detection=detection, stamp_s=stamp_s, measured_s=measured_s, is_lost=is_lost)
 
 
@@ -602,8 +602,8 @@ def _predict(
     """Predict all hypotheses over an interval: by a share of a wheel step, or at constant twist."""
     primary, alternative, seconds = detection.primary, detection.alternative, end_s - start_s
     if step is None:
-        primary = primary.coasted(seconds, settings)
-        alternative = None if alternative is None else alternative.coasted(seconds, settings)
+        primary = primary.predicted_at_constant_twist(seconds, settings)
+        alternative = None if alternative is None else alternative.predicted_at_constant_twist(seconds, settings)
         return changed(detection, primary=primary, alternative=alternative)
     share = seconds / (step.end_s - step.begin_s)
     odometer = detection.odometer.moved_by_wheels(step, share)
@@ -619,7 +619,7 @@ def _update_relative(state: FusionState, event: FilterEvent, settings: FilterPar
     if measurement is None:
         detection = faults.vision_failed(state.detection, stamp_s, settings)
         return changed(state, detection=detection, reason=event.failure)
-    if not state.detection.primary.place_of(measurement.name):
+    if state.detection.primary.find_index(measurement.name) is None:
         return changed(state, reason=Reason.UNKNOWN_REFERENCE)
     is_degenerate = len(measurement.covariance) < 6
     detection, reason = faults.updated(state.detection, stamp_s, measurement, settings)
@@ -642,10 +642,10 @@ def _update_position(
         cap = settings.leap_chi2_cap
         log_ratio = detection.log_ratio + (min(by.nis, cap) - min(of_alternative.nis, cap)) / 2
         alternative = (
-            detection.alternative.corrected(of_alternative) if of_alternative.nis <= most else detection.alternative
+            detection.alternative.updated(of_alternative) if of_alternative.nis <= most else detection.alternative
         )
         detection = changed(detection, alternative=alternative, log_ratio=log_ratio)
-    belief = detection.primary.corrected(by) if by.nis <= most else detection.primary
+    belief = detection.primary.updated(by) if by.nis <= most else detection.primary
     return changed(state, detection=changed(detection, primary=belief))
 
 
@@ -655,7 +655,7 @@ def _remember(
     """Remember the current pose. If the camera measures against it, preintegration of the wheels restarts here."""
     last, preintegration = detection.last, detection.preintegration
     measurement = None if last is None or last.measurement.name != name else last.measurement
-    is_known = detection.primary.place_of(name) > 0
+    is_known = detection.primary.find_index(name) is not None
     begins = measurement is not None or preintegration is None or preintegration.name == name
     if begins and name != STEP_BEGIN:
         is_current = last is not None and last.stamp_s == stamp_s and detection.agreed > 0
@@ -731,9 +731,9 @@ def _update_turn(detection: FaultDetection, stamp_s: float, settings: FilterPara
     def turned(belief: PoseBelief) -> tuple[PoseBelief, float]:
         by = belief.yaw_rate(rate_rad_s, variance)
         if by.nis <= most:
-            return belief.corrected(by).turn_known(), by.nis
+            return belief.updated(by).turn_known(), by.nis
         freed = belief.turn_slipped(settings)
-        return freed.corrected(freed.yaw_rate(rate_rad_s, variance)).turn_known(), by.nis
+        return freed.updated(freed.yaw_rate(rate_rad_s, variance)).turn_known(), by.nis
 
     belief, nis = turned(detection.primary)
     alternative = None if detection.alternative is None else turned(detection.alternative)[0]

@@ -22,10 +22,10 @@ from wheelsight.core.geometry.motion_kernels import (
 
 # Prediction and correction.
 #
-# T (1 + K, 4, 4), rest (17,) and P (n, n) are those of a `PoseBelief`.
+# T (1 + K, 4, 4), aux (17,) and P (n, n) are those of a `PoseBelief`.
 
 
-_REST, _PLANE = 17, (0, 1, 5)
+_AUX_SIZE, _PLANE = 17, (0, 1, 5)
 
 
 @kernel
@@ -92,19 +92,19 @@ class UnmeasuredMotion(NamedTuple):
 
 @kernel
 def wheel_step(
-    T: FloatArray, rest: FloatArray, P: FloatArray, step: StepPart, unseen: UnmeasuredMotion
+    T: FloatArray, aux: FloatArray, P: FloatArray, step: StepPart, unseen: UnmeasuredMotion
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
-    """Return T, rest and P after a share of a step, its derivative (6, 3) by the wheels' errors, and its way.
+    """Return T, aux and P after a share of a step, its derivative (6, 3) by the wheels' errors, and its way.
 
     A part of a step has the twist of the whole, and the same uncertainty. Updates of the twist move the part alone.
     """
-    T, rest, P, share, dt_s = T.copy(), rest.copy(), P.copy(), step.share, step.dt_s
+    T, aux, P, share, dt_s = T.copy(), aux.copy(), P.copy(), step.share, step.dt_s
     raw = step.xi * share
     way_m = unseen.lever_m * abs(raw[5]) + math.hypot(raw[0], raw[1])
     Q = step.noise * share + unseen.unseen * way_m
     by_errors = by_wheel_errors(raw, step.known_twist * dt_s)
-    twist, errors = len(P) - _REST, len(P) - _REST + 3
-    xi = raw + times(by_errors, rest[3:6].copy().reshape(3, 1))[:, 0]
+    twist, errors = len(P) - _AUX_SIZE, len(P) - _AUX_SIZE + 3
+    xi = raw + times(by_errors, aux[3:6].copy().reshape(3, 1))[:, 0]
     Ad, J = adjoint(T[0]), left_jacobian(xi)
     to_pose, to_twist = times(times(Ad, J), by_errors), by_errors[np.array([0, 1, 5])] / dt_s
     _depend(P, errors, to_pose, to_twist)
@@ -116,20 +116,20 @@ def wheel_step(
     P[:6, twist:errors] += grown[:6, 6:] * math.sqrt(share)
     P[twist:errors, :6] += grown[6:, :6] * math.sqrt(share)
     P[twist:errors, twist:errors] += grown[6:, 6:]
-    _wander(rest, P, unseen, way_m, dt_s)
+    _wander(aux, P, unseen, way_m, dt_s)
     T[0] = times(T[0], exp(xi))
-    rest[0], rest[1], rest[2] = xi[0] / dt_s, xi[1] / dt_s, xi[5] / dt_s
-    return T, rest, P, to_pose, way_m
+    aux[0], aux[1], aux[2] = xi[0] / dt_s, xi[1] / dt_s, xi[5] / dt_s
+    return T, aux, P, to_pose, way_m
 
 
 @kernel
-def _wander(rest: FloatArray, P: FloatArray, unseen: UnmeasuredMotion, way_m: float, dt_s: float) -> None:
+def _wander(aux: FloatArray, P: FloatArray, unseen: UnmeasuredMotion, way_m: float, dt_s: float) -> None:
     """Apply random walk and fading of the errors of wheels, camera and gyroscope, over a way and a time."""
-    errors = len(P) - _REST + 3
+    errors = len(P) - _AUX_SIZE + 3
     for i in range(len(unseen.walks)):
         k, far = errors + i, way_m if errors + i < len(P) - 1 else dt_s
         kept = math.exp(-unseen.fades[i] * far)
-        rest[3 + i] *= kept
+        aux[3 + i] *= kept
         P[k] *= kept
         P[:, k] *= kept
         P[k, k] += unseen.walks[i] * far
@@ -145,14 +145,14 @@ def odometer_kernel(
 
 @kernel
 def coast(
-    T: FloatArray, rest: FloatArray, P: FloatArray, q: FloatArray, Q: FloatArray, dt_s: float, walk: float
+    T: FloatArray, aux: FloatArray, P: FloatArray, q: FloatArray, Q: FloatArray, dt_s: float, walk: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return T and P at constant twist, with white noise of acceleration q (3,) and covariance Q (6, 6) of the step."""
     T, P = T.copy(), P.copy()
     n = len(P)
-    twist, errors = n - _REST, n - _REST + 3
+    twist, errors = n - _AUX_SIZE, n - _AUX_SIZE + 3
     xi = np.zeros(6)
-    xi[0], xi[1], xi[5] = rest[0] * dt_s, rest[1] * dt_s, rest[2] * dt_s
+    xi[0], xi[1], xi[5] = aux[0] * dt_s, aux[1] * dt_s, aux[2] * dt_s
     Ad = adjoint(T[0])
     plane = np.array([0, 1, 5])
     to_pose = times(Ad, left_jacobian(xi)[:, plane]) * dt_s
@@ -192,21 +192,21 @@ def leap_kernel(
 
 @kernel
 def answered(
-    T: FloatArray, rest: FloatArray, P: FloatArray, clock_s: float
+    T: FloatArray, aux: FloatArray, P: FloatArray, clock_s: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return pose (4, 4), covariance (6, 6), twist (3,) and its covariance, for stamps with a σ of `clock_s`."""
-    Ad, late, at = adjoint(T[0]), np.zeros((6, 1)), len(P) - _REST
+    Ad, late, at = adjoint(T[0]), np.zeros((6, 1)), len(P) - _AUX_SIZE
     for i in range(6):
         for j in range(3):
-            late[i, 0] += Ad[i, _PLANE[j]] * rest[j] * clock_s
-    return T[0].copy(), P[:6, :6] + times(late, late.T), rest[:3].copy(), P[at : at + 3, at : at + 3].copy()
+            late[i, 0] += Ad[i, _PLANE[j]] * aux[j] * clock_s
+    return T[0].copy(), P[:6, :6] + times(late, late.T), aux[:3].copy(), P[at : at + 3, at : at + 3].copy()
 
 
 @kernel
 def correct(
-    T: FloatArray, rest: FloatArray, P: FloatArray, PHt: FloatArray, S: FloatArray, residual: FloatArray, kept: IntArray
+    T: FloatArray, aux: FloatArray, P: FloatArray, PHt: FloatArray, S: FloatArray, residual: FloatArray, kept: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return T, rest and P after a Kalman update that leaves the numbers `kept` (k,) of the state as they are."""
+    """Return T, aux and P after a Kalman update that leaves the numbers `kept` (k,) of the state as they are."""
     gain: FloatArray = np.linalg.solve(S, np.ascontiguousarray(PHt.T)).T.astype(np.float64)
     lost = times(gain, PHt.T)
     less = (P + P.T - lost - lost.T) / 2  # rounding makes it asymmetric, and that would grow
@@ -218,25 +218,25 @@ def correct(
         x[i] = 0.0
         for j in kept:
             less[i, j] = P[i, j]
-    T, rest = perturb(T, rest, x)
-    return T, rest, less
+    T, aux = perturb(T, aux, x)
+    return T, aux, less
 
 
 @kernel
-def perturb(T: FloatArray, rest: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return all poses perturbed, and the rest shifted, by x (n,)."""
+def perturb(T: FloatArray, aux: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return all poses perturbed, and `aux` shifted, by x (n,)."""
     moved = np.empty_like(T)
     for i in range(len(T)):
         moved[i] = times(exp(x[6 * i : 6 * i + 6]), T[i])
-    return moved, rest + x[6 * len(T) :]
+    return moved, aux + x[6 * len(T) :]
 
 
 # Measurements of the camera.
 #
-# T (1 + K, 4, 4), rest (17,) and P (n, n) are those of a `PoseBelief`.
+# T (1 + K, 4, 4), aux (17,) and P (n, n) are those of a `PoseBelief`.
 
 
-# Of `rest`: twist 3, the wheels' errors 3, the camera's 9, how late its stamps are, the gyroscope's bias.
+# Of `aux`: twist 3, the wheels' errors 3, the camera's 9, how late its stamps are, the gyroscope's bias.
 _CAMERA, _LAG = 9, 15
 _MOUNT = (0, 1, 3, 4, 5)  # on a floor, the height of the camera is unobservable
 _UNSEEN_SIGMA_M = 10.0
@@ -265,11 +265,11 @@ def by_camera_errors(Z: FloatArray, by_wheels: FloatArray) -> FloatArray:
 
 
 @kernel
-def imaged_at(T_now: FloatArray, rest: FloatArray) -> FloatArray:
+def imaged_at(T_now: FloatArray, aux: FloatArray) -> FloatArray:
     """Return the pose (4, 4) when the image with the current stamp was taken; the camera's stamps are delayed."""
     xi = np.zeros(6)
     for i in range(3):
-        xi[_PLANE[i]] = -rest[_LAG] * rest[i]
+        xi[_PLANE[i]] = -aux[_LAG] * aux[i]
     return times(T_now, exp(xi))
 
 
@@ -279,50 +279,50 @@ def imaged(P: FloatArray, T_imaged: FloatArray, lag_s: float, twist: FloatArray)
 
     Lag and twist are both uncertain; the second-order term of their product is part of its own covariance.
     """
-    rest = len(P) - _REST
+    aux_offset = len(P) - _AUX_SIZE
     G = np.zeros((6, 3))
     Ad = adjoint(T_imaged)
     for j in range(3):
         G[:, j] = Ad[:, _PLANE[j]]
     by_lag = times(G, twist.reshape(3, 1))
-    rows = P[:6] - lag_s * times(G, P[rest : rest + 3]) - by_lag * P[rest + _LAG]
+    rows = P[:6] - lag_s * times(G, P[aux_offset : aux_offset + 3]) - by_lag * P[aux_offset + _LAG]
     spread = (
         rows[:, :6]
-        - lag_s * times(rows[:, rest : rest + 3], G.T)
-        - rows[:, rest + _LAG].copy().reshape(6, 1) * by_lag.T
+        - lag_s * times(rows[:, aux_offset : aux_offset + 3], G.T)
+        - rows[:, aux_offset + _LAG].copy().reshape(6, 1) * by_lag.T
     )
-    together = P[rest + _LAG, rest + _LAG] * P[rest : rest + 3, rest : rest + 3]
+    together = P[aux_offset + _LAG, aux_offset + _LAG] * P[aux_offset : aux_offset + 3, aux_offset : aux_offset + 3]
     return rows, spread + times(times(G, together), G.T)
 
 
 @kernel
-def imaged_now(T_now: FloatArray, rest: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def imaged_now(T_now: FloatArray, aux: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the pose (4, 4) when the current image was taken, and its covariances as of `imaged`."""
-    T_imaged = imaged_at(T_now, rest)
-    rows, spread = imaged(P, T_imaged, rest[_LAG], rest[:3].copy())
+    T_imaged = imaged_at(T_now, aux)
+    rows, spread = imaged(P, T_imaged, aux[_LAG], aux[:3].copy())
     return T_imaged, rows, spread
 
 
 @kernel
 def seen_from(
-    T: FloatArray, rest: FloatArray, P: FloatArray, at: int, T_base_camera: FloatArray
+    T: FloatArray, aux: FloatArray, P: FloatArray, at: int, T_base_camera: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the camera's motion (4, 4) since the pose at an index, in its frame, and its covariance (6, 6)."""
     here = slice(6 * at, 6 * at + 6)
-    T_imaged, rows, spread = imaged_now(T[0], rest, P)
+    T_imaged, rows, spread = imaged_now(T[0], aux, P)
     T_camera_filter = inverse(times(T[at], T_base_camera))
     apart = spread - rows[:, here] - rows[:, here].T + P[here, here]
     return times(times(T_camera_filter, T_imaged), T_base_camera), carried(T_camera_filter, apart)
 
 
 @kernel
-def _change_of_twist(rest: FloatArray, P: FloatArray, before: FloatArray) -> float:
+def _change_of_twist(aux: FloatArray, P: FloatArray, before: FloatArray) -> float:
     """Return χ² of the change from an earlier twist (3,), by the wheels' noise in both, with a least noise."""
-    at = len(P) - _REST
+    at = len(P) - _AUX_SIZE
     noise = 2 * P[at : at + 3, at : at + 3]
     for i in range(3):
         noise[i, i] += _LEAST_TWIST**2
-    chi2: float = chi_squared(rest[:3] - before, noise)
+    chi2: float = chi_squared(aux[:3] - before, noise)
     return chi2
 
 
@@ -340,7 +340,7 @@ def expected(
 
 
 @kernel
-def apart_kernel(
+def residual_kernel(
     T_imaged: FloatArray, T_reference: FloatArray, by_wheels: FloatArray, Z: FloatArray, camera_errors: FloatArray
 ) -> FloatArray:
     """Return log(Z Ẑ⁻¹) (6,) of a motion Z (4, 4), corrected by the camera's errors (9,), and the predicted one."""
@@ -379,29 +379,29 @@ class ObservedMotion(NamedTuple):
 
 @kernel
 def measured(
-    poses: ReferencePoses, rest: FloatArray, P: FloatArray, observed: ObservedMotion
+    poses: ReferencePoses, aux: FloatArray, P: FloatArray, observed: ObservedMotion
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float, float]:
     """Return the innovation of a motion against a remembered pose.
 
     It is the residual (m,), its covariance S (m, m), its covariance with the state P Hᵀ (n, m), H (m, 6) of the current
     pose, the residual's χ², and that of the change of twist since then.
     """
-    T_imaged, seen, R, place = imaged_at(poses.T_now, rest), observed.seen, observed.R, poses.place
+    T_imaged, seen, R, place = imaged_at(poses.T_now, aux), observed.seen, observed.R, poses.place
     _, B, Ad = expected(T_imaged, poses.T_reference, poses.by_wheel_errors)
     H, by_errors = times(seen, Ad), times(seen, B)
     residual = _rows(
-        seen, apart_kernel(T_imaged, poses.T_reference, poses.by_wheel_errors, observed.Z, rest[6 : 6 + _CAMERA])
+        seen, residual_kernel(T_imaged, poses.T_reference, poses.by_wheel_errors, observed.Z, aux[6 : 6 + _CAMERA])
     )
-    twist = rest[:3].copy()
-    PHt, S = _innovation(P, place, H, by_errors, R, T_imaged, rest[_LAG], twist)
+    twist = aux[:3].copy()
+    PHt, S = _innovation(P, place, H, by_errors, R, T_imaged, aux[_LAG], twist)
     # The delay counts by the twist after this measurement. The wheels' noise is in their twist and in the residual, and
     # the product of both would bias each measurement alike.
     weighed = np.linalg.solve(S, residual)
     for i in range(3):
         for j in range(len(residual)):
-            twist[i] += PHt[len(P) - _REST + i, j] * weighed[j]
-    PHt, S = _innovation(P, place, H, by_errors, R, T_imaged, rest[_LAG], twist)
-    return residual, S, PHt, H, chi_squared(residual, S), _change_of_twist(rest, P, poses.twist_then)
+            twist[i] += PHt[len(P) - _AUX_SIZE + i, j] * weighed[j]
+    PHt, S = _innovation(P, place, H, by_errors, R, T_imaged, aux[_LAG], twist)
+    return residual, S, PHt, H, chi_squared(residual, S), _change_of_twist(aux, P, poses.twist_then)
 
 
 @kernel
@@ -447,7 +447,7 @@ def _innovation(
     twist: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     errors, at = (
-        slice(len(P) - _REST + 6, len(P) - _REST + 6 + _CAMERA),
+        slice(len(P) - _AUX_SIZE + 6, len(P) - _AUX_SIZE + 6 + _CAMERA),
         slice(place, place + 6),
     )
     rows, spread = imaged(P, T_imaged, lag_s, twist)

@@ -37,7 +37,6 @@ from wheelsight.estimation.filter_kernels import (
     ReferencePoses,
     StepPart,
     UnmeasuredMotion,
-    apart_kernel,
     coast,
     correct,
     expected,
@@ -45,6 +44,7 @@ from wheelsight.estimation.filter_kernels import (
     imaged_now,
     measured,
     odometer_kernel,
+    residual_kernel,
     seen_from,
     shown_kernel,
     wheel_step,
@@ -55,9 +55,9 @@ IN_PLANE = np.ix_(PLANE, PLANE)
 _SIX = np.arange(6)
 # Order of the state after all poses: the twist, the errors of wheels and camera, and the gyroscope's bias.
 TWIST, ERRORS, CAMERA_ERRORS, LAG, BIAS = slice(0, 3), slice(3, 6), slice(6, 15), 15, 16
-REST_SIZE = 17
+AUX_SIZE = 17
 MOUNT_SHIFT = [10, 11]  # among the camera's errors
-# As `rest` has them, after the twist; each has a sigma and a walk. The gyroscope's bias follows.
+# The errors in the order of `aux`, after the twist; each has a sigma and a walk. The gyroscope's bias follows.
 _ERROR_NAMES = (
     *("scale_{}", "drift_{}_rad_per_m", "turn_{}"),
     *("camera_scale_{}", "camera_drift_{}_rad_per_m", "camera_turn_{}", "camera_drift_{}_rad_per_m"),
@@ -66,7 +66,7 @@ _ERROR_NAMES = (
 )
 COAST_AFTER_S = 0.3  # without an accepted frame: some frames at any usual rate
 _NO_TWIST = np.full(3, np.nan)
-_NO_SLIP = np.zeros((6, 6))
+_NO_SLIP = np.zeros((6, 6))  # this very array means that no slip was possible
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,7 @@ class Updates(Enum):
     MOUNT = 3
 
 
-_UNLEARNED = {
+_CONSIDERED = {
     (updates, shows_lag): np.array(places if shows_lag else sorted({*places, LAG}), int)
     for updates, places in {
         Updates.MOTION: [*range(ERRORS.start, BIAS)],
@@ -257,9 +257,9 @@ class PoseBelief:
     Attributes:
         T: (1 + K, 4, 4) T_filter_base now, and at the times when the images with the remembered stamps were taken.
         remembered: the K remembered poses.
-        rest: (17,) twist (vx, vy, ωz); errors of the wheels (scale, drift, turn); errors of the camera (the same, drift
-            in pitch, shift and rotation of its mount, delay of its stamps); bias of the gyroscope.
-        covariance: (6 + 6K + 17, 6 + 6K + 17) of the perturbations of all poses, then of `rest`.
+        aux: (17,) auxiliary states: twist (vx, vy, ωz); errors of the wheels (scale, drift, turn); errors of the camera
+            (the same, drift in pitch, shift and rotation of its mount, delay of its stamps); bias of the gyroscope.
+        covariance: (6 + 6K + 17, 6 + 6K + 17) of the perturbations of all poses, then of `aux`.
         slip_covariance: (6, 6) part of the pose's covariance that is due to possible slip since the last accepted
             camera measurement.
         way_m: distance since the last measurement of the level floor.
@@ -272,7 +272,7 @@ class PoseBelief:
 
     T: FloatArray
     remembered: tuple[Remembered, ...]
-    rest: FloatArray
+    aux: FloatArray
     covariance: FloatArray
     slip_covariance: FloatArray
     way_m: float = 0.0
@@ -286,37 +286,37 @@ class PoseBelief:
     def begin(cls, T_filter_base: FloatArray, covariance: FloatArray, settings: FilterParameters) -> PoseBelief:
         """Return a belief at rest, at a pose with its covariance (6, 6)."""
         s = settings
-        P = np.zeros((6 + REST_SIZE, 6 + REST_SIZE))
+        P = np.zeros((6 + AUX_SIZE, 6 + AUX_SIZE))
         P[:6, :6] = covariance
         still = [s.acceleration_m_s2, s.side_m_per_sqrt_m, s.acceleration_rad_s2]
         P[6:, 6:] = np.diag([*np.square(still), *s.variances])
-        return cls(T_filter_base[None].copy(), (), np.zeros(REST_SIZE), P, _NO_SLIP)
+        return cls(T_filter_base[None].copy(), (), np.zeros(AUX_SIZE), P, _NO_SLIP)
 
     @property
     def gyro_bias_rad_s(self) -> float:
         """Estimated bias of the gyroscope, relative to that of the calibration."""
-        return float(self.rest[BIAS])
+        return float(self.aux[BIAS])
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the remembered poses."""
         return tuple(map(attrgetter("name"), self.remembered))
 
-    def place_of(self, name: str) -> int:
-        """Return the index in `T` of the pose remembered as `name`; 0 if there is none."""
-        for place, pose in enumerate(self.remembered, 1):
+    def find_index(self, name: str) -> int | None:
+        """Return the index in `T` of the pose remembered as `name`; None if there is none."""
+        for index, pose in enumerate(self.remembered, 1):
             if pose.name == name:
-                return place
-        return 0
+                return index
+        return None
 
     @property
-    def rest_at(self) -> int:
-        """Index of `rest` in the covariance."""
-        return len(self.covariance) - REST_SIZE
+    def aux_offset(self) -> int:
+        """Index of `aux` in the covariance."""
+        return len(self.covariance) - AUX_SIZE
 
-    def place(self, part: slice) -> slice:
-        """Return the slice of a part of `rest` in the covariance."""
-        return slice(self.rest_at + part.start, self.rest_at + part.stop)
+    def aux_slice(self, part: slice) -> slice:
+        """Return the slice of a part of `aux` in the covariance."""
+        return slice(self.aux_offset + part.start, self.aux_offset + part.stop)
 
     def moved_by_wheels(
         self, step: WheelStep, share: float, settings: FilterParameters, is_slipping: bool
@@ -331,21 +331,21 @@ class PoseBelief:
             known = np.array([*step.xi[:2] / (step.end_s - step.begin_s), self.known_twist[2]])
         part = StepPart(step.xi, step.covariance, share, dt_s, known)
         unseen = UnmeasuredMotion(s.unseen_a_metre, s.walks, s.fades, s.lever_m)
-        T, rest, P, by_errors, way_m = wheel_step(self.T, self.rest, self.covariance, part, unseen)
+        T, aux, P, by_errors, way_m = wheel_step(self.T, self.aux, self.covariance, part, unseen)
         times = {"way_m": self.way_m + way_m, "part_s": dt_s, "known_for_s": self.known_for_s + dt_s}
         times["turn_known_for_s"] = self.turn_known_for_s + dt_s
-        after = changed(self, T=T, rest=rest, covariance=P, by_errors=self.by_errors + by_errors, **times)
+        after = changed(self, T=T, aux=aux, covariance=P, by_errors=self.by_errors + by_errors, **times)
         after = after.slipped(dt_s, s) if is_slipping else after
         return after.levelled(s) if after.way_m > s.level_every_m else after
 
-    def coasted(self, dt_s: float, settings: FilterParameters) -> PoseBelief:
+    def predicted_at_constant_twist(self, dt_s: float, settings: FilterParameters) -> PoseBelief:
         """Predict without wheels, at constant twist with white noise of acceleration."""
         s = settings
-        rest = self.rest
+        aux = self.aux
         q = np.square([s.acceleration_m_s2, s.side_acceleration_m_s2, s.acceleration_rad_s2])
-        way_m = (abs(rest[0]) + s.lever_m * abs(rest[2])) * dt_s
+        way_m = (abs(aux[0]) + s.lever_m * abs(aux[2])) * dt_s
         noise = (q, s.unseen_a_metre * way_m, dt_s, s.gyro.bias_walk_rad_s_per_sqrt_s**2 * dt_s)
-        T, P = coast(self.T, rest, self.covariance, *noise)
+        T, P = coast(self.T, aux, self.covariance, *noise)
         return changed(self, T=T, covariance=P)
 
     def cloned(self, name: str, stamp_s: float, most: int, spread: FloatArray | None = None) -> PoseBelief:
@@ -353,55 +353,55 @@ class PoseBelief:
 
         `spread` (6, 6), in the base's own frame, is added to its covariance: the error of the camera's pose there.
         """
-        entry = Remembered(name, stamp_s, self.rest[TWIST].copy(), self.slip_covariance, self.by_errors)
-        place = self.place_of(name)
-        if place:
-            poses = (*self.remembered[: place - 1], entry, *self.remembered[place:])
+        entry = Remembered(name, stamp_s, self.aux[TWIST].copy(), self.slip_covariance, self.by_errors)
+        index = self.find_index(name)
+        if index is not None:
+            poses = (*self.remembered[: index - 1], entry, *self.remembered[index:])
             there = changed(self, T=self.T.copy(), covariance=self.covariance.copy(), remembered=poses)
         else:
             here = self
             while len(here.remembered) >= most:
                 here = here.dropped(min(here.remembered, key=attrgetter("stamp_s")).name)
             there = here.selected(np.append(np.arange(len(here.T)), 0), (*here.remembered, entry))
-            place = len(there.remembered)
+            index = len(there.remembered)
         # The delay of the camera's stamps is part of the state (Li & Mourikis, IJRR 2014).
-        there.T[place], rows, spread_now = imaged_now(there.T[0], there.rest, there.covariance)
-        at = slice(6 * place, 6 * place + 6)
+        there.T[index], rows, spread_now = imaged_now(there.T[0], there.aux, there.covariance)
+        at = slice(6 * index, 6 * index + 6)
         there.covariance[at], there.covariance[:, at] = rows, rows.T
         there.covariance[at, at] = spread_now if spread is None else spread_now + motions.carried(self.T[0], spread)
         return there
 
     def dropped(self, name: str) -> PoseBelief:
         """Marginalise the remembered pose `name`."""
-        place = self.place_of(name)
-        if not place:
+        index = self.find_index(name)
+        if index is None:
             return self
-        rows = np.delete(np.arange(len(self.T)), place)
-        return self.selected(rows, (*self.remembered[: place - 1], *self.remembered[place:]))
+        rows = np.delete(np.arange(len(self.T)), index)
+        return self.selected(rows, (*self.remembered[: index - 1], *self.remembered[index:]))
 
     def selected(self, poses: IntArray, remembered: tuple[Remembered, ...]) -> PoseBelief:
         """Return a belief with some of the poses (K,), by their indices in `T`; all else stays."""
-        first = len(self.covariance) - REST_SIZE
+        first = len(self.covariance) - AUX_SIZE
         rows = np.concatenate([(6 * poses[:, None] + _SIX).ravel(), np.arange(first, len(self.covariance))])
         covariance = self.covariance[rows[:, None], rows]
         return changed(self, T=self.T[poses], covariance=covariance, remembered=remembered)
 
-    def reference(self, name: str) -> int:
+    def index_of(self, name: str) -> int:
         """Return the index in `T` of the remembered pose `name`. Raises KeyError."""
-        for place, pose in enumerate(self.remembered, 1):
+        for index, pose in enumerate(self.remembered, 1):
             if pose.name == name:
-                return place
+                return index
         raise KeyError(name)
 
     def seen_from(self, name: str, T_base_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return T_reference_current (4, 4) of the camera since the pose `name`, and its covariance (6, 6)."""
-        T, C = seen_from(self.T, self.rest, self.covariance, self.reference(name), T_base_camera)
+        T, C = seen_from(self.T, self.aux, self.covariance, self.index_of(name), T_base_camera)
         return T, C
 
     def between(self, first: str, second: str, T_base_camera: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Return T_first_second (4, 4) of the camera, and its covariance (6, 6); None unless both are remembered."""
-        one, other = self.place_of(first), self.place_of(second)
-        if not one or not other:
+        one, other = self.find_index(first), self.find_index(second)
+        if one is None or other is None:
             return None
         T_camera_filter = motions.inverse(motions.times(self.T[one], T_base_camera))
         both = np.r_[6 * other + _SIX, 6 * one + _SIX]
@@ -410,11 +410,11 @@ class PoseBelief:
         T = motions.times(motions.times(T_camera_filter, self.T[other]), T_base_camera)
         return motions.renormalized(T), motions.carried(T_camera_filter, apart)
 
-    def apart(self, measurement: RelativeMotion) -> FloatArray:
-        """Return log(Z Ẑ⁻¹) (6,) of the camera's motion, corrected by its estimated errors, and the predicted one."""
-        T_now, T_reference, by_errors = self.since(self.reference(measurement.name))
-        T_imaged = imaged_at(T_now, self.rest)
-        return np.asarray(apart_kernel(T_imaged, T_reference, by_errors, measurement.Z, self.rest[CAMERA_ERRORS]))
+    def residual(self, measurement: RelativeMotion) -> FloatArray:
+        """Return log(Z Ẑ⁻¹) (6,), of the camera's motion without its estimated errors against the predicted one."""
+        T_now, T_reference, by_errors = self.since(self.index_of(measurement.name))
+        T_imaged = imaged_at(T_now, self.aux)
+        return np.asarray(residual_kernel(T_imaged, T_reference, by_errors, measurement.Z, self.aux[CAMERA_ERRORS]))
 
     def innovation(
         self,
@@ -432,19 +432,20 @@ class PoseBelief:
             without_slip: assume that no wheel has slipped since the last accepted camera measurement.
             updates: what the measurement updates beside the motion; while wheels may slip, no errors of sensors.
         """
-        at = self.reference(measurement.name)
+        at = self.index_of(measurement.name)
         then = self.remembered[at - 1]
-        seen = ObservedMotion(measurement.Z, measurement.seen, measurement.covariance)
+        seen = ObservedMotion(measurement.Z, measurement.observed_basis, measurement.covariance)
         poses = ReferencePoses(*self.since(at), 6 * at, then.twist)
-        residual, S, PHt, H, nis, change = measured(poses, self.rest, self.covariance, seen)
-        if without_slip and not (self.slip_covariance is then.slip_covariance is _NO_SLIP):
+        residual, S, PHt, H, nis, change = measured(poses, self.aux, self.covariance, seen)
+        has_slip = self.slip_covariance is not _NO_SLIP or then.slip_covariance is not _NO_SLIP
+        if without_slip and has_slip:
             certain = S - H @ (self.slip_covariance - then.slip_covariance) @ H.T
             # Updates since then have reduced a part of it: the difference may not be positive definite.
             if np.linalg.eigvalsh(certain - measurement.covariance)[0] >= 0:
                 S, nis = certain, motions.chi_squared(residual, certain)
         # At constant twist, noise of the wheels would be taken for a delay of the stamps.
-        unlearned = _UNLEARNED[updates, bool(change > settings.lag_chi2)]
-        return Innovation(residual, S, PHt, nis, unlearned)
+        considered_states = _CONSIDERED[updates, bool(change > settings.lag_chi2)]
+        return Innovation(residual, S, PHt, nis, considered_states)
 
     def since(self, at: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the current pose, the one at an index, and the derivative of the motion by the wheels' errors."""
@@ -459,29 +460,30 @@ class PoseBelief:
 
     def yaw_rate(self, rate_rad_s: float, variance: float) -> Innovation:
         """Return the innovation of a gyroscope's yaw rate."""
-        place = self.place(TWIST).stop - 1
+        place = self.aux_slice(TWIST).stop - 1
         PHt = self.covariance[:, [place]] + self.covariance[:, [-1]]
-        residual = np.array([rate_rad_s - self.rest[2] - self.rest[BIAS]])
+        residual = np.array([rate_rad_s - self.aux[2] - self.aux[BIAS]])
         return _innovation(residual, PHt[[place]] + PHt[[-1]] + variance, PHt)
 
     def gyro_bias(self, bias_rad_s: float, variance: float) -> Innovation:
         """Return the innovation of an external estimate of the gyroscope's bias."""
         PHt = self.covariance[:, [-1]]
-        return _innovation(np.array([bias_rad_s - self.rest[BIAS]]), PHt[[-1]] + variance, PHt)
+        return _innovation(np.array([bias_rad_s - self.aux[BIAS]]), PHt[[-1]] + variance, PHt)
 
-    def corrected(self, by: Innovation) -> PoseBelief:
+    def updated(self, by: Innovation) -> PoseBelief:
         """Return the belief after a Kalman update."""
-        by_this = (by.with_state, by.covariance, by.residual, len(self.covariance) - REST_SIZE + by.unlearned)
-        T, rest, P = correct(self.T, self.rest, self.covariance, *by_this)
-        return changed(self, T=T, rest=rest, covariance=P)
+        considered = len(self.covariance) - AUX_SIZE + by.considered_states
+        numbers = by.cross_covariance, by.covariance, by.residual, considered
+        T, aux, P = correct(self.T, self.aux, self.covariance, *numbers)
+        return changed(self, T=T, aux=aux, covariance=P)
 
-    def moved(self, x: FloatArray, covariance: FloatArray) -> PoseBelief:
-        """Perturb all poses, and shift the rest, by x (n,). Raises ValueError for another size."""
+    def retracted(self, x: FloatArray, covariance: FloatArray) -> PoseBelief:
+        """Perturb all poses, and shift `aux`, by x (n,). Raises ValueError for another size."""
         if len(x) != len(self.covariance):
             raise ValueError(f"a shift of {len(x)} numbers for a belief of {len(self.covariance)}")
         poses = 6 * len(self.T)
         T = np.ascontiguousarray(se3.exp(x[:poses].reshape(-1, 6)) @ self.T)
-        return changed(self, T=T, rest=self.rest + x[poses:], covariance=covariance)
+        return changed(self, T=T, aux=self.aux + x[poses:], covariance=covariance)
 
     def slipped(self, seconds: float, settings: FilterParameters, since_s: float | None = None) -> PoseBelief:
         """Add the covariance of slip over a time. A lifted wheel also tilts the base.
@@ -495,8 +497,8 @@ class PoseBelief:
         grown = (Ad * q) @ Ad.T
         P = self.covariance.copy()
         P[:6, :6] += grown
-        at = 0 if since_s is None else self.place_of(STEP_BEGIN)
-        if since_s is not None and at:
+        at = None if since_s is None else self.find_index(STEP_BEGIN)
+        if since_s is not None and at is not None:
             before_s = self.remembered[at - 1].stamp_s - since_s
             then, shared = slice(6 * at, 6 * at + 6), grown * min(max(before_s / seconds, 0.0), 1.0) if seconds else 0.0
             P[then, then] += shared
@@ -504,7 +506,7 @@ class PoseBelief:
             P[then, :6] += shared
         return changed(self, covariance=P, slip_covariance=self.slip_covariance + grown)
 
-    def scattered(self, settings: FilterParameters) -> PoseBelief:
+    def inflated_as_lost(self, settings: FilterParameters) -> PoseBelief:
         """Add the covariance of a lost base, turned by any angle."""
         s, Ad, P = settings, motions.adjoint(self.T[0]), self.covariance.copy()
         anywhere = [s.lost_sigma_m, s.lost_sigma_m, s.lost_rise_m, s.lost_tilt_rad, s.lost_tilt_rad, np.pi]
@@ -513,7 +515,7 @@ class PoseBelief:
 
     def turn_slipped(self, settings: FilterParameters) -> PoseBelief:
         """Add the covariance of an unknown yaw rate over the last part of a wheel step."""
-        twist = self.place(TWIST).stop - 1
+        twist = self.aux_slice(TWIST).stop - 1
         G = np.r_[motions.adjoint(self.T[0])[:, 5] * self.part_s, 1.0]
         P = self.covariance.copy()
         P[np.ix_(*[np.r_[:6, twist]] * 2)] += np.outer(G, G) * settings.acceleration_rad_s2**2
@@ -526,11 +528,11 @@ class PoseBelief:
             if pose.slip_covariance is not _NO_SLIP:
                 poses = tuple(replace(pose, slip_covariance=_NO_SLIP) for pose in poses)
                 break
-        return changed(self, slip_covariance=_NO_SLIP, remembered=poses, known_twist=self.rest[TWIST], known_for_s=0.0)
+        return changed(self, slip_covariance=_NO_SLIP, remembered=poses, known_twist=self.aux[TWIST], known_for_s=0.0)
 
     def turn_known(self) -> PoseBelief:
         """Note an accepted yaw rate of a gyroscope."""
-        return changed(self, known_twist=np.array([*self.known_twist[:2], self.rest[2]]), turn_known_for_s=0.0)
+        return changed(self, known_twist=np.array([*self.known_twist[:2], self.aux[2]]), turn_known_for_s=0.0)
 
     def levelled(self, settings: FilterParameters) -> PoseBelief:
         """Return the belief after a measurement that the floor is level."""
@@ -545,7 +547,7 @@ class PoseBelief:
         if _innovation(-up[:2], spread + one_sigma2 * np.eye(2), PHt).nis > settings.ramp_chi2:
             return here
         variance = one_sigma2 * settings.level_m / self.way_m
-        return here.corrected(_innovation(-up[:2], spread + variance * np.eye(2), PHt))
+        return here.updated(_innovation(-up[:2], spread + variance * np.eye(2), PHt))
 
 
 def _innovation(residual: FloatArray, S: FloatArray, PHt: FloatArray) -> Innovation:
@@ -569,18 +571,18 @@ class RelativeMotion:
     Attributes:
         name: of the reference.
         Z: (4, 4) T_reference_now of the base.
-        seen: (m, 6) rows that map a left perturbation of Z to the observed directions.
+        observed_basis: (m, 6) rows that map a left perturbation of Z to the observed directions.
         covariance: (m, m) of these directions.
-        spread: (6, 6) of the left perturbation of Z, very large in unobserved directions.
+        covariance_full: (6, 6) of the left perturbation of Z, very large in unobserved directions.
         inlier_share: share of inliers among the matches, or None.
         fitting: share of the regions of the view that fit, or None.
     """
 
     name: str
     Z: FloatArray
-    seen: FloatArray
+    observed_basis: FloatArray
     covariance: FloatArray
-    spread: FloatArray
+    covariance_full: FloatArray
     inlier_share: float | None = None
     fitting: float | None = None
 
@@ -592,17 +594,17 @@ class Innovation:
     Attributes:
         residual: (m,).
         covariance: (m, m) of the residual.
-        with_state: (n, m) covariance of state and residual.
+        cross_covariance: (n, m) covariance of state and residual.
         nis: normalized innovation squared.
-        unlearned: (k,) indices of `rest` that the update leaves as they are, though it considers their uncertainty
-            (Schmidt 1966).
+        considered_states: (k,) indices in `aux` of states that the update leaves as they are. It considers their
+            uncertainty (Schmidt 1966).
     """
 
     residual: FloatArray
     covariance: FloatArray
-    with_state: FloatArray
+    cross_covariance: FloatArray
     nis: float
-    unlearned: IntArray = field(default_factory=lambda: np.zeros(0, int))
+    considered_states: IntArray = field(default_factory=lambda: np.zeros(0, int))
 
 
 def is_pose(T: FloatArray | None, covariance: FloatArray | None) -> bool:
@@ -703,8 +705,8 @@ class Preintegration:
         cls, name: str, stamp_s: float, odometer: Odometer, spread: FloatArray | None, belief: PoseBelief
     ) -> Preintegration:
         """Start at a pose that is about to be remembered."""
-        rows, none = belief.place(_ERRORS), np.zeros((6, 6))
-        known = belief.rest[_ERRORS].copy(), belief.covariance[rows, rows].copy(), belief.rest[TWIST].copy()
+        rows, none = belief.aux_slice(_ERRORS), np.zeros((6, 6))
+        known = belief.aux[_ERRORS].copy(), belief.covariance[rows, rows].copy(), belief.aux[TWIST].copy()
         return cls(name, stamp_s, odometer, none if spread is None else spread, *known)
 
     def is_covered(self, rolled: Odometer, stamp_s: float, share: float) -> bool:
@@ -715,15 +717,15 @@ class Preintegration:
         self, measurement: RelativeMotion, rolled: Odometer, belief: PoseBelief
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return d (2,), the difference of measurement and wheels in distance and turn, and R and N (2, 2)."""
-        at = belief.reference(measurement.name)
+        at = belief.index_of(measurement.name)
         since = belief.since(at)
         _, B, Ad = expected(*since)
-        late = motions.adjoint(measurement.Z)[:, PLANE] @ belief.rest[TWIST]
+        late = motions.adjoint(measurement.Z)[:, PLANE] @ belief.aux[TWIST]
         late[PLANE] -= self.twist
         J = np.column_stack([Ad @ since[2], -B, -late])[_WAY_AND_TURN]
         off = motions.log(motions.times(measurement.Z, motions.inverse(rolled.T)))[_WAY_AND_TURN]
         # Errors as estimated before: an update by the measurement itself would make it fit too well.
-        R = (measurement.spread + self.spread)[_IN_THESE] + J @ self.unsure @ J.T
+        R = (measurement.covariance_full + self.spread)[_IN_THESE] + J @ self.unsure @ J.T
         return off - J @ self.errors, R, rolled.covariance[_IN_THESE]
 
 

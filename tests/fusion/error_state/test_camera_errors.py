@@ -44,7 +44,7 @@ def travelled(
 def of_camera(fusion: ErrorStateFilter) -> tuple[np.ndarray, np.ndarray]:
     """The camera's errors (9,) as the filter has them, and their standard deviations."""
     belief = fusion.state.detection.primary
-    return belief.rest[CAMERA_ERRORS], np.sqrt(np.diag(belief.covariance)[belief.place(CAMERA_ERRORS)])
+    return belief.aux[CAMERA_ERRORS], np.sqrt(np.diag(belief.covariance)[belief.aux_slice(CAMERA_ERRORS)])
 
 
 def turned(before: Step, step: Step) -> float:
@@ -115,8 +115,8 @@ def test_a_motion_that_misses_what_is_known_to_be_missed_is_as_expected(
     told = se3.adjoint(T_reference) @ by_ratios(se3.exp(by))
     since = T_reference @ se3.exp(by), T_reference, told
     seen = se3.exp(-relative.expected(*since)[1] @ errors) @ se3.exp(by)
-    np.testing.assert_allclose(relative.apart_kernel(*since, seen, errors), 0, atol=1e-9)
-    assert np.abs(relative.apart_kernel(*since, seen, np.zeros(9))).max() <= 3e-3
+    np.testing.assert_allclose(relative.residual_kernel(*since, seen, errors), 0, atol=1e-9)
+    assert np.abs(relative.residual_kernel(*since, seen, np.zeros(9))).max() <= 3e-3
 
 
 @pytest.mark.slow

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from wheelsight.core.geometry import se3
 from wheelsight.estimation import ErrorStateFilter
 from wheelsight.estimation.pose_belief import (
+    AUX_SIZE,
     LAG,
     PLANE,
-    REST_SIZE,
     FilterParameters,
     Innovation,
     PoseBelief,
@@ -29,9 +29,9 @@ tangents = st.lists(st.floats(-1.2, 1.2), min_size=6, max_size=6).map(np.array)
 
 def moving(T: np.ndarray, twist: np.ndarray, lag_s: float) -> PoseBelief:
     """At a pose, with a twist (3,), and stamps that are known to be late."""
-    rest = np.zeros(REST_SIZE)
-    rest[:3], rest[LAG] = twist, lag_s
-    return replace(PoseBelief.begin(T, 1e-6 * np.eye(6), SETTINGS), rest=rest)
+    aux = np.zeros(AUX_SIZE)
+    aux[:3], aux[LAG] = twist, lag_s
+    return replace(PoseBelief.begin(T, 1e-6 * np.eye(6), SETTINGS), aux=aux)
 
 
 def gone_on(twist: np.ndarray, seconds: float) -> np.ndarray:
@@ -48,10 +48,10 @@ def test_a_camera_that_is_late_sees_the_motion_between_two_instants_before(
     T_reference = se3.exp(begin)
     T_now = T_reference @ se3.exp(way)
     belief = moving(T_reference, before, lag_s).cloned("anchor", 0.0, 4)
-    belief = replace(belief, T=np.stack([T_now, belief.T[1]]), rest=moving(T_now, now, lag_s).rest)
+    belief = replace(belief, T=np.stack([T_now, belief.T[1]]), aux=moving(T_now, now, lag_s).aux)
     Z = se3.invert(T_reference @ gone_on(before, -lag_s)) @ T_now @ gone_on(now, -lag_s)
     measurement = RelativeMotion("anchor", Z, np.eye(6), 1e-6 * np.eye(6), 1e-6 * np.eye(6))
-    np.testing.assert_allclose(belief.apart(measurement), 0, atol=1e-9)
+    np.testing.assert_allclose(belief.residual(measurement), 0, atol=1e-9)
 
 
 def learned(steps: list[Step], settings: FilterParameters = SETTINGS) -> tuple[float, float]:
@@ -59,8 +59,8 @@ def learned(steps: list[Step], settings: FilterParameters = SETTINGS) -> tuple[f
     fusion = ErrorStateFilter(T_BASE_CAMERA, settings=settings)
     run(steps, fusion=fusion)
     belief = fusion.state.detection.primary
-    place = len(belief.covariance) - REST_SIZE + LAG
-    return float(belief.rest[LAG]), float(np.sqrt(belief.covariance[place, place]))
+    place = len(belief.covariance) - AUX_SIZE + LAG
+    return float(belief.aux[LAG]), float(np.sqrt(belief.covariance[place, place]))
 
 
 @pytest.mark.parametrize("lag_s", [-0.02, 0.0, 0.03])
@@ -83,13 +83,13 @@ def test_the_noise_of_wheels_is_no_lag(seed: int) -> None:
 def test_what_a_look_must_not_tell_stays_and_is_reckoned_with(rng: np.random.Generator) -> None:
     """The update of Schmidt: by the best gain for all else, in the form that holds for whatever gain."""
     belief = PoseBelief.begin(np.eye(4), 1e-2 * np.eye(6), SETTINGS)
-    n, at = len(belief.covariance), len(belief.covariance) - REST_SIZE + LAG
+    n, at = len(belief.covariance), len(belief.covariance) - AUX_SIZE + LAG
     A, H, R = rng.normal(size=(n, n)) * 1e-2, rng.normal(size=(3, n)), 1e-4 * np.eye(3)
     belief = replace(belief, covariance=A @ A.T)
     S, PHt = H @ belief.covariance @ H.T + R, belief.covariance @ H.T
     gain = PHt @ np.linalg.inv(S)
     gain[at] = 0.0
-    after = belief.corrected(Innovation(np.full(3, 1e-3), S, PHt, 0.0, np.array([LAG])))
+    after = belief.updated(Innovation(np.full(3, 1e-3), S, PHt, 0.0, np.array([LAG])))
     kept = np.eye(n) - gain @ H
     np.testing.assert_allclose(after.covariance, kept @ belief.covariance @ kept.T + gain @ R @ gain.T, atol=1e-10)
-    assert after.rest[LAG] == belief.rest[LAG]
+    assert after.aux[LAG] == belief.aux[LAG]

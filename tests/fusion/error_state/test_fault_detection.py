@@ -28,7 +28,7 @@ def undecided(log_ratio):
     belief = begun.cloned("frame", 10.0 - FRAME_S, 4).moved_by_wheels(step, 1.0, SETTINGS, False)
     off = np.zeros(len(belief.covariance))
     off[:6], off[6:12] = APART, 0.99 * APART
-    alternative = belief.moved(off, belief.covariance)
+    alternative = belief.retracted(off, belief.covariance)
     return FaultDetection(
         belief, alternative, Fault.UNDECIDED, log_ratio, agreed=SETTINGS.agreements - 1, since_s=BEGUN_S
     )

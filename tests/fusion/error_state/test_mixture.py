@@ -14,7 +14,7 @@ from wheelsight.estimation.pose_belief import LAG
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 def test_a_mixture_has_the_moments_of_both(rng, share):
     one = belief_somewhere(rng)
-    other = one.moved(rng.normal(size=len(one.covariance)) * 1e-3, 2 * one.covariance)
+    other = one.retracted(rng.normal(size=len(one.covariance)) * 1e-3, 2 * one.covariance)
     found = mixed(one, other, share)
     apart = difference(other, one)
     np.testing.assert_allclose(difference(found, one), share * apart, atol=1e-5)
@@ -26,7 +26,7 @@ def test_covering_reaches_another_belief_however_it_is_turned(rng):
     one = belief_somewhere(rng)
     far = np.zeros(len(one.covariance))
     far[:6] = [1.0, -2.0, 0.0, 0.0, 0.0, 1.5]
-    other = one.moved(far, one.covariance)
+    other = one.retracted(far, one.covariance)
     found = covering(one, other, since_s=0.0, sigmas=2.5)
     t = one.T[0][:3, 3]
     J = np.concatenate([np.eye(3), -np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])], axis=1)
@@ -43,12 +43,12 @@ def test_covering_is_as_uncertain_as_another_belief_everywhere(rng):
     """Of poses with the twist and the lag known, by which the camera has them apart."""
     one = belief_somewhere(rng)
     A = 0.1 * rng.normal(size=one.covariance.shape)
-    other = one.moved(np.zeros(len(A)), one.covariance / 2 + A @ A.T)
-    found, given = covering(one, other, since_s=0.0, sigmas=2.5), one.rest_at + np.array([0, 1, 2, LAG])
+    other = one.retracted(np.zeros(len(A)), one.covariance / 2 + A @ A.T)
+    found, given = covering(one, other, since_s=0.0, sigmas=2.5), one.aux_offset + np.array([0, 1, 2, LAG])
 
     def of_poses(P):
-        return P[: one.rest_at, : one.rest_at] - P[: one.rest_at, given] @ np.linalg.solve(
-            P[np.ix_(given, given)], P[given, : one.rest_at]
+        return P[: one.aux_offset, : one.aux_offset] - P[: one.aux_offset, given] @ np.linalg.solve(
+            P[np.ix_(given, given)], P[given, : one.aux_offset]
         )
 
     for belief in (one, other):
@@ -62,7 +62,7 @@ def test_what_covers_another_belief_knows_the_way_since_a_clone_as_well_as_befor
     far = np.zeros(len(one.covariance))
     far[[0, 1, 5]] = [0.1, -0.2, 0.3]
     far[12:18] = 0.9 * far[:6]
-    found = covering(one, one.moved(far, one.covariance), since_s=5.0, sigmas=2.5)
+    found = covering(one, one.retracted(far, one.covariance), since_s=5.0, sigmas=2.5)
     for name, is_wider in (("late", False), ("clone 0", True)):
         before, after = (b.innovation(look_at(one, name, np.random.default_rng(0)), SETTINGS) for b in (one, found))
         wider = np.linalg.eigvalsh(after.covariance)[-1] / np.linalg.eigvalsh(before.covariance)[-1]

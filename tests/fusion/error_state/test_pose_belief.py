@@ -13,11 +13,11 @@ from scipy.optimize import least_squares
 from wheelsight.core.calibration_parts import Gyro
 from wheelsight.core.geometry import se3
 from wheelsight.estimation.pose_belief import (
+    AUX_SIZE,
     CAMERA_ERRORS,
     ERRORS,
     LAG,
     PLANE,
-    REST_SIZE,
     TWIST,
     FilterParameters,
     PoseBelief,
@@ -39,12 +39,12 @@ def belief_somewhere(rng, clones=2):
 
 
 def perturbed(belief, x):
-    return belief.moved(x, belief.covariance)
+    return belief.retracted(x, belief.covariance)
 
 
 def difference(belief, other):
     poses = [se3.log(T @ se3.invert(S)) for T, S in zip(belief.T, other.T, strict=True)]
-    return np.concatenate([*poses, belief.rest - other.rest])
+    return np.concatenate([*poses, belief.aux - other.aux])
 
 
 def numeric(step, belief, n):
@@ -57,7 +57,7 @@ def numeric(step, belief, n):
 @pytest.mark.parametrize("kind", ["wheels", "part of wheels", "glide"])
 def test_the_covariance_goes_on_by_the_numeric_jacobian(rng, kind):
     belief = belief_somewhere(rng)
-    belief = replace(belief, rest=rng.normal(size=REST_SIZE) * 0.1)
+    belief = replace(belief, aux=rng.normal(size=AUX_SIZE) * 0.1)
     wheels = WheelStep(2.0, 2.1, rng.normal(size=6) * 0.1, np.zeros((6, 6)))
     quiet: dict[str, Any] = {
         name: 0.0
@@ -68,7 +68,7 @@ def test_the_covariance_goes_on_by_the_numeric_jacobian(rng, kind):
 
     def step(b):
         if kind == "glide":
-            return b.coasted(0.1, settings)
+            return b.predicted_at_constant_twist(0.1, settings)
         return b.moved_by_wheels(wheels, 0.4 if kind == "part of wheels" else 1.0, settings, False)
 
     F = numeric(step, belief, len(belief.covariance))
@@ -76,7 +76,7 @@ def test_the_covariance_goes_on_by_the_numeric_jacobian(rng, kind):
 
 
 def look_at(belief, name, rng, size=6):
-    Z = se3.exp(rng.normal(size=6) * 1e-3) @ se3.invert(belief.T[belief.reference(name)]) @ belief.T[0]
+    Z = se3.exp(rng.normal(size=6) * 1e-3) @ se3.invert(belief.T[belief.index_of(name)]) @ belief.T[0]
     return RelativeMotion(name, Z, rng.normal(size=(size, 6)), np.eye(size) * 1e-6, np.eye(6) * 1e-6)
 
 
@@ -99,29 +99,29 @@ def test_measurements_by_the_numeric_jacobian(rng, kind):
     H = -np.transpose([(a.residual - b.residual) / (2 * h) for a, b in pairs])
     R = measurement.covariance if "measurement" in kind else np.eye(len(H))
     found = measured(belief)
-    np.testing.assert_allclose(found.with_state, belief.covariance @ H.T, atol=1e-7)
+    np.testing.assert_allclose(found.cross_covariance, belief.covariance @ H.T, atol=1e-7)
     together = H[:, :6] @ lag_and_twist(belief) @ H[:, :6].T if "measurement" in kind else 0.0
     np.testing.assert_allclose(found.covariance, H @ belief.covariance @ H.T + R + together, atol=1e-7)
 
 
 def lag_and_twist(belief):
     """Covariance (6, 6) of the pose by what lag and twist do together, of second order."""
-    lag, twist = np.diag(belief.covariance)[-2], belief.place(TWIST)
+    lag, twist = np.diag(belief.covariance)[-2], belief.aux_slice(TWIST)
     A = se3.adjoint(belief.T[0])[:, PLANE]
     return lag * A @ belief.covariance[twist, twist] @ A.T
 
 
 def test_a_pose_is_remembered_as_of_when_its_image_was_taken(rng):
     belief = belief_somewhere(rng)
-    belief = replace(belief, rest=rng.normal(size=REST_SIZE) * 0.1)
+    belief = replace(belief, aux=rng.normal(size=AUX_SIZE) * 0.1)
 
     def remembered(b):
         return b.cloned("new", 9.0, 4)
 
     xi = np.zeros(6)
-    xi[PLANE] = belief.rest[TWIST]
+    xi[PLANE] = belief.aux[TWIST]
     now = remembered(belief)
-    np.testing.assert_allclose(now.T[-1], belief.T[0] @ se3.exp(-belief.rest[LAG] * xi), atol=1e-12)
+    np.testing.assert_allclose(now.T[-1], belief.T[0] @ se3.exp(-belief.aux[LAG] * xi), atol=1e-12)
     F, at = numeric(remembered, belief, len(belief.covariance)), slice(18, 24)
     expected = F @ belief.covariance @ F.T
     expected[at, at] += lag_and_twist(now)
@@ -140,36 +140,36 @@ UNTAUGHT = {
 def test_a_look_teaches_no_more_than_it_can_tell(rng, teaches):
     """What it does not teach stays as it is, and as uncertain; all else moves."""
     belief = belief_somewhere(rng)
-    after = belief.corrected(belief.innovation(look_at(belief, "clone 0", rng), SETTINGS, updates=teaches))
+    after = belief.updated(belief.innovation(look_at(belief, "clone 0", rng), SETTINGS, updates=teaches))
     untaught = UNTAUGHT[teaches]
     taught = sorted({*range(LAG)} - {*untaught})
-    rows = belief.rest_at + np.array(untaught, int)
-    np.testing.assert_array_equal(after.rest[untaught], belief.rest[untaught])
+    rows = belief.aux_offset + np.array(untaught, int)
+    np.testing.assert_array_equal(after.aux[untaught], belief.aux[untaught])
     np.testing.assert_allclose(after.covariance[np.ix_(rows, rows)], belief.covariance[np.ix_(rows, rows)], rtol=1e-12)
-    assert (after.rest[taught] != belief.rest[taught]).all()
+    assert (after.aux[taught] != belief.aux[taught]).all()
     assert np.linalg.eigvalsh(after.covariance)[0] > -1e-12
 
 
 def test_perturbing_all_poses_alike_changes_no_look(rng):
     belief = belief_somewhere(rng)
     measurement = look_at(belief, "clone 0", rng)
-    x = np.concatenate([np.tile(rng.normal(size=6), 3), np.zeros_like(belief.rest)])
-    np.testing.assert_allclose(perturbed(belief, x).apart(measurement), belief.apart(measurement), atol=1e-12)
+    x = np.concatenate([np.tile(rng.normal(size=6), 3), np.zeros_like(belief.aux)])
+    np.testing.assert_allclose(perturbed(belief, x).residual(measurement), belief.residual(measurement), atol=1e-12)
 
 
 def test_an_error_that_nothing_measures_stays_as_uncertain_as_it_was(rng):
     """And what was learned of it fades, each by its own length, as a Gauss–Markov process."""
     settings = replace(SETTINGS, camera_drift_sigma_rad_per_m=3e-4, camera_drift_walk_rad_per_m=1e-4, lever_m=0.0)
     belief, drift = PoseBelief.begin(np.eye(4), np.zeros((6, 6)), settings), CAMERA_ERRORS.start + 1
-    rest = belief.rest.copy()
-    rest[drift] = 2e-4
-    belief, start = replace(belief, rest=rest), np.diag(belief.covariance)[belief.place(CAMERA_ERRORS)]
+    aux = belief.aux.copy()
+    aux[drift] = 2e-4
+    belief, start = replace(belief, aux=aux), np.diag(belief.covariance)[belief.aux_slice(CAMERA_ERRORS)]
     for k in range(500):
         step = WheelStep(0.1 * k, 0.1 * (k + 1), np.array([0.1, 0, 0, 0, 0, 0]), 1e-9 * np.eye(6))
         belief = belief.moved_by_wheels(step, 1.0, settings, is_slipping=False)
-    np.testing.assert_allclose(np.diag(belief.covariance)[belief.place(CAMERA_ERRORS)], start, rtol=0.02)
+    np.testing.assert_allclose(np.diag(belief.covariance)[belief.aux_slice(CAMERA_ERRORS)], start, rtol=0.02)
     length_m = 2 * 3e-4**2 / 1e-4**2
-    assert belief.rest[drift] == pytest.approx(2e-4 * np.exp(-50 / length_m), rel=1e-6)
+    assert belief.aux[drift] == pytest.approx(2e-4 * np.exp(-50 / length_m), rel=1e-6)
 
 
 def test_an_error_that_was_certain_only_walks(rng):
@@ -178,7 +178,7 @@ def test_an_error_that_was_certain_only_walks(rng):
     belief = belief.moved_by_wheels(
         WheelStep(0, 1, np.array([1.0, 0, 0, 0, 0, 0]), 1e-9 * np.eye(6)), 1.0, settings, False
     )
-    assert belief.covariance[belief.rest_at + CAMERA_ERRORS.start][belief.rest_at + CAMERA_ERRORS.start] == 1e-6
+    assert belief.covariance[belief.aux_offset + CAMERA_ERRORS.start][belief.aux_offset + CAMERA_ERRORS.start] == 1e-6
 
 
 def test_a_shift_of_another_size_is_refused(rng):
@@ -204,7 +204,7 @@ def test_many_looks_are_one_least_squares_fit(rng):
             Z = se3.exp(rng.normal(size=6) * 1e-3) @ se3.invert(prior[j]) @ prior[i]
             measurement = RelativeMotion(str(j), Z, np.eye(6), np.diag(rng.uniform(1, 2, 6) * 1e-6), np.eye(6))
             measurements.append((i, j, measurement))
-            belief = belief.corrected(belief.innovation(measurement, SETTINGS))
+            belief = belief.updated(belief.innovation(measurement, SETTINGS))
         belief = belief.cloned(str(i), float(i), 9)
 
     def residuals(x):
