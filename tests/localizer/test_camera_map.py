@@ -10,7 +10,7 @@ from narrowing import not_none
 from wheelsight.core.estimates import MotionEstimate, Reason
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
-from wheelsight.estimation.fusion_localizer import Anchor, strayed
+from wheelsight.estimation.fusion_localizer import Anchor, with_view_noise
 
 _SCALE = np.array([1.0, 1, 1, 2, 2, 2])  # of degenerate directions (v, ω · 2 m)
 tangents = st.lists(st.floats(-1.2, 1.2), min_size=6, max_size=6).map(np.array)
@@ -111,7 +111,7 @@ def test_errors_of_views_add_up_along_the_way_in_the_frames_own_axes() -> None:
     of_frame = np.diag(np.square([3e-3, 2e-3, 1e-3, 4e-3, 5e-3, 6e-3]))
     T, before = se3.from_parts(np.eye(3), [0.0, 0.0, 0.5]), np.diag([1e-6] * 6)
     T[:3, :3] = se3.exp(np.array([0, 0, 0, 0, 0.5, 0]))[:3, :3]
-    told = strayed(motion(T, before), of_frame, 25.0).covariance
+    told = with_view_noise(motion(T, before), of_frame, 25.0).covariance
     Ad_back = np.linalg.inv(se3.adjoint(T))
     walked = Ad_back @ (not_none(told) - before) @ Ad_back.T
     np.testing.assert_allclose(walked, 25.0 * motions.view_shift_m(T) * of_frame, atol=1e-12)
@@ -120,6 +120,6 @@ def test_errors_of_views_add_up_along_the_way_in_the_frames_own_axes() -> None:
 
 def test_a_camera_that_stands_or_saw_nothing_strays_nowhere() -> None:
     of_frame, here = np.diag([1e-6] * 6), motion(np.eye(4), np.diag([1e-6] * 6))
-    np.testing.assert_array_equal(not_none(strayed(here, of_frame, 25.0).covariance), np.diag([1e-6] * 6))
+    np.testing.assert_array_equal(not_none(with_view_noise(here, of_frame, 25.0).covariance), np.diag([1e-6] * 6))
     nothing = MotionEstimate.failed(Reason.DEGENERATE)
-    assert strayed(nothing, of_frame, 25.0) is nothing
+    assert with_view_noise(nothing, of_frame, 25.0) is nothing

@@ -85,7 +85,7 @@ def test_whatever_way_is_thought_better_of_steps_in_odom_are_the_motions() -> No
         step = se3.from_plane(*rng.normal(size=3) * [0.05, 0.01, 0.1])
         if before is not None:  # the filter has the pose before, and so the one now, elsewhere than it thought
             leap = se3.from_plane(*rng.normal(size=3))
-            frame.lay(leap @ before, frame.T_odom_filter @ before)
+            frame.align(leap @ before, frame.T_odom_filter @ before)
             T_filter = leap @ before
         T_filter = T_filter @ step
         T_odom = frame.T_odom_filter @ T_filter
@@ -103,7 +103,7 @@ def test_an_answer_in_odom_is_the_same_pose_in_the_map() -> None:
     frame, T = OdomFrame(), se3.exp([1.0, -2, 0.3, 0.05, 0.1, 0.7])
     answer = told(T)
     assert frame.framed(answer) is answer  # nothing has leapt
-    frame.lay(T, se3.from_plane(0.5, 4.0, -1.0))
+    frame.align(T, se3.from_plane(0.5, 4.0, -1.0))
     framed = frame.framed(answer)
     np.testing.assert_allclose(
         framed.T_map_odom @ not_none(framed.T_odom_body), not_none(answer.T_map_body), atol=1e-12
@@ -118,7 +118,7 @@ def test_a_wheel_answer_in_odom_tells_the_same_step() -> None:
     frame, T = OdomFrame(), se3.from_plane(2.0, 1.0, 0.4)
     before = (0.9, se3.from_plane(1.9, 1.0, 0.38), 0.5 * np.eye(6))
     answer = WheelEstimate(1.0, Status.TRACKING, T, np.eye(6), body="base", before=before)
-    frame.lay(T, se3.from_plane(-7.0, 3.0, 2.0))
+    frame.align(T, se3.from_plane(-7.0, 3.0, 2.0))
     step, framed = not_none(answer.step), not_none(frame.framed(answer).step)
     np.testing.assert_allclose(framed.T_before_now, step.T_before_now, atol=1e-12)
     np.testing.assert_allclose(framed.covariance, step.covariance, atol=1e-9)

@@ -506,7 +506,7 @@ class OdomFrame:
 
         return np.asarray(motions.times(self.T_odom_filter, T_filter_body))
 
-    def lay(self, T_filter_body: FloatArray, T_odom_body: FloatArray) -> None:
+    def align(self, T_filter_body: FloatArray, T_odom_body: FloatArray) -> None:
         """Set the transform by one pose in both frames, (4, 4) each; only x, y and yaw count."""
         from wheelsight.core.geometry import motion_kernels as motions
 

@@ -446,6 +446,14 @@ class ErrorStateFilter:
         return FusedEstimate(now.stamp_s, status, *pose, *flags, *now.twist, nis=nis, wheel_errors=errors)
 
 
+class StepBegin(NamedTuple):
+    """A pose that a filter remembers as the begin of a step; `fusion` is that filter."""
+
+    stamp_s: float
+    T_filter_base: FloatArray
+    fusion: ErrorStateFilter
+
+
 _TRACKED, _WHEELS_ALONE = PoseEvidence(PoseFinding.TRACKED), PoseEvidence(PoseFinding.WHEELS_ALONE)
 _TOO_UNCERTAIN, _SILENT = PoseEvidence(PoseFinding.TOO_UNCERTAIN), PoseEvidence(PoseFinding.SILENT)
 _SLIP, _DEGENERATE = PoseEvidence(PoseFinding.SLIP), PoseEvidence(PoseFinding.DEGENERATE)

@@ -55,7 +55,7 @@ from wheelsight.estimation.consistency_check import (
     UncertainRestart,
 )
 from wheelsight.estimation.fault_detection import SensorHealth
-from wheelsight.estimation.filter import ErrorStateFilter
+from wheelsight.estimation.filter import ErrorStateFilter, StepBegin
 from wheelsight.estimation.loop_updates import LoopClosureClient, SubmapState, begin_in, loop_closure_client
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
 from wheelsight.estimation.pose_belief import COAST_AFTER_S, FilterParameters
@@ -196,7 +196,7 @@ class ByFusion:
         T_keyframe_map, T_keyframe_base = self._map.T_keyframe_map, None
         if T_keyframe_map is not None and T is not None:
             T_keyframe_base = motions.times(T_keyframe_map, motions.times(T_map_filter, T))
-        odom = self._odom.answered if T is None else self._odom.frame_at(T, self.filter, event)
+        odom = self._odom.last_output_frame if T is None else self._odom.frame_at(T, self.filter, event)
         estimate = replace(  # with poses in the filter's frame; `framed` below converts them to odom
             source,
             **decided._asdict(),
@@ -205,8 +205,8 @@ class ByFusion:
             T_map_odom=T_map_filter,
         )
         framed = odom.framed(estimate)
-        if self._odom.spread is not None and framed.covariance is not None:
-            framed = replace(framed, covariance=framed.covariance + self._odom.spread)
+        if self._odom.remaining_covariance is not None and framed.covariance is not None:
+            framed = replace(framed, covariance=framed.covariance + self._odom.remaining_covariance)
         return framed
 
     def _update_wheels(self, reading: WheelReading) -> tuple[Estimate | None, str]:
@@ -291,8 +291,8 @@ class ByFusion:
             if since_s is not None and self._exclude_faulty(before, self._health.exclusions, since_s):
                 return self._begin(frame, seen)
         motion = anchor.motion_to(seen.T_odom_body, seen.motion)
-        motion = blurred(motion, twist, self._base.noise_s)
-        motion = strayed(motion, self._of_frame, _FRAME_WALK_PER_M)
+        motion = with_stamp_noise(motion, twist, self._base.noise_s)
+        motion = with_view_noise(motion, self._of_frame, _FRAME_WALK_PER_M)
         if not shows_all and frame.stamp_s - self._map.seen_s > DARK_S:
             return self._lose(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         return self._measure(frame, seen, motion)
@@ -350,7 +350,7 @@ class ByFusion:
         if is_accepted:
             self._map.accept(frame.stamp_s, seen, update.T_filter_base)
             if self.loops is not None and answer.covariance is not None:
-                against = strayed(seen.motion, self._of_frame, _FRAME_WALK_PER_M)
+                against = with_view_noise(seen.motion, self._of_frame, _FRAME_WALK_PER_M)
                 self.loops.add_tracked(replace(seen, motion=against), self._map.T_filter_map, answer.covariance)
             self._restart.add_accepted(answer, self.odometry.store)
             if self.mapper is not None and isinstance(seen, DenseEstimate):
@@ -447,7 +447,7 @@ class ByFusion:
     def _with_area(self, places: PlaceSense, frame: RgbdFrame, fused: FusedEstimate) -> FusedEstimate:
         """Return the estimate after the area that the frame shows. The camera's map follows the correction."""
         placed = places.update(frame, fused, self.filter)
-        self._map.lay(self.filter.last_frame())
+        self._map.align_last_frame(self.filter.last_frame())
         return placed
 
     def _switch_filter_without(self, sensor: RobotSensor) -> bool:
@@ -469,7 +469,7 @@ class ByFusion:
     @property
     def T_odom_map(self) -> FloatArray:
         """(4, 4) current pose of the map of camera and surfels."""
-        return motions.times(self._odom.answered.T_odom_filter, self._map.T_filter_map)
+        return motions.times(self._odom.last_output_frame.T_odom_filter, self._map.T_filter_map)
 
     @property
     def last_matches(self) -> MatchedPixels | None:
@@ -642,73 +642,73 @@ class FusedOdom:
     the next pose is remembered.
 
     Attributes:
-        answered: frame of the last estimate.
+        last_output_frame: `odom` of the last estimate.
     """
 
     def __init__(self) -> None:
-        self._frame = self.answered = OdomFrame()
+        self._frame = self.last_output_frame = OdomFrame()
         self._past: deque[tuple[float, FloatArray]] = deque(maxlen=_REMEMBERED_POSES)  # stamp, T_odom_filter
         self._target: FloatArray | None = None  # T_odom_filter to which a correction moves
-        self._apart: FloatArray | None = None  # (6,) what is left of the correction
-        self._begin: tuple[float, FloatArray, ErrorStateFilter] | None = None  # stamp and pose of the begin of the step
+        self._remaining: FloatArray | None = None  # (6,) what is left of the correction
+        self._begin: StepBegin | None = None
         self._last: tuple[float, FloatArray] | None = None  # stamp and pose in odom of the last estimate
         self._readings_s: deque[float] = deque(maxlen=_LONGEST_READING_GAP)
 
     def frame_at(self, T_filter_body: FloatArray, fusion: ErrorStateFilter, event: Event | None) -> OdomFrame:
         """Return odom for an estimate's pose (4, 4), after an event; None for one with an invalid stamp."""
-        own, frame = fusion.current, self._frame
-        if own is None or own.decision.status is Status.LOST:
-            return self.answered
-        T_own, stamp_s = own.T, own.stamp_s
-        known = fusion.remembered(STEP_BEGIN)
-        if self._begin is not None and known is not None and self._begin[2] is fusion:
-            if (self._begin[1] != known).any():
-                frame.lay(known, motions.times(frame.T_odom_filter, self._begin[1]))
-            self._begin = self._begin[0], known, fusion
+        current, frame, begin = fusion.current, self._frame, self._begin
+        if current is None or current.decision.status is Status.LOST:
+            return self.last_output_frame
+        T_current, stamp_s = current.T, current.stamp_s
+        T_begin = fusion.remembered(STEP_BEGIN)
+        if begin is not None and T_begin is not None and begin.fusion is fusion:
+            if (begin.T_filter_base != T_begin).any():  # the filter revised the past: odom does not follow
+                frame.align(T_begin, motions.times(frame.T_odom_filter, begin.T_filter_base))
+            self._begin = StepBegin(begin.stamp_s, T_begin, fusion)
         elif self._last is not None:  # another filter continues at the last twist
-            vx, vy, turn = own.twist[0] * max(stamp_s - self._last[0], 0.0)
+            vx, vy, turn = current.twist[0] * max(stamp_s - self._last[0], 0.0)
             T_before_now = motions.exp(np.array([vx, vy, 0.0, 0.0, 0.0, turn]))
-            frame.lay(T_own, motions.times(self._last[1], T_before_now))
-        T_odom_body = motions.times(frame.T_odom_filter, T_own)
+            frame.align(T_current, motions.times(self._last[1], T_before_now))
+        T_odom_body = motions.times(frame.T_odom_filter, T_current)
         if self._target is not None and self._last is not None:
-            T_odom_body = self._move_to_target(T_own, T_odom_body, max(stamp_s - self._last[0], 0.0))
+            T_odom_body = self._move_to_target(T_current, T_odom_body, max(stamp_s - self._last[0], 0.0))
         if isinstance(event, RgbdFrame):
             self._past.append((stamp_s, frame.T_odom_filter))
         self._last = stamp_s, T_odom_body
         self._remember(stamp_s, fusion, event)
         # While sensors are being checked, the estimate may not be that of the filter.
-        self.answered = frame
-        if T_filter_body is not T_own and not np.array_equal(T_filter_body, T_own):
-            self.answered = OdomFrame()
-            self.answered.lay(T_filter_body, T_odom_body)
-        return self.answered
+        self.last_output_frame = frame
+        if T_filter_body is not T_current and not np.array_equal(T_filter_body, T_current):
+            self.last_output_frame = OdomFrame()
+            self.last_output_frame.align(T_filter_body, T_odom_body)
+        return self.last_output_frame
 
     def correct(self, since_s: float) -> None:
         """Move to where the robot would be in odom if the filter had known since a stamp what it knows now."""
         self._target = next((T for stamp_s, T in reversed(self._past) if stamp_s <= since_s), None)
 
     @property
-    def spread(self) -> FloatArray | None:
+    def remaining_covariance(self) -> FloatArray | None:
         """(6, 6) of the error in odom that is not corrected yet; None for none."""
-        return None if self._apart is None else np.outer(self._apart, self._apart)
+        return None if self._remaining is None else np.outer(self._remaining, self._remaining)
 
     def _move_to_target(self, T_filter_body: FloatArray, T_odom_body: FloatArray, seconds: float) -> FloatArray:
         """Return the pose (4, 4) in odom, closer to the target by what the speed of a correction allows."""
         assert self._target is not None
         T_here_there = motions.times(motions.inverse(T_odom_body), motions.times(self._target, T_filter_body))
-        apart = motions.log(motions.renormalized(T_here_there))
-        slowness = max(np.linalg.norm(apart[:2]) / _CORRECTION_M_S, abs(apart[5]) / _CORRECTION_RAD_S)
+        error = motions.log(motions.renormalized(T_here_there))
+        slowness = max(np.linalg.norm(error[:2]) / _CORRECTION_M_S, abs(error[5]) / _CORRECTION_RAD_S)
         share = 1.0 if slowness <= seconds else seconds / slowness
-        T_odom_body = motions.times(T_odom_body, se3.exp(share * apart))  # rare: no kernel is compiled for it
-        self._frame.lay(T_filter_body, T_odom_body)
-        self._apart = motions.adjoint(T_odom_body) @ ((1.0 - share) * apart)
+        T_odom_body = motions.times(T_odom_body, se3.exp(share * error))  # rare: no kernel is compiled for it
+        self._frame.align(T_filter_body, T_odom_body)
+        self._remaining = motions.adjoint(T_odom_body) @ ((1.0 - share) * error)
         if share == 1.0:
-            self._target = self._apart = None
+            self._target = self._remaining = None
         return np.asarray(motions.times(self._frame.T_odom_filter, T_filter_body))
 
     def _remember(self, stamp_s: float, fusion: ErrorStateFilter, event: Event | None) -> None:
         """Remember the pose at the last reading up to a frame; or the current one, if no frame arrives."""
-        begin_s = -math.inf if self._begin is None or self._begin[2] is not fusion else self._begin[0]
+        begin_s = -math.inf if self._begin is None or self._begin.fusion is not fusion else self._begin.stamp_s
         due_s = stamp_s if stamp_s - begin_s > COAST_AFTER_S else -math.inf
         if isinstance(event, WheelReading):
             self._readings_s.append(stamp_s)
@@ -717,8 +717,8 @@ class FusedOdom:
             due_s = max(past_s, default=min(event.stamp_s, stamp_s))
         if due_s > begin_s:
             fusion.clone(due_s, STEP_BEGIN)
-            known = fusion.remembered(STEP_BEGIN)
-            self._begin = None if known is None else (due_s, known, fusion)
+            T_begin = fusion.remembered(STEP_BEGIN)
+            self._begin = None if T_begin is None else StepBegin(due_s, T_begin, fusion)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -784,7 +784,7 @@ class CameraMap:
         self._T_base_camera = T_base_camera
         self.T_map_filter: FloatArray = np.eye(4)
         if T_map_camera is not None:
-            self._lay(T_base_camera, T_map_camera)
+            self._align(T_base_camera, T_map_camera)
         self.T_map_camera: FloatArray | None = None
         self.keyframe: KeyframeId | None = None
         self.T_keyframe_map: FloatArray | None = None
@@ -817,16 +817,16 @@ class CameraMap:
         self._T_tracked = seen.T_odom_body
         self._tracked_s, self.is_contradicted = stamp_s, False
         if self.T_map_camera is not None and T_filter_base is not None:
-            self._lay(motions.times(T_filter_base, self._T_base_camera), self.T_map_camera)
+            self._align(motions.times(T_filter_base, self._T_base_camera), self.T_map_camera)
             self._past.append((stamp_s, self.T_filter_map))
         if seen.keyframe is not None and seen.T_keyframe_body is not None and seen.T_odom_body is not None:
             self.keyframe = seen.keyframe
             self.T_keyframe_map = motions.times(seen.T_keyframe_body, motions.inverse(seen.T_odom_body))
 
-    def lay(self, T_filter_base: FloatArray | None) -> None:
+    def align_last_frame(self, T_filter_base: FloatArray | None) -> None:
         """Align the map so that the last frame, if it was accepted, is at the filter's current estimate of its pose."""
         if self.T_map_camera is not None and T_filter_base is not None:
-            self._lay(motions.times(T_filter_base, self._T_base_camera), self.T_map_camera)
+            self._align(motions.times(T_filter_base, self._T_base_camera), self.T_map_camera)
 
     def correct(self, since_s: float, T_filter_base: FloatArray | None) -> None:
         """Align the map after the filter corrected its poses since a stamp.
@@ -837,7 +837,7 @@ class CameraMap:
                 its map stays where it was before.
         """
         if T_filter_base is not None and self._T_tracked is not None:
-            self._lay(motions.times(T_filter_base, self._T_base_camera), self._T_tracked)
+            self._align(motions.times(T_filter_base, self._T_base_camera), self._T_tracked)
             self.is_contradicted = False
         elif T_filter_base is None:
             while len(self._past) > 1 and self._past[-1][0] >= since_s:
@@ -846,7 +846,7 @@ class CameraMap:
                 self.T_filter_map = self._past[-1][1]
                 self.T_map_filter = motions.inverse(self.T_filter_map)
 
-    def _lay(self, T_filter_camera: FloatArray, T_map_camera: FloatArray) -> None:
+    def _align(self, T_filter_camera: FloatArray, T_map_camera: FloatArray) -> None:
         self.T_filter_map = motions.renormalized(motions.times(T_filter_camera, motions.inverse(T_map_camera)))
         self.T_map_filter = motions.inverse(self.T_filter_map)
 
@@ -873,7 +873,7 @@ class CameraMap:
         return np.asarray(motions.renormalized(motions.times(T_map_base, self._T_base_camera)))
 
 
-def blurred(motion: MotionEstimate, twist: FloatArray | None, noise_s: float) -> MotionEstimate:
+def with_stamp_noise(motion: MotionEstimate, twist: FloatArray | None, noise_s: float) -> MotionEstimate:
     """Return a motion of the camera with a covariance for the time error of wheel readings, at a velocity (6,).
 
     Otherwise wrong stamps would look like slip.
@@ -884,7 +884,7 @@ def blurred(motion: MotionEstimate, twist: FloatArray | None, noise_s: float) ->
     return replace(motion, covariance=motion.covariance + np.outer(apart, apart))
 
 
-def strayed(motion: MotionEstimate, of_frame: FloatArray, walk_per_m: float) -> MotionEstimate:
+def with_view_noise(motion: MotionEstimate, of_frame: FloatArray, walk_per_m: float) -> MotionEstimate:
     """Return a motion of the camera with a covariance for systematic errors `of_frame` (6, 6) that vary with the view.
 
     Distorted depth and a rolling shutter affect neighbouring views alike, so that their relative motion is exact. The

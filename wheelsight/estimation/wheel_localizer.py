@@ -124,7 +124,7 @@ class ByWheels:
         if T is not None:
             self._has_trusted |= self.trusts_gyro
             if self._has_trusted:
-                self._odom.lay(T, motions.times(self._odom_base, self._moved))
+                self._odom.align(T, motions.times(self._odom_base, self._moved))
             self._odom_base = self._odom.T_odom_body(T)
         return self._odom.framed(answer)
 
