@@ -73,7 +73,7 @@ def test_a_camera_that_was_carried_off_finds_back() -> None:
     # Once it is over, all of it lies where it was.
     closed = not_none(subject.loops).finish()
     subject.close()
-    assert closed.pieces == 1
+    assert closed.submaps == 1
     for answer, truth in zip(found, TRUTH, strict=True):
         assert off(answer.pose_in(not_none(subject.keyframes)), truth)[0] < 0.08
 

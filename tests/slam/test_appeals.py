@@ -7,7 +7,7 @@ import pytest
 
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeId
-from wheelsight.slam.drive_graph import PieceGraph
+from wheelsight.slam.drive_graph import SubmapGraph
 from wheelsight.slam.graph import RelativePose, anchor
 
 COUNT, STEP_M = 30, 0.4
@@ -22,9 +22,9 @@ def at(number: int) -> FloatArray:
     return se3.exp([STEP_M * along, 0.1 * is_second, 0.0, 0.0, 0.0, 0.02 * along])
 
 
-def known_map() -> PieceGraph:
+def known_map() -> SubmapGraph:
     """Keyframes of yesterday, each held, and those of a drive that nobody has laid into them yet."""
-    made = PieceGraph()
+    made = SubmapGraph()
     for number in range(2 * COUNT):
         is_new = number >= COUNT
         T = se3.exp([0.0, 9.0, 0.0, 0.0, 0.0, 1.0]) @ at(number) if is_new else at(number)
@@ -43,12 +43,12 @@ def loop(along: int, off: FloatArray | None = None) -> RelativePose:
     return RelativePose(KeyframeId(along), KeyframeId(COUNT + along), T, C, is_loop=True)
 
 
-def seen(made: PieceGraph, along: range, off: FloatArray | None = None) -> None:
+def seen(made: SubmapGraph, along: range, off: FloatArray | None = None) -> None:
     for number in along:
         made.offer([loop(number, off)])
 
 
-def off_m(made: PieceGraph) -> float:
+def off_m(made: SubmapGraph) -> float:
     true = np.array([at(COUNT + number) for number in range(COUNT)])
     return float(np.linalg.norm(made.poses[COUNT:, :3, 3] - true[:, :3, 3], axis=-1).max())
 
@@ -56,7 +56,7 @@ def off_m(made: PieceGraph) -> float:
 def test_a_false_start_is_given_up_for_what_more_of_the_map_says() -> None:
     made = known_map()
     seen(made, range(2, 6), MOVED)
-    assert set(made.pieces.tolist()) == {0}
+    assert set(made.submaps.tolist()) == {0}
     assert off_m(made) > 0.4
     seen(made, range(8, 28))
     assert made.report().overturned == 1

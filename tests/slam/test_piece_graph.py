@@ -9,7 +9,7 @@ import pytest
 
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeId
-from wheelsight.slam.drive_graph import PieceGraph
+from wheelsight.slam.drive_graph import SubmapGraph
 from wheelsight.slam.graph import RelativePose, anchor
 
 COUNT, STEP_M = 5, 0.4
@@ -23,8 +23,8 @@ def at(number: int) -> FloatArray:
     return se3.exp([STEP_M * (number % COUNT), 0.5 * (number // COUNT), 0.0, 0.0, 0.0, 0.05 * number])
 
 
-def graph() -> PieceGraph:
-    made = PieceGraph()
+def graph() -> SubmapGraph:
+    made = SubmapGraph()
     for number in range(2 * COUNT):
         piece = COUNT * (number // COUNT)
         T = at(number) if not piece else APART @ at(number)
@@ -51,7 +51,7 @@ def test_two_loops_seen_from_apart_join() -> None:
     made = graph()
     assert not made.offer([loop(0, 5)])
     assert made.offer([loop(2, 7)])
-    assert set(made.pieces.tolist()) == {0}
+    assert set(made.submaps.tolist()) == {0}
     np.testing.assert_allclose(made.poses, [at(number) for number in range(2 * COUNT)], atol=1e-5)
 
 

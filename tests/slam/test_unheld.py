@@ -11,7 +11,7 @@ from wheelsight.core.geometry import se3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.slam import drive_graph as piece_graph
 from wheelsight.slam import solvers as own_solver
-from wheelsight.slam.drive_graph import PieceGraph
+from wheelsight.slam.drive_graph import SubmapGraph
 from wheelsight.slam.graph import RelativePose, anchor
 from wheelsight.slam.loop_gate import LoopCloser, LoopRefusal
 from wheelsight.slam.solvers import GtsamPoseGraph, OwnPoseGraph
@@ -96,7 +96,7 @@ def test_a_matrix_without_enough_digits_tells_no_covariance(monkeypatch):
 
 def driven(rng, solver, count, off, false):
     """A drive in pieces; loops are off by some of their own standard deviations, and some are false."""
-    made = PieceGraph()
+    made = SubmapGraph()
     step = se3.exp([0.5, 0, 0, 0, 0, 0.2])
     T = [np.eye(4)]
     for k in range(count):
@@ -106,7 +106,7 @@ def driven(rng, solver, count, off, false):
             made.add_prior(anchor(KeyframeId(k), made.poses[-1]), until_joined=bool(k))
         else:
             sigma = 10 ** rng.uniform(-6, 0)
-            made.add_pose(se3.nearest(made.poses[-1] @ step), int(made.pieces[-1]))
+            made.add_pose(se3.nearest(made.poses[-1] @ step), int(made.submaps[-1]))
             made.add_edges([edge(k - 1, k, step, sigma**2 * np.eye(6))])
         loops = []
         for first in rng.integers(0, k, rng.integers(0, 4)) if k else []:

@@ -115,15 +115,15 @@ class LoopClosureClient:
             _LOG.info("%d loops are closed (before: %d); keyframes move", len(update.loops), len(self._loops))
         self._loops = update.loops
         T_known, T_old = update.T_map_keyframe.copy(), np.array(self._store.T_map_keyframe)
-        unjoined: IntArray = np.unique(update.piece[update.piece > 0])
+        unjoined: IntArray = np.unique(update.submap[update.submap > 0])
         for first in unjoined:  # stays apart
             T_submap = provisional_submap_pose(self._submap_starts.index(int(first)))
-            T_known[update.piece == first] = T_submap @ T_known[update.piece == first]
+            T_known[update.submap == first] = T_submap @ T_known[update.submap == first]
         count = len(T_known)
         T_newer = T_old[count:]
         if self._submap_starts[-1] < count:  # else the thread does not know the submap of the newer ones
             T_newer = T_known[-1] @ se3.invert(T_old[count - 1]) @ T_newer
-            if update.piece[-1] != 0:
+            if update.submap[-1] != 0:
                 self.submap = SubmapState.APART
             elif self.submap is SubmapState.APART:
                 self.submap = SubmapState.PLACED

@@ -56,9 +56,9 @@ class ClosedLoops:
         T_map_keyframe: (M, 4, 4) final poses of all keyframes. The last N belong to this drive.
         refused: number of candidates that failed verification, by reason.
         unseen: number of keyframes that were not compared, for lack of time.
-        pieces: number of pieces with unknown relative pose; 1 if all are joined.
+        submaps: number of submaps with unknown relative pose; 1 if all are joined.
         is_in_map: (N,) whether the pose of each keyframe in the map is known.
-        begins: (N,) whether a keyframe begins a piece, so that odometry does not link it to the previous one.
+        begins: (N,) whether a keyframe begins a submap, so that odometry does not link it to the previous one.
         processing_s: (N,) processing time of each keyframe in the thread, seconds.
     """
 
@@ -69,7 +69,7 @@ class ClosedLoops:
     loops: LoopReport
     refused: Mapping[str, int]
     unseen: int
-    pieces: int
+    submaps: int
     is_in_map: BoolArray
     begins: BoolArray
     processing_s: FloatArray
@@ -96,7 +96,7 @@ class KeyframeResult:
     """The thread's result for one keyframe.
 
     Attributes:
-        place: pose of the keyframe in the map with its covariance; None while its piece is not joined to the map.
+        place: pose of the keyframe in the map with its covariance; None while its submap is not joined to the map.
         is_expected: whether it lies where keyframes of the known map show what it sees.
     """
 
@@ -237,11 +237,11 @@ class LiveLoops:
         stamps_s = np.array([keyframe.stamp_s for keyframe in self._keyframes])
         T_odom = np.array([keyframe.T_odom_keyframe for keyframe in self._keyframes]).reshape(-1, 4, 4)
         found = (self._graph.poses, self._graph.edges, self._graph.report(), dict(self._watcher.refusals), self._unseen)
-        pieces = self._graph.pieces
-        is_in_map = pieces[len(pieces) - len(stamps_s) :] == 0
+        submaps = self._graph.submaps
+        is_in_map = submaps[len(submaps) - len(stamps_s) :] == 0
         begins = np.array([keyframe.begins for keyframe in self._keyframes], bool)
         rows = is_in_map, begins, np.array(self._processing_s)
-        return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(pieces)), 1), *rows, tuple(self._revisits))
+        return ClosedLoops(stamps_s, T_odom, *found, max(len(np.unique(submaps)), 1), *rows, tuple(self._revisits))
 
     @property
     def recognised(self) -> int | None:
@@ -383,7 +383,7 @@ def corrected_by(found: ClosedLoops, odometry: Trajectory) -> Correction:
     """Return a trajectory corrected by loops that were closed while driving.
 
     The correction is known at keyframes and at revisits of them, and interpolated between these. With a known map,
-    poses of pieces that are not joined to it are left out.
+    poses of submaps that are not joined to it are left out.
     """
     rows = np.array([_nearest(odometry.stamps_s, stamp_s) for stamp_s in found.stamps_s], np.int64)
     numbers = np.array([one.number for one in found.revisits], np.int64)
@@ -412,7 +412,7 @@ def in_map(
 ) -> Trajectory:
     """Return all trajectory poses in the map frame, given T_map_odom (K, 4, 4) at keyframe stamps (K,).
 
-    Interpolates between the neighbouring keyframes by time. If the next keyframe `begins` (K,) another piece, uses the
+    Interpolates between the neighbouring keyframes by time. If the next keyframe `begins` (K,) another submap, uses the
     previous keyframe alone.
     """
     before = _before(odometry.stamps_s, stamps_s)

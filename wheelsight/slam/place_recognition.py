@@ -94,7 +94,7 @@ class PlaceWatcher:
         """Return loops from a keyframe to earlier ones that show the same place, and add it to the known keyframes.
 
         Keyframes come in order of time. Keyframes `near` it, the nearest first, are verified as well. `unjoined` are
-        the keyframes of its piece while that is not joined to the map; then more candidates of the map are verified.
+        the keyframes of its submap while that is not joined to the map; then more candidates of the map are verified.
         """
         stamp_s = self._store[number].stamp_s
         recent = self._known[bisect.bisect_right(self._stamps_s, stamp_s - self._apart_s) :]

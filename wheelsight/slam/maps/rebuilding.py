@@ -18,7 +18,7 @@ from wheelsight.core.threads import Rows
 from wheelsight.mapping import SurfelMap, SurfelSettings
 from wheelsight.places.recognition import ViewMaker, known_grey
 from wheelsight.places.verification import shown_share
-from wheelsight.slam.drive_graph import PieceGraph
+from wheelsight.slam.drive_graph import SubmapGraph
 from wheelsight.slam.graph import RelativePose, anchor
 from wheelsight.slam.maps.contents import (
     MapAnnotations,
@@ -105,7 +105,7 @@ def merge(
     pieces = pieces_of(of_first)
     pieces = np.concatenate([pieces, pieces_of(of_second) + pieces.max(initial=-1) + 1])
     graph, recognised = _joined_graph(both, count, pieces, watcher, on_keyframe)
-    kept = np.flatnonzero(graph.pieces == 0)
+    kept = np.flatnonzero(graph.submaps == 0)
     if kept.max() < count:
         problem = f"nothing of {second.path} is recognised in it"
         if recognised:
@@ -140,7 +140,7 @@ def merge(
 
 def _joined_graph(
     both: MapParts, count: int, pieces: IntArray, watcher: PlaceWatcher, on_keyframe: Progress
-) -> tuple[PieceGraph, int]:
+) -> tuple[SubmapGraph, int]:
     """Return a graph of two maps, joined by loops, and the number of recognized keyframes of the second map.
 
     The prior of the first map's largest piece is permanent, the others last until loops join their pieces.
@@ -150,7 +150,7 @@ def _joined_graph(
         count: number of keyframes of the first map.
         pieces: (N,) piece of each keyframe.
     """
-    graph, recognised = PieceGraph(), 0
+    graph, recognised = SubmapGraph(), 0
     for T_map_keyframe, piece in zip(both.T_map_keyframe, pieces.tolist(), strict=True):
         graph.add_pose(T_map_keyframe, piece)
     for piece, number in zip(*np.unique(pieces, return_index=True), strict=True):
