@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wheelsight.core.geometry import FloatArray, se3
-from wheelsight.estimation.agreement import RobotSensor, cause_of
-from wheelsight.estimation.fault_detection import Piece, SensorHealth, Usual, log_ratios, of_sensors
+from wheelsight.estimation.agreement import Piece, RobotSensor, Usual, cause_of, log_ratios, of_sensors
+from wheelsight.estimation.fault_detection import SensorHealth
 
 HALF_M, FAULT_S = 0.25, 10.0
 USUAL = Usual(np.ones(2))
@@ -63,10 +63,15 @@ def driven(
     until_s: float = 25.0,
     ends_s: float = math.inf,
     is_armed: bool = True,
+    scales: list[FloatArray] | None = None,
 ) -> tuple[SensorHealth, dict[RobotSensor, float]]:
-    """Drive curves of up to 0.5 m/s and 0.5 rad/s, with noise; a fault begins at `FAULT_S`. Also when it was found."""
+    """Drive curves of up to 0.5 m/s and 0.5 rad/s, with noise; a fault begins at `FAULT_S`. Also when it was found.
+
+    `scales` receives the scales of the wheels.
+    """
     rng, health, T = np.random.default_rng(seed), SensorHealth(2 * HALF_M, T_BASE_CAMERA), np.eye(4)
     step_s, found, health.is_armed = 0.05, dict[RobotSensor, float](), is_armed
+    by = np.ones(2)
     for n in range(round(until_s / step_s)):
         now_s = 100.0 + n * step_s
         speed, rate = 0.4 + 0.1 * math.sin(0.3 * n * step_s), 0.5 * math.sin(0.7 * n * step_s)
@@ -77,7 +82,7 @@ def driven(
         if fault is not None and FAULT_S <= now_s - 100.0 < ends_s:
             motion = fault(motion)
         noise = rng.normal(0.0, (0.001, 0.001, 0.001, 0.001, 0.001, 0.0015))
-        ways_m = motion.ways_m * (1 + rng.normal(0.0, 0.01, 2))
+        ways_m = motion.ways_m * (1 + rng.normal(0.0, 0.01, 2)) / by
         health.steps.append((now_s, float(ways_m.mean()), float(np.diff(ways_m)[0] / (2 * HALF_M))))
         if with_gyro:
             health.rates.append((now_s, motion.rate_rad_s + 0.002 * rng.standard_normal()))
@@ -86,6 +91,9 @@ def driven(
             seen = T @ se3.exp(noise) @ T_BASE_CAMERA
             health.add_frame(now_s, np.ascontiguousarray(seen))
             health.update(now_s)
+            by = by * health.take_new_scales()
+            if scales is not None:
+                scales.append(by)
             for sensor in health.faults:
                 found.setdefault(sensor, now_s - 100.0)
     return health, found
@@ -120,10 +128,32 @@ def test_a_fault_is_found_named_and_dated(
     health, found = driven(fault, with_gyro=with_gyro)
     assert list(found) == [sensor]
     assert found[sensor] < FAULT_S + within_s
-    assert abs(health.faults[sensor] - 100.0 - FAULT_S) < 1.3  # the longest piece
     assert words in health.warnings[0]
     (exclusion,) = [one for one in health.exclusions if one.is_sure]
     assert exclusion.sensor is sensor
+    assert -2 * 1.3 < exclusion.begin_s - 100.0 - FAULT_S < 0.05  # before the fault, by up to two pieces
+
+
+@pytest.mark.parametrize("with_gyro", [True, False])
+@pytest.mark.parametrize("factor", [0.8, 0.9, 1.1, 1.3])
+def test_a_wheel_that_agrees_with_a_new_scale_is_used_with_it(factor: float, with_gyro: bool) -> None:
+    scales: list[FloatArray] = []
+    health, found = driven(left(factor), with_gyro=with_gyro, until_s=40.0, scales=scales)
+    assert list(found) == [RobotSensor.LEFT]
+    assert not health.faults
+    np.testing.assert_allclose(scales[-1], (factor, 1.0), rtol=0.02)
+    (past,) = health.exclusions
+    assert 4.0 < past.end_s - 100.0 - FAULT_S < 20.0
+    assert f"counts {factor:.1f}" in health.warnings[0] or f"counts {factor - 0.01:.2f}" in health.warnings[0]
+    assert "used with that scale" in health.warnings[0]
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0])
+def test_a_wheel_that_counts_nothing_or_backwards_has_no_scale(factor: float) -> None:
+    scales: list[FloatArray] = []
+    health, _ = driven(left(factor), until_s=40.0, scales=scales)
+    assert list(health.faults) == [RobotSensor.LEFT]
+    np.testing.assert_array_equal(scales[-1], 1.0)
 
 
 @pytest.mark.parametrize(("factor", "words"), [(-1.0, "measures -"), (0.0, "measures ")])

@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from narrowing import not_none
 
-from wheelsight.core.estimates import MotionEstimate, Reason
+from wheelsight.core.estimates import MotionEstimate, Reason, with_view_noise
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
-from wheelsight.estimation.fusion_localizer import Anchor, with_view_noise
+from wheelsight.estimation.fusion_localizer import Anchor
 
 _SCALE = np.array([1.0, 1, 1, 2, 2, 2])  # of degenerate directions (v, ω · 2 m)
 tangents = st.lists(st.floats(-1.2, 1.2), min_size=6, max_size=6).map(np.array)

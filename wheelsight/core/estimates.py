@@ -149,6 +149,32 @@ def with_frame_error(covariance: FloatArray, T_reference_frame: FloatArray, of_f
     return np.asarray(covariance + Ad @ of_frame @ Ad.T)
 
 
+def with_stamp_noise(motion: MotionEstimate, twist: FloatArray | None, noise_s: float) -> MotionEstimate:
+    """Return a motion of the camera with a covariance for the time error of wheel readings, at a velocity (6,).
+
+    Otherwise wrong stamps would look like slip.
+    """
+    if twist is None or motion.T_reference_current is None or motion.covariance is None or not noise_s:
+        return motion
+    apart = se3.adjoint(motion.T_reference_current) @ (twist * noise_s)
+    return replace(motion, covariance=motion.covariance + np.outer(apart, apart))
+
+
+def with_view_noise(motion: MotionEstimate, of_frame: FloatArray, walk_per_m: float) -> MotionEstimate:
+    """Return a motion of the camera with a covariance for systematic errors `of_frame` (6, 6) that vary with the view.
+
+    Distorted depth and a rolling shutter affect neighbouring views alike, so that their relative motion is exact. The
+    errors show against a frame that is farther away.
+    """
+    from wheelsight.core.geometry import motion_kernels as motions
+
+    T = motion.T_reference_current
+    if T is None or motion.covariance is None:
+        return motion
+    walk = of_frame * (walk_per_m * motions.view_shift_m(T))
+    return replace(motion, covariance=with_frame_error(motion.covariance, T, walk))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
     """The pose of the body at one stamp, with status and covariance.

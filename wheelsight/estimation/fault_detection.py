@@ -25,6 +25,7 @@ larger variance, or measures a multiple of the truth (zero, or minus one). So ea
 log-likelihood ratio of each sensor to "all sound" accumulates in a one-sided CUSUM (Page 1954, Biometrika 41), over
 short pieces for large errors and over longer ones for small errors. A fault is found when one sum passes `_ALARM_NATS`
 and leads all others by `_MARGIN_NATS`. It began where its sum was last zero. Two sensors that agree name the third.
+A wheel that agrees with a new scale instead is used with it.
 
 A chair cannot move sideways, rise, or tilt as fast as it drives, so such motion counts against the camera. Slow
 differences are calibration: the ratio of each wheel to the camera is learned along 20 m, and its changes count.
@@ -34,12 +35,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
 from operator import itemgetter
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -48,7 +47,24 @@ from wheelsight.core.estimates import STEP_BEGIN, Reason
 from wheelsight.core.geometry import FloatArray, IntArray
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.geometry.chi_square import quantile as _quantile
-from wheelsight.estimation.agreement import Exclusion, RobotSensor, cause_of
+from wheelsight.estimation.agreement import (
+    CAMERA,
+    GYRO,
+    HYPOTHESES,
+    LEFT,
+    MIRRORED,
+    OF_SENSOR,
+    RIGHT,
+    WHEELS,
+    Exclusion,
+    Piece,
+    RobotSensor,
+    Usual,
+    cause_of,
+    factor_of,
+    log_ratios,
+    of_sensors,
+)
 from wheelsight.estimation.filter_kernels import leap_kernel, speed_kernel
 from wheelsight.estimation.pose_belief import (
     IN_PLANE,
@@ -478,160 +494,17 @@ def _shift_of(T_from: FloatArray, T_to: FloatArray) -> FloatArray:
 _ALARM_NATS, _MARGIN_NATS, _SUSPECT_NATS, _SOUND_NATS = 12.0, 3.0, 6.0, 2.0
 _AGREES_NATS = 0.5  # of one piece, for a sensor that agrees with the others
 _HEAD_START_NATS = 5.0  # of a camera that restarted
-# One piece counts at most this much, since errors have longer tails than a Gaussian; sums end at the largest one.
-_PIECE_NATS, _LEAST_NATS, _LARGEST_NATS = 8.0, -6.0, 60.0
+_LARGEST_NATS = 60.0  # at which sums end
 _PIECES_S, _SHORTEST_S, _GAP_S = (0.25, 1.25), 0.15, 2.0
-# Errors of a sound camera over a piece (metres, and share of the way; radians, and share of the turn), of a sound
-# wheel, of the way to the side, and of a gyroscope, also per second for its bias. Found on the simulator.
-_CAMERA_M, _CAMERA_SHARE, _CAMERA_RAD, _CAMERA_TURN_SHARE = 0.008, 0.03, 0.004, 0.012
-_WHEEL_M, _WHEEL_SHARE, _SIDE_M, _SIDE_SHARE = 0.003, 0.01, 0.01, 0.15
-_GYRO_RAD, _GYRO_SHARE, _GYRO_RAD_S = 0.003, 0.01, 0.004
-# Motion out of the plane of the floor that is usual over a piece, and how much larger a faulty camera's is.
-_RISE_M, _RISE_SHARE, _TILT_RAD, _FAR_OFF = 0.03, 0.15, 0.06, 5.0
 # Of a gyroscope's bias: its prior, its growth in a second, and the error of one piece.
 _BIAS_SIGMA_RAD_S, _BIAS_WALK_RAD_S, _BIAS_PIECE_RAD_S = 0.05, 0.0003, 0.02
 _RATIO_WAY_M, _RATIO_PRIOR_M, _RATIO_STEP = 20.0, 5.0, 0.1
 # Sound way, time and, for a fault that turns show, turn after which a sensor is used again.
 _AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD = 1.0, 2.0, 0.6
+# A wheel with a new scale is used again after this way and time; limits of the scale, and its largest σ. Simulator.
+_RESCALED_WAY_M, _RESCALED_S, _RESCALED, _RESCALED_SIGMA = 2.0, 4.0, (0.5, 2.0), 0.02
 _KEPT_S, _MOST_WAITING = 5.0, 4096  # of readings; while the camera is dark, older ones are dropped
 _DESCRIBED = 120  # pieces by which a fault is described
-
-
-class Piece(NamedTuple):
-    """Motions over a piece of a drive.
-
-    Attributes:
-        begin_s, end_s: stamps.
-        camera: (6,) motion of the base by the camera, ξ.
-        ways_m: (2,) of the left and the right wheel.
-        turn_rad: of the gyroscope, or None.
-        shows_all: whether all frames showed all directions; else only the camera's turn counts.
-    """
-
-    begin_s: float
-    end_s: float
-    camera: FloatArray
-    ways_m: FloatArray
-    turn_rad: float | None
-    shows_all: bool = True
-
-
-class Usual(NamedTuple):
-    """Usual values in a drive.
-
-    Attributes:
-        ratios: (2,) of each wheel to the camera.
-        bias_rad_s, bias_sigma_rad_s: of the gyroscope.
-    """
-
-    ratios: FloatArray
-    bias_rad_s: float = 0.0
-    bias_sigma_rad_s: float = 0.0
-
-
-class Hypothesis(NamedTuple):
-    """A way in which a sensor may be wrong.
-
-    Attributes:
-        sensor: the sensor.
-        broken: places of the sensor's errors among x, y and yaw of the camera, left and right wheel, gyroscope, whose
-            variance grows.
-        scale: of that growth, as a share of way or turn.
-        flips: what the sensor measures in place of the truth: (left wheel, right wheel, yaw and y of the camera,
-            gyroscope) times these.
-    """
-
-    sensor: RobotSensor
-    broken: tuple[int, ...] = ()
-    scale: float = 0.0
-    flips: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
-
-
-LEFT, RIGHT, WHEELS, CAMERA, GYRO = RobotSensor
-_ANY, _SOME, _NOTHING = 0.5, 0.1, 10.0
-HYPOTHESES = (
-    Hypothesis(LEFT, (3,), _ANY),
-    Hypothesis(LEFT, (3,), _SOME),
-    Hypothesis(LEFT, flips=(0.0, 1.0, 1.0, 1.0)),
-    Hypothesis(LEFT, flips=(-1.0, 1.0, 1.0, 1.0)),
-    Hypothesis(RIGHT, (4,), _ANY),
-    Hypothesis(RIGHT, (4,), _SOME),
-    Hypothesis(RIGHT, flips=(1.0, 0.0, 1.0, 1.0)),
-    Hypothesis(RIGHT, flips=(1.0, -1.0, 1.0, 1.0)),
-    Hypothesis(WHEELS, (3, 4), _ANY),
-    Hypothesis(WHEELS, flips=(0.0, 0.0, 1.0, 1.0)),
-    Hypothesis(WHEELS, flips=(-1.0, -1.0, 1.0, 1.0)),
-    Hypothesis(CAMERA, (0, 1, 2), _ANY),
-    Hypothesis(CAMERA, (0,), _SOME),
-    Hypothesis(CAMERA, flips=(1.0, 1.0, -1.0, 1.0)),
-    Hypothesis(GYRO, (6,), _ANY),
-    Hypothesis(GYRO, flips=(1.0, 1.0, 1.0, 0.0)),
-    Hypothesis(GYRO, flips=(1.0, 1.0, 1.0, -1.0)),
-)
-_PLACES = {LEFT: [3], RIGHT: [4], WHEELS: [3, 4], CAMERA: [0, 1, 2], GYRO: [6]}
-_ANY_CAMERA = HYPOTHESES.index(Hypothesis(CAMERA, (0, 1, 2), _ANY))
-_MIRRORED = HYPOTHESES.index(Hypothesis(CAMERA, flips=(1.0, 1.0, -1.0, 1.0)))
-_SCALES = np.array([[one.scale if place in one.broken else 0.0 for place in range(7)] for one in HYPOTHESES])
-_FLIPS = np.array([one.flips for one in HYPOTHESES])
-_OF_SENSOR = {sensor: [n for n, one in enumerate(HYPOTHESES) if one.sensor is sensor] for sensor in RobotSensor}
-
-
-def log_ratios(piece: Piece, half_m: float, usual: Usual, faulty: Collection[RobotSensor] = ()) -> FloatArray:
-    """Return the log-likelihood ratio of each of `HYPOTHESES` to no other fault, nats; 0 for those of faulty sensors.
-
-    Args:
-        piece: of the drive.
-        half_m: half of the track.
-        usual: in this drive.
-        faulty: sensors whose measurements do not count.
-    """
-    x, y, z, roll, pitch, yaw = piece.camera
-    ways_m, seconds = piece.ways_m, piece.end_s - piece.begin_s
-    turn = None if piece.turn_rad is None else piece.turn_rad - usual.bias_rad_s * seconds
-    wheel_yaw, rolled_m = (ways_m[1] - ways_m[0]) / (2 * half_m), float(np.abs(ways_m).max())
-    way_m = max(rolled_m, abs(x) + half_m * abs(yaw), abs(y))
-    turn_rad = max(abs(wheel_yaw), abs(yaw), 0.0 if turn is None else abs(turn))
-    rows = 3 if turn is None else 4
-    J = np.zeros((4, 7))
-    J[:2, 0], J[:2, 2], J[:2, 3:5] = -1, (half_m, -half_m), np.eye(2)
-    J[2, [1, 5]], J[3, [2, 6]] = 1, (-1, 1)
-    J = J[:rows]
-    camera_m, wheel_m = _CAMERA_M + _CAMERA_SHARE * way_m, _WHEEL_M + _WHEEL_SHARE * way_m
-    camera_rad = _CAMERA_RAD + _CAMERA_TURN_SHARE * turn_rad
-    side_m, gyro_rad = _SIDE_M + _SIDE_SHARE * rolled_m, _GYRO_RAD + _GYRO_SHARE * turn_rad
-    gyro_rad += math.hypot(_GYRO_RAD_S, usual.bias_sigma_rad_s) * seconds
-    sound = np.square([camera_m, camera_m, camera_rad, wheel_m, wheel_m, side_m, gyro_rad])
-    sizes = np.array([way_m, way_m, turn_rad, way_m, way_m, 0.0, turn_rad])
-    if not piece.shows_all:
-        sound[:2] += 1.0
-    for sensor in faulty:
-        sound[_PLACES[sensor]] += np.square(_NOTHING * sizes[_PLACES[sensor]] + 1.0)
-    flips = np.vstack([np.ones(4), _FLIPS])
-    variances = sound + np.square(np.vstack([np.zeros(7), _SCALES]) * sizes)
-    true_yaw = flips[:, 2] * yaw  # a mirrored camera measures the opposite of the truth
-    by_camera = usual.ratios * np.stack([x - half_m * true_yaw, x + half_m * true_yaw], axis=-1)
-    apart = np.empty((len(flips), 4))
-    apart[:, :2] = ways_m - flips[:, :2] * by_camera
-    apart[:, 2] = flips[:, 2] * y
-    apart[:, 3] = 0.0 if turn is None else turn - flips[:, 3] * true_yaw
-    apart = apart[:, :rows]
-    C = (J * variances[:, None, :]) @ J.T
-    chi2 = (apart * np.linalg.solve(C, apart[:, :, None])[:, :, 0]).sum(axis=1)
-    logs = -0.5 * (np.linalg.slogdet(C)[1] + chi2)
-    sound_log, logs = logs[0], logs[1:]
-    # The camera's motion out of the plane of the floor: a faulty camera has one in half of the cases.
-    off = np.array([z, roll, pitch]) / (_RISE_M + _RISE_SHARE * rolled_m, _TILT_RAD, _TILT_RAD)
-    out = float((0.5 * (1 - 1 / _FAR_OFF**2) * off**2 - math.log(_FAR_OFF)).sum()) if piece.shows_all else 0.0
-    logs[_ANY_CAMERA] += math.log(0.5) + float(np.logaddexp(0.0, out))
-    unknown = faulty if turn is not None else {*faulty, GYRO}
-    is_judged = np.array([one.sensor not in unknown for one in HYPOTHESES])
-    sound_log = max(sound_log, logs[is_judged].max() - _PIECE_NATS)
-    return np.where(is_judged, np.maximum(logs - sound_log, _LEAST_NATS), 0.0)
-
-
-def of_sensors(values: FloatArray) -> dict[RobotSensor, int]:
-    """Return the place of the largest value of each sensor among those of `HYPOTHESES`."""
-    return {sensor: max(places, key=values.__getitem__) for sensor, places in _OF_SENSOR.items()}
 
 
 class Sums:
@@ -656,7 +529,7 @@ class Sums:
 
     def suspect(self, sensor: RobotSensor, since_s: float) -> None:
         """Give the sums of a sensor a head start."""
-        at = _OF_SENSOR[sensor]
+        at = OF_SENSOR[sensor]
         self._sums[at], self._zero_s[at] = np.maximum(self._sums[at], _HEAD_START_NATS), since_s
 
     def add(self, ratios: FloatArray, piece: Piece) -> None:
@@ -714,28 +587,32 @@ class SensorHealth:
         self._pieces: deque[Piece] = deque(maxlen=_DESCRIBED)
         self._usual = Usual(np.ones(2), 0.0, _BIAS_SIGMA_RAD_S)
         self._weights = np.full(2, _RATIO_PRIOR_M)
-        self._is_unproven = False  # whether a restarted camera has not agreed yet
+        # Whether a restarted camera has not agreed yet, and when it restarted last.
+        self._is_unproven, self._restarted_s = False, -math.inf
         # Way, time and turn over which a faulty sensor agrees again, and over which it has to.
         self._sound = {sensor: np.zeros(3) for sensor in RobotSensor}
         self._again: dict[RobotSensor, tuple[float, float, float]] = {}
+        self._rescaled = {sensor: np.zeros(3) for sensor in (LEFT, RIGHT)}
+        self._new_scales = np.ones(2)  # of both wheels, for the caller
 
     def update(self, stamp_s: float) -> float | None:
         """Update the exclusions at a frame; return the stamp since which they changed, or None.
 
-        A sensor is left out since its fault began. So is one that leads before that is certain. One that turns out to
-        be sound counts as if nothing had happened.
+        A sensor is left out since its fault began, and a piece before: the fault may begin in one, or while the robot
+        hardly moves. So is one that leads before that is certain. One that turns out to be sound counts as if nothing
+        had happened.
         """
         if not self._has_news:
             return None
         self._has_news = False
         past = tuple(one for one in self.exclusions if one.is_sure and one.end_s < math.inf)
         current = {one.sensor: one for one in self.exclusions if one.end_s == math.inf}
-        wanted = {sensor: Exclusion(sensor, begin_s, is_sure=True) for sensor, begin_s in self.faults.items()}
+        wanted = {one: Exclusion(one, self._earliest_s(one, at_s), is_sure=True) for one, at_s in self.faults.items()}
         suspects: dict[RobotSensor, float] = {}
         for scale in self._scales:
             leader = scale.leads(_SUSPECT_NATS)
             if leader is not None:
-                suspects.setdefault(leader, scale.zero_s[leader])
+                suspects.setdefault(leader, self._earliest_s(leader, scale.zero_s[leader]))
         for sensor, begin_s in suspects.items():
             known = current.get(sensor)
             wanted.setdefault(sensor, Exclusion(sensor, begin_s) if known is None or known.is_sure else known)
@@ -753,6 +630,16 @@ class SensorHealth:
         self.exclusions = (*past, *wanted.values())
         return None if wanted == current else since_s
 
+    def _earliest_s(self, sensor: RobotSensor, zero_s: float) -> float:
+        """Return when a fault may have begun whose sum was last zero at a stamp; a camera was sound until a restart."""
+        begin_s = zero_s - _PIECES_S[-1]
+        return max(begin_s, min(self._restarted_s, zero_s)) if sensor is CAMERA else begin_s
+
+    def take_new_scales(self) -> FloatArray:
+        """Return by how much each wheel (2,) counts more since the last call, by which the caller divides its way."""
+        taken, self._new_scales = self._new_scales, np.ones(2)
+        return taken
+
     def interrupt(self, restarted_s: float | None = None) -> None:
         """Note that the next pose of the camera does not continue the previous ones.
 
@@ -764,7 +651,7 @@ class SensorHealth:
         for scale in self._scales:
             scale.begin = math.nan, scale.begin[1]
         if restarted_s is not None and self.is_armed and CAMERA not in self.faults:
-            self._is_unproven = True
+            self._is_unproven, self._restarted_s = True, restarted_s
             self._scales[0].suspect(CAMERA, restarted_s)
 
     def add_frame(self, stamp_s: float, T_map_camera: FloatArray, *, shows_all: bool = True) -> None:
@@ -835,7 +722,9 @@ class SensorHealth:
         begin_s = scale.zero_s[sensor]
         self.faults[sensor] = begin_s
         self._sound[sensor][:] = 0.0
-        shows_in_turns = sensor is GYRO or scale.places[sensor] == _MIRRORED
+        if sensor in self._rescaled:
+            self._rescaled[sensor][:] = 0.0
+        shows_in_turns = sensor is GYRO or scale.places[sensor] == MIRRORED
         self._again[sensor] = (_AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD if shows_in_turns else 0.0)
         if sensor is CAMERA:
             self._is_unproven = False
@@ -876,21 +765,45 @@ class SensorHealth:
         self._usual = Usual(ratios, bias, sigma)
 
     def _end_faults(self, piece: Piece, is_first: bool) -> None:
-        """End each fault whose sensor has agreed with the others for long enough, over pieces of all lengths."""
-        for sensor in list(self.faults):
-            others = self.faults.keys() - {sensor}
-            sound = self._sound[sensor]
-            ratios = log_ratios(piece, self._half_m, self._usual, others)
-            if ratios[of_sensors(ratios)[sensor]] > _AGREES_NATS:
-                sound[:] = 0.0
-                continue
-            if not is_first:
-                continue
+        """End each fault whose sensor has agreed with the others for long enough, over pieces of all lengths.
+
+        A wheel may agree with a new scale instead.
+        """
+        for sensor, begin_s in list(self.faults.items()):
+            if self._agrees(piece, sensor, self._usual, self._sound[sensor], is_first):
+                if (self._sound[sensor] >= self._again[sensor]).all():
+                    self._end_fault(sensor, piece.end_s, self._found[sensor][3])
+            elif sensor in self._rescaled:
+                side = 0 if sensor is LEFT else 1
+                pieces = [one for one in self._pieces if one.begin_s > begin_s]
+                true_m = [one.camera[0] + self._half_m * one.camera[5] * (-1, 1)[side] for one in pieces]
+                measured_m = np.array([one.ways_m[side] for one in pieces])
+                factor, sigma = factor_of(measured_m, self._usual.ratios[side] * np.array(true_m))
+                usual = self._usual._replace(ratios=self._usual.ratios * np.where(np.arange(2) == side, factor, 1.0))
+                is_scale = _RESCALED[0] < factor < _RESCALED[1] and sigma < _RESCALED_SIGMA
+                agreed = self._rescaled[sensor]
+                if not (is_scale and self._agrees(piece, sensor, usual, agreed, is_first)):
+                    agreed[:] = 0.0
+                elif agreed[0] >= _RESCALED_WAY_M and agreed[1] >= _RESCALED_S:
+                    self._new_scales[side] *= factor
+                    cause = f"it counts {factor:.2f} times its way, and is used with that scale; check its tyre"
+                    self._end_fault(sensor, piece.end_s, cause)
+                    self.interrupt()  # the next pieces have the new scale
+
+    def _agrees(self, piece: Piece, sensor: RobotSensor, usual: Usual, agreed: FloatArray, is_first: bool) -> bool:
+        """Return whether a faulty sensor agrees with the others over a piece; add it to `agreed`, or clear that."""
+        ratios = log_ratios(piece, self._half_m, usual, self.faults.keys() - {sensor})
+        if ratios[of_sensors(ratios)[sensor]] > _AGREES_NATS:
+            agreed[:] = 0.0
+            return False
+        if is_first:
             way_m = max(float(np.abs(piece.ways_m).max()), abs(piece.camera[0]))
-            sound += way_m, piece.end_s - piece.begin_s, abs(piece.camera[5])
-            if (sound >= self._again[sensor]).all():
-                del self.faults[sensor]
-                for scale in self._scales:
-                    scale.clear(piece.end_s)
-                self._found[sensor] = *self._found[sensor][:2], piece.end_s, self._found[sensor][3]
-                self._warn()
+            agreed += way_m, piece.end_s - piece.begin_s, abs(piece.camera[5])
+        return True
+
+    def _end_fault(self, sensor: RobotSensor, now_s: float, cause: str) -> None:
+        del self.faults[sensor]
+        for scale in self._scales:
+            scale.clear(now_s)
+        self._found[sensor] = *self._found[sensor][:2], now_s, cause
+        self._warn()

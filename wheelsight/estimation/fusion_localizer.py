@@ -37,7 +37,8 @@ from wheelsight.core.estimates import (
     Status,
     WheelEstimate,
     decide,
-    with_frame_error,
+    with_stamp_noise,
+    with_view_noise,
 )
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
@@ -66,7 +67,7 @@ from wheelsight.slam.place_recognition import KnownMap
 from wheelsight.vision.dense import DenseEstimate, DenseOdometry
 from wheelsight.vision.features import FeatureEstimate, MatchedPixels
 from wheelsight.vision.features.tracking import Pace
-from wheelsight.wheels import HolonomicOdometry, ReadingTimes, WheelSettings, odometry_of
+from wheelsight.wheels import AnyWheelOdometry, HolonomicOdometry, ReadingTimes, WheelSettings, odometry_of, rescale
 
 # Distance from an anchor to the next one; a turn by a radian counts as 1.5 m. Errors of single frames do not add up
 # against a reference that is held for a while.
@@ -288,7 +289,7 @@ class ByFusion:
             self._health.add_frame(frame.stamp_s, seen.T_odom_body, shows_all=shows_all)
             before = self._health.exclusions
             since_s = self._health.update(frame.stamp_s)
-            if since_s is not None and self._exclude_faulty(before, self._health.exclusions, since_s):
+            if since_s is not None and self._exclude_faulty(self._health, before, since_s, frame.stamp_s):
                 return self._begin(frame, seen)
         motion = anchor.motion_to(seen.T_odom_body, seen.motion)
         motion = with_stamp_noise(motion, twist, self._base.noise_s)
@@ -297,12 +298,20 @@ class ByFusion:
             return self._lose(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         return self._measure(frame, seen, motion)
 
-    def _exclude_faulty(self, before: Sequence[Exclusion], now: Sequence[Exclusion], since_s: float) -> bool:
-        """Apply exclusions of sensors that changed since a stamp; return whether the camera is used again."""
+    def _exclude_faulty(
+        self, health: SensorHealth, before: Sequence[Exclusion], since_s: float, stamp_s: float
+    ) -> bool:
+        """Apply exclusions that changed since a stamp, at a frame; return whether the camera is used again."""
+        now, T_old = health.exclusions, self.filter.last_frame()
+        rescale(*health.take_new_scales(), *self._base.odometries)
         if self.filter.exclude(now, since_s):
             is_camera_out = any(one.sensor is RobotSensor.CAMERA and one.end_s == math.inf for one in now)
-            self._map.correct(since_s, None if is_camera_out else self.filter.last_frame())
+            T_new = self.filter.last_frame()
+            self._map.correct(since_s, None if is_camera_out else T_new)
             self._odom.correct(since_s)
+            if self.loops is not None and T_old is not None and T_new is not None:
+                T_old_new = motions.times(motions.inverse(T_old), T_new)
+                self.loops.correct(since_s, stamp_s, self._map.in_camera(T_old_new))
         ended = {one.sensor for one in before if one.is_sure and one not in now}
         return RobotSensor.CAMERA in ended
 
@@ -629,6 +638,11 @@ class BaseSensors:
         self._was_trusted = True
         fusion.update_yaw_rate(rate.stamp_s, rate.yaw_rate_rad_s)
 
+    @property
+    def odometries(self) -> tuple[AnyWheelOdometry, ...]:
+        """All odometries of the wheels."""
+        return self._wheels, *self._with_gyro.odometries
+
     def forget_bias(self) -> None:
         """Pass the bias on again: the next filter does not know it."""
         self._was_trusted = False
@@ -850,6 +864,11 @@ class CameraMap:
         self.T_filter_map = motions.renormalized(motions.times(T_filter_camera, motions.inverse(T_map_camera)))
         self.T_map_filter = motions.inverse(self.T_filter_map)
 
+    def in_camera(self, T_base: FloatArray) -> FloatArray:
+        """Return a motion (4, 4) of the base as one of the camera."""
+        T = motions.times(motions.inverse(self._T_base_camera), motions.times(T_base, self._T_base_camera))
+        return np.asarray(T)
+
     def moved(self, T_new_old: FloatArray) -> None:
         """Apply a correction (4, 4) of the map by loops, from the left. The camera stays in the filter's frame."""
         T_old_new = motions.inverse(T_new_old)
@@ -871,27 +890,3 @@ class CameraMap:
         """Return T_map_camera (4, 4) for a pose of the base in the filter's frame."""
         T_map_base = motions.times(motions.inverse(self.T_filter_map), T_filter_base)
         return np.asarray(motions.renormalized(motions.times(T_map_base, self._T_base_camera)))
-
-
-def with_stamp_noise(motion: MotionEstimate, twist: FloatArray | None, noise_s: float) -> MotionEstimate:
-    """Return a motion of the camera with a covariance for the time error of wheel readings, at a velocity (6,).
-
-    Otherwise wrong stamps would look like slip.
-    """
-    if twist is None or motion.T_reference_current is None or motion.covariance is None or not noise_s:
-        return motion
-    apart = se3.adjoint(motion.T_reference_current) @ (twist * noise_s)
-    return replace(motion, covariance=motion.covariance + np.outer(apart, apart))
-
-
-def with_view_noise(motion: MotionEstimate, of_frame: FloatArray, walk_per_m: float) -> MotionEstimate:
-    """Return a motion of the camera with a covariance for systematic errors `of_frame` (6, 6) that vary with the view.
-
-    Distorted depth and a rolling shutter affect neighbouring views alike, so that their relative motion is exact. The
-    errors show against a frame that is farther away.
-    """
-    T = motion.T_reference_current
-    if T is None or motion.covariance is None:
-        return motion
-    walk = of_frame * (walk_per_m * motions.view_shift_m(T))
-    return replace(motion, covariance=with_frame_error(motion.covariance, T, walk))

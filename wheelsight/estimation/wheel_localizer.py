@@ -71,12 +71,16 @@ class ByWheels:
         """Fault of the gyroscope, as a sentence."""
         return self._check.warnings
 
+    @property
+    def odometries(self) -> tuple[AnyWheelOdometry, ...]:
+        """All odometries of the same wheels."""
+        kept = None if self._next is None else self._next[1]
+        return tuple(one for one in (self._alone, self._joined, kept) if one is not None)
+
     def pause(self, seconds: float) -> None:
         """Note that a time may have passed before the next reading, whatever its stamp."""
-        kept = None if self._next is None else self._next[1]
-        for odometry in (self._alone, self._joined, kept):
-            if odometry is not None:
-                odometry.pause(seconds)
+        for odometry in self.odometries:
+            odometry.pause(seconds)
 
     def process(self, event: Event) -> tuple[WheelEstimate | None, str]:
         """Return the estimate at a wheel reading, None at any other event, and a note."""

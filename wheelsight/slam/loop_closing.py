@@ -182,6 +182,13 @@ class LiveLoops:
         self._processing_s.append(time.perf_counter() - started)
         return result
 
+    def correct(self, since_s: float, now_s: float, T_old_new: FloatArray) -> None:
+        """Submit a correction of the odometry since a stamp; see `DriveGraph.correct`."""
+        if self._thread is not None:
+            nothing = KeyframeResult(None, self.place)
+            done = self._thread.submit(lambda: self._graph.correct(since_s, now_s, T_old_new) or nothing)
+            self._waiting.append((since_s, done))
+
     def request_place(self, revisit: Revisit) -> None:
         """Request the pose and covariance of a revisited keyframe. A busy thread skips the request."""
         if revisit.number < self._known:

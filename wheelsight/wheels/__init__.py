@@ -9,6 +9,7 @@ from wheelsight.wheels.odometry import (
     WheelSettings,
     WheelTrack,
     integrate_log,
+    rescale,
     sides_of_four,
     ticks_from_speeds,
 )
@@ -27,6 +28,7 @@ __all__ = [
     "integrate_log",
     "mean_yaw_rates",
     "odometry_of",
+    "rescale",
     "sides_of_four",
     "ticks_from_speeds",
 ]

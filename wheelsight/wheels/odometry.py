@@ -131,6 +131,11 @@ class WheelOdometry(OneCaller):
         """Forward speed in m/s and yaw rate in rad/s over the last step; zero after a refused reading."""
         return float(self._state[at.SPEED]), float(self._state[at.YAW_RATE])
 
+    def rescale(self, left: float, right: float) -> None:
+        """Divide the ways of both wheels by a factor from the next reading on, as for a tyre that has lost air."""
+        self._parameters[LEFT_M] /= left
+        self._parameters[RIGHT_M] /= right
+
     def motion_in(self, seconds: float) -> FloatArray:
         """Return T_now_then (4, 4), the motion at the current twist over a time."""
         speed, yaw_rate = self.twist
@@ -378,6 +383,13 @@ def _prepare(wheels: Wheels, integration: Integration, gyro: Gyro) -> tuple[Floa
     state[at.BIAS], state[at.BIAS_VARIANCE] = gyro.bias_rad_s, gyro.bias_sigma_rad_s**2
     state[at.RATIO] = 1.0
     return parameters, np.stack([state, state])
+
+
+def rescale(left: float, right: float, *odometries: object) -> None:
+    """Divide the ways of two wheels by factors in several odometries; others have no such wheels."""
+    for odometry in odometries:
+        if isinstance(odometry, WheelOdometry):
+            odometry.rescale(left, right)
 
 
 Timed = WheelTicks | WheelCounts | OdometryReading
