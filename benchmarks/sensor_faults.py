@@ -279,11 +279,13 @@ def drive(recording: Recording, case: SensorFaultCase, odometry: str, **override
     return run
 
 
-def measure_case(recording: Recording, case: SensorFaultCase, world: str, seed: int, camera_m: float) -> FaultFigures:
+def measure_case(
+    recording: Recording, case: SensorFaultCase, world: str, seed: int, camera_m: float, **overrides: str
+) -> FaultFigures:
     """Measure a fault on a drive; `camera_m` is the worst error of the camera alone without a fault."""
     wheels = drive(recording, case, "wheels").odom_m
     best_m = wheels if "camera" in case.named else min(camera_m, wheels)
-    run = drive(recording, case, "wheels,dense")
+    run = drive(recording, case, "wheels,dense", **overrides)
     return FaultFigures(
         case.name,
         world,
@@ -347,6 +349,7 @@ def main() -> None:
     parser.add_argument("--cases", nargs="+", default=[], metavar="WORDS", help="parts of names of faults; else all")
     parser.add_argument("--seconds", type=float, default=45.0, help="duration of a drive (45)")
     parser.add_argument("--realism", default="ideal", help="of the sensors (ideal)")
+    parser.add_argument("--loops", action="store_true", help="with a map and loops")
     parser.add_argument("--images", type=Path, metavar="DIR", help="keeps drives for next time")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keeps results; those kept are not measured again")
     parser.add_argument("--out", type=Path, help="Markdown file for the table")
@@ -355,6 +358,7 @@ def main() -> None:
     settings = SimulationSettings(
         "flat", size=(320, 240), rate_hz=10.0, duration_s=arguments.seconds, realism=arguments.realism
     )
+    overrides = {"map": "surfels", "loops.source": "keyframes"} if arguments.loops else {}
     figures = []
     with TemporaryDirectory() as made:
         for world in arguments.worlds:
@@ -362,7 +366,9 @@ def main() -> None:
                 recording = drive_of(seed, arguments.images or Path(made), replace(settings, world=world))
                 camera_m: float | None = None
                 for case in cases:
-                    name = re.sub("[^a-z0-9]+", "-", f"{world} {seed} {case.name}".lower())
+                    name = re.sub(
+                        "[^a-z0-9]+", "-", f"{world} {seed} {case.name}{' loops' if overrides else ''}".lower()
+                    )
                     kept = None if arguments.keep is None else arguments.keep / f"{name}.json"
                     if kept is not None and kept.exists():
                         record = json.loads(kept.read_text())
@@ -370,7 +376,7 @@ def main() -> None:
                         continue
                     if camera_m is None:
                         camera_m = drive(recording, CASES[0], "dense").odom_m
-                    figures.append(measure_case(recording, case, world, seed, camera_m))
+                    figures.append(measure_case(recording, case, world, seed, camera_m, **overrides))
                     if kept is not None:
                         kept.parent.mkdir(parents=True, exist_ok=True)
                         write_text(kept, json.dumps(asdict(figures[-1]), indent=1))
@@ -385,6 +391,7 @@ def main() -> None:
             "--seeds",
             *map(str, arguments.seeds),
         ]
+        words += ["--loops"] if arguments.loops else []
         words += ["--cases", *map(repr, arguments.cases)] if arguments.cases else []
         command = " ".join([*words, f"--realism {arguments.realism} --out {shown(arguments.out)}"])
         lines = [f"- {name}: {system[name]}" for name in ("Date", "System", "Versions")]
