@@ -359,6 +359,7 @@ def main() -> None:
         "flat", size=(320, 240), rate_hz=10.0, duration_s=arguments.seconds, realism=arguments.realism
     )
     overrides = {"map": "surfels", "loops.source": "keyframes"} if arguments.loops else {}
+    how = " with loops" if arguments.loops else ""
     figures = []
     with TemporaryDirectory() as made:
         for world in arguments.worlds:
