@@ -368,7 +368,7 @@ def main() -> None:
                 camera_m: float | None = None
                 for case in cases:
                     name = re.sub(
-                        "[^a-z0-9]+", "-", f"{world} {seed} {case.name}{' loops' if overrides else ''}".lower()
+                        "[^a-z0-9]+", "-", f"{world} {seed} {case.name}{how}".lower()
                     )
                     kept = None if arguments.keep is None else arguments.keep / f"{name}.json"
                     if kept is not None and kept.exists():
