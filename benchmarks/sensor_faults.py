@@ -367,9 +367,7 @@ def main() -> None:
                 recording = drive_of(seed, arguments.images or Path(made), replace(settings, world=world))
                 camera_m: float | None = None
                 for case in cases:
-                    name = re.sub(
-                        "[^a-z0-9]+", "-", f"{world} {seed} {case.name}{how}".lower()
-                    )
+                    name = re.sub("[^a-z0-9]+", "-", f"{world} {seed} {case.name}{how}".lower())
                     kept = None if arguments.keep is None else arguments.keep / f"{name}.json"
                     if kept is not None and kept.exists():
                         record = json.loads(kept.read_text())

@@ -23,11 +23,13 @@ from wheelsight.navigation import (
     NavigationSettings,
     NavigationState,
     NavigatorSettings,
+    PlanningResult,
+    WorkerInStep,
 )
 from wheelsight.navigation.controllers import ControlReason, ControlResult, MotionState, PurePursuitController
 from wheelsight.navigation.navigator import status_words
 from wheelsight.navigation.planner import Plan
-from wheelsight.navigation.planning import PoseGoals
+from wheelsight.navigation.planning import PlannerClient, PoseGoals
 
 constants = patched({"behaviours._LOOK": (0.2, -0.4, 0.2), "behaviours._SEARCH_RAD": 0.3})
 SIZE_M = (8.0, 6.0)
@@ -307,6 +309,24 @@ def test_at_a_goal_that_is_confirmed_while_it_looks_around_it_has_arrived() -> N
     subject.localization.says = by(Status.TRACKING)
     subject.go(40)
     assert not_none(subject.navigator.result).has_arrived
+
+
+def test_a_plan_that_was_requested_just_before_the_goal_is_dropped_where_it_looks_around(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Else no decision takes the plan, and it counts as one that the planner never makes."""
+    worker: WorkerInStep[PlanningResult] = WorkerInStep(0.1)
+    subject = Ride.of(Walls.of(*ROOM), BESIDE, SIZE_M, None, HASTY, worker)
+    subject.localization.says = by(Status.TRACKING, sigma_m=0.1)
+    subject.navigator.go_to_pose(NEAR)
+    subject.go(40, until=lambda: np.hypot(*(subject.robot.base.pose[:2] - NEAR[:2])) < 0.12)
+    assert subject.navigator.state is NavigationState.DRIVING
+    monkeypatch.setattr(PlannerClient, "is_silent", lambda self, now_s: False)  # the request is not the client's
+    worker.ask(lambda: PlanningResult(None, np.zeros(3)), subject.robot.now_s + 60.0)
+    subject.go(40, until=lambda: subject.navigator.state is NavigationState.RECOVERING)
+    assert not worker.is_asked
+    subject.go(60)
+    assert not_none(subject.navigator.result).reason is NavigationReason.UNSURE
 
 
 def test_a_pose_that_is_corrected_by_the_look_around_moves_the_robot_to_the_goal() -> None:

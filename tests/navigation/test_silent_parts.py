@@ -85,6 +85,9 @@ class Planner(WorkerInStep[PlanningResult]):
     def is_asked(self) -> bool:
         return self.hangs or super().is_asked
 
+    def has_answer(self, now_s: float) -> bool:
+        return not self.hangs and super().has_answer(now_s)
+
     def answer(self, now_s: float) -> PlanningResult | None:
         return None if self.hangs else super().answer(now_s)
 

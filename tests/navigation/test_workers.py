@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from wheelsight.core.estimates import Estimate
 from wheelsight.core.geometry import se3
 from wheelsight.navigation import (
     GrowingFloor,
+    MonitorReason,
     NavigationSettings,
     NavigationState,
     NavigatorSettings,
@@ -46,6 +49,9 @@ class Held:
     def ask(self, work: Callable[[], object], now_s: float) -> None:
         self._work, self.asked = work, self.asked + 1
 
+    def has_answer(self, now_s: float) -> bool:
+        return self._work is not None and not self.is_held
+
     def answer(self, now_s: float) -> object:
         if self._work is None or self.is_held:
             return None
@@ -57,6 +63,28 @@ class Held:
 
     def close(self) -> None:
         """No thread."""
+
+
+class Slow:
+    """A thread whose answers count 0.8 s of simulated time after the request."""
+
+    def __init__(self, worker: WorkerBeside[PlanningResult]) -> None:
+        self._worker, self._asked_s = worker, 0.0
+
+    def ask(self, work: Callable[[], PlanningResult], now_s: float) -> None:
+        self._asked_s = now_s
+        self._worker.ask(work, now_s)
+
+    def has_answer(self, now_s: float) -> bool:
+        while now_s - self._asked_s >= 0.8 and self._worker.is_busy:
+            time.sleep(0.001)
+        return now_s - self._asked_s >= 0.8 and self._worker.has_answer(now_s)
+
+    def answer(self, now_s: float) -> PlanningResult | None:
+        return self._worker.answer(now_s) if self.has_answer(now_s) else None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._worker, name)
 
 
 def ride(planning: object = None, **navigator: float) -> Ride:
@@ -190,6 +218,21 @@ def test_it_drives_on_while_its_next_plan_is_made() -> None:
     subject.go(60)
     assert not_none(subject.navigator.result).has_arrived
     assert any("moved below" in one.why for one in subject.transitions)
+
+
+@pytest.mark.parametrize("is_beside", [False, True])
+def test_a_plan_that_takes_longer_than_a_robot_may_drive_interrupts_it_alone(is_beside: bool) -> None:
+    """It brakes after 0.4 s, and continues with the plan once that is made."""
+    with closing(WorkerBeside[PlanningResult]("planning")) as beside:
+        planning = Slow(beside) if is_beside else WorkerInStep[PlanningResult](0.8)
+        subject = ride(planning)
+        subject.go(5, until=lambda: subject.navigator.feedback.forward_m_s > 0.3)
+        moved_by(subject, 0.15)
+        silent = MonitorReason.PLANNER_SILENT
+        subject.go(3, until=lambda: not_none(subject.navigator.feedback.monitor).reason is silent)
+        assert not_none(subject.navigator.feedback.monitor).reason is silent
+        subject.go(90)
+        assert not_none(subject.navigator.result).has_arrived
 
 
 def test_where_its_plan_is_shut_it_stands_until_the_next_is_made() -> None:

@@ -160,6 +160,9 @@ class Worker(Protocol[Answer]):
     def ask(self, work: Callable[[], Answer], now_s: float) -> None:
         """Run a function. Nothing that it uses may change until it ends."""
 
+    def has_answer(self, now_s: float) -> bool:
+        """Return whether `answer` returns or raises something."""
+
     def answer(self, now_s: float) -> Answer | None:
         """Return the answer, once; None until it is ready. Raises the function's exception, once."""
 
@@ -192,10 +195,14 @@ class WorkerInStep(Generic[Answer]):
         """See `Worker`."""
         self._waiting = now_s + self._takes_s, work()
 
-    def answer(self, now_s: float) -> Answer | None:
+    def has_answer(self, now_s: float) -> bool:
         """See `Worker`."""
         # A tolerance, as stamps are sums of periods.
-        if self._waiting is None or now_s < self._waiting[0] - 1e-6:
+        return self._waiting is not None and now_s >= self._waiting[0] - 1e-6
+
+    def answer(self, now_s: float) -> Answer | None:
+        """See `Worker`."""
+        if self._waiting is None or not self.has_answer(now_s):
             return None
         answer, self._waiting = self._waiting[1], None
         return answer
@@ -241,6 +248,11 @@ class WorkerBeside(Generic[Answer]):
             self._work, self._is_asked, self._error = work, True, None
             self._answers.clear()
             self._changed.notify()
+
+    def has_answer(self, now_s: float) -> bool:
+        """See `Worker`."""
+        with self._changed:
+            return bool(self._answers) or self._error is not None
 
     def answer(self, now_s: float) -> Answer | None:
         """See `Worker`."""

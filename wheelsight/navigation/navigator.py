@@ -586,13 +586,13 @@ class Navigator(OneCaller):
 
         If the pose is not within the tolerance with 95 %, it looks around once, and corrects itself.
         """
+        self._planner.drop()
         why_unsure = self._why_unsure(task.plan) if task.goals.is_asked_for else ""
         if why_unsure and self.settings.limits.turn_rad_s > 0 and not task.has_looked:
             task.start_recovery(unsure_at_goal(), is_lost=False)
             task.has_looked = True
             self._set_state(NavigationState.RECOVERING, f"{why_unsure}; {task.doing}")
             return STOP
-        self._planner.drop()
         if self._planner.is_busy:
             return STOP
         if task.change and not task.has_waited:

@@ -71,8 +71,11 @@ class PlannerClient:
         self._asked_s, self._longest_s = 0.0, 0.0
 
     def is_silent(self, now_s: float) -> bool:
-        """Return whether a requested plan takes longer than a robot may drive an older one."""
-        return self.is_asked and now_s - self._asked_s > SILENT_S
+        """Return whether a requested plan takes longer than a robot may drive an older one.
+
+        One that is ready ends the silence, although only the next decision takes it.
+        """
+        return self.is_asked and now_s - self._asked_s > SILENT_S and not self._worker.has_answer(now_s)
 
     def is_lost(self, now_s: float, most_s: float) -> bool:
         """Return whether a requested plan takes longer than `most_s` and twice the longest plan so far."""
