@@ -636,7 +636,7 @@ class SensorHealth:
         return max(begin_s, min(self._restarted_s, zero_s)) if sensor is CAMERA else begin_s
 
     def take_new_scales(self) -> FloatArray:
-        """Return by how much each wheel (2,) counts more since the last call, by which the caller divides its way."""
+        """Return new scales of both wheels (2,) since the last call. The caller divides their ways by them."""
         taken, self._new_scales = self._new_scales, np.ones(2)
         return taken
 
