@@ -8,8 +8,7 @@ on all drives, or on those that show them.
 
 Some drives are made for one rule: late colour, an elevator, a bus that hangs, a cover, depth that is wrong by a
 factor, laps with a small cache, and a camera without wheels. "Crowd" and `studio-91` to `studio-98` are drives among
-four people, measured after the misfit was left out beside wheels; "camera's place is not learned after slip" has only
-drives with slip in its row.
+four people, measured after the misfit was left out beside wheels.
 
 A drive is "better" with a rule if its error is smaller by more than 1 mm and 2 %, and "worse" if it is larger by as
 much. The gain is the mean difference over the drives on which the rule acts, with its standard error. A rule gains
@@ -134,12 +133,6 @@ def _slip_alone(original: Callable[..., Any], detection: Any, stamp_s: float, se
     found = original(detection, stamp_s, settings)
     is_by_time = detection.fault is fault_detection.Fault.VISION and found.fault is fault_detection.Fault.WHEEL_SLIP
     return changed(found, primary=detection.alternative) if is_by_time else found
-
-
-def _learn_at_once(
-    original: Callable[..., Any], detection: Any, stamp_s: float, measurement: Any, settings: Any
-) -> Any:
-    return original(detection, stamp_s, measurement, replace(settings, slippery_s=0.0))
 
 
 def _certain_enough(original: Callable[..., Any], T: Any, covariance: Any, most_m: float, most_rad: float) -> Any:
@@ -350,15 +343,6 @@ RULES = (
         is_pure=True,
     ),
     Rule(
-        "camera's place is not learned after slip",
-        "filter",
-        "drives over ice",
-        "recordings",
-        fault_detection,
-        "updated",
-        _learn_at_once,
-    ),
-    Rule(
         "CautiousPlanner with PlanView",
         "planner",
         "BARN worlds 3 to 11, one drive each",
@@ -502,10 +486,6 @@ VERDICTS = {
     "known again within 0.7 m after darkness": (
         "Stays, not judged: no robot here moved between 0.3 and 0.7 m in the dark."
     ),
-    "camera's place is not learned after slip": (
-        "Stays, undecided: +0.3 mm over ice and 0.0 mm in eight crowds and with a lifted wheel. Where it was found, "
-        "ten drives over ice gained 3 mm."
-    ),
     "CautiousPlanner with PlanView": (
         "Stays, not judged: one field is crossed in 18.8 s with and without it. Five further fields took too long."
     ),
@@ -638,7 +618,6 @@ def acts_on(rule: Rule, base: dict[str, Any]) -> bool:
 # Rules that run only on drives that list them, as they cannot be counted and change nothing elsewhere.
 _LISTED_ONLY = (
     "limit on the speed of keypoints",
-    "camera's place is not learned after slip",
     "misfit in the covariance",
 )
 _UNCOUNTED = (
@@ -646,7 +625,6 @@ _UNCOUNTED = (
     "ColorCheck",
     "CautiousPlanner with PlanView",
     "limit on the speed of keypoints",
-    "camera's place is not learned after slip",
 )
 
 

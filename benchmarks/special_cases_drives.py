@@ -334,7 +334,6 @@ _OF_CAMERA_ALONE = (
 )
 _OF_COVERS = ("gaps with wheels without keypoints", "known again within 0.7 m after darkness")
 _CHANGED = ("floor4-51", "flat-53", "square-54", "office_b-58")
-_SLIPPING = ("studio-55", "floor4-56")
 _ALONE = ("studio-52", "flat-53", "flat-57", "studio-61", "studio-65")
 FIELDS_SEED, GOALS_SEED = 7, 11
 # Those of 30 and 25 % fill first.
@@ -408,8 +407,6 @@ def _drives_in(name: str, path: Callable[[], Path]) -> list[Drive]:
         ]
         for words, change, rules in changes:
             found.append(Drive(f"{name}, {words}", "recordings", partial(replay, path, np.inf, change), rules))
-    if name in _SLIPPING:
-        found.append(Drive(f"{name}, slip", "recordings", run, ("camera's place is not learned after slip",)))
     if name in _ALONE:
         alone = partial(replay, path, np.inf, is_alone=True)
         found.append(Drive(f"{name}, alone", "recordings", alone, _OF_CAMERA_ALONE))

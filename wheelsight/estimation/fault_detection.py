@@ -12,12 +12,11 @@ ratio between them, in nats, accumulates frame by frame (Wald 1945) until one is
   notice. One with fewer inliers, or that contradicts a part of its view or itself, indicates failing vision. One that
   does not see all directions indicates neither: errors in the unseen directions leak into the others.
 
-A measurement that leaves the plane of the floor, so that not even slip explains it, is rejected and indicates neither.
-Until a decision both hypotheses continue, and the estimate lies between them and covers both. If both agree again
-before, the likelier one continues and covers the other. After a decision for the wheels, the estimate covers the
-camera's while the camera looks well. A fault ends after several measurements in a row that agree. Slip is accepted
-after all when a camera has looked well and contradicted the wheels for a second or two, since failures are mostly
-shorter. The estimate then covers the wheels', because a failure may last that long.
+A measurement that leaves the plane of the floor, which not even slip explains, is rejected and indicates neither.
+Until a decision the estimate lies between both hypotheses and covers both. If they agree again before, the likelier one
+continues and covers the other. After a decision for the wheels, the estimate covers the camera's while the camera looks
+well. A fault ends after several measurements in a row that agree. Slip is accepted after all when a camera that looks
+well contradicts the wheels for a second or two: failures are mostly shorter. The estimate then covers the wheels'.
 
 `SensorHealth` detects a sensor that no longer follows the motion of the base. Wheels, camera and gyroscope measure the
 same planar motion. Over a piece of the drive their differences have a Gaussian distribution. A faulty sensor has a
@@ -75,7 +74,6 @@ from wheelsight.estimation.pose_belief import (
     PoseBelief,
     Preintegration,
     RelativeMotion,
-    Updates,
     WheelNoise,
     changed,
 )
@@ -209,8 +207,7 @@ def updated(
     """Return the detection after a measurement, and why it was rejected, or None."""
     most = gate(settings, len(measurement.covariance))
     last, log_ratio = _compare(detection, stamp_s, measurement, settings)
-    updates = Updates.MOUNT if stamp_s - detection.since_s > settings.slippery_s else Updates.ERRORS
-    usual = detection.primary.innovation(measurement, settings, without_slip=True, updates=updates)
+    usual = detection.primary.innovation(measurement, settings, without_slip=True, updates_errors=True)
     agrees = usual.nis <= most
     agreed, nis = detection.agreed + 1 if agrees else 0, (usual.nis, len(usual.residual))
     known = detection.log_ratio

@@ -67,7 +67,14 @@ from wheelsight.slam.place_recognition import KnownMap
 from wheelsight.vision.dense import DenseEstimate, DenseOdometry
 from wheelsight.vision.features import FeatureEstimate, MatchedPixels
 from wheelsight.vision.features.tracking import Pace
-from wheelsight.wheels import AnyWheelOdometry, HolonomicOdometry, ReadingTimes, WheelSettings, odometry_of, rescale
+from wheelsight.wheels import (
+    AnyWheelOdometry,
+    HolonomicOdometry,
+    ReadingTimes,
+    WheelOdometry,
+    WheelSettings,
+    odometry_of,
+)
 
 # Distance from an anchor to the next one; a turn by a radian counts as 1.5 m. Errors of single frames do not add up
 # against a reference that is held for a while.
@@ -302,8 +309,10 @@ class ByFusion:
         self, health: SensorHealth, before: Sequence[Exclusion], since_s: float, stamp_s: float
     ) -> bool:
         """Apply exclusions that changed since a stamp, at a frame; return whether the camera is used again."""
-        now, T_old = health.exclusions, self.filter.last_frame()
-        rescale(*health.take_new_scales(), *self._base.odometries)
+        now, T_old, (left, right) = health.exclusions, self.filter.last_frame(), health.take_new_scales()
+        for odometry in self._base.odometries:
+            if isinstance(odometry, WheelOdometry):
+                odometry.rescale(left, right)
         if self.filter.exclude(now, since_s):
             is_camera_out = any(one.sensor is RobotSensor.CAMERA and one.end_s == math.inf for one in now)
             T_new = self.filter.last_frame()

@@ -162,12 +162,7 @@ class LoopClosureClient:
             self._live.request_place(again)
 
     def correct(self, since_s: float, now_s: float, T_old_new: FloatArray) -> None:
-        """Correct the odometry between keyframes since a stamp, after the filter has corrected its past.
-
-        Args:
-            since_s, now_s: the stamp, and that of the last frame.
-            T_old_new: (4, 4) corrected pose of the camera at that frame, in its frame before.
-        """
+        """Correct the odometry between keyframes since a stamp; see `DriveGraph.correct`."""
         self._live.correct(since_s, now_s, T_old_new)
 
     def forget_tracked(self) -> None:

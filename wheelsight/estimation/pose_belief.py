@@ -19,7 +19,6 @@ of the wheels (`WheelNoise`), the mount of the camera (`Mount`), and the `Filter
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from functools import cached_property
 from operator import attrgetter
 from typing import Any, TypeVar
@@ -56,7 +55,6 @@ _SIX = np.arange(6)
 # Order of the state after all poses: the twist, the errors of wheels and camera, and the gyroscope's bias.
 TWIST, ERRORS, CAMERA_ERRORS, LAG, BIAS = slice(0, 3), slice(3, 6), slice(6, 15), 15, 16
 AUX_SIZE = 17
-MOUNT_SHIFT = [10, 11]  # among the camera's errors
 # The errors in the order of `aux`, after the twist; each has a sigma and a walk. The gyroscope's bias follows.
 _ERROR_NAMES = (
     *("scale_{}", "drift_{}_rad_per_m", "turn_{}"),
@@ -162,7 +160,6 @@ class FilterParameters:
     slip_rad_per_sqrt_s: float = 0.5
     slip_rise_m_per_sqrt_s: float = 0.1
     slip_tilt_rad_per_sqrt_s: float = 0.2
-    slippery_s: float = 5.0  # how long a floor stays slippery, at a walk
     contradiction_nats_per_s: float = 8.0  # after a decision for the wheels: cameras fail for less than 2 s (simulator)
     poor_inliers_nats: float = 2.0  # for visual failure: a frame with few inliers (simulator)
     inlier_share: float = 0.6  # of the usual share; with fewer, a contradicting camera may be wrong
@@ -217,25 +214,12 @@ class FilterParameters:
         return [getattr(self, name.format(which)) for name in _ERROR_NAMES]
 
 
-class Updates(Enum):
-    """What a measurement updates: the motion alone, also the sensors' errors, or also the camera's mount.
-
-    A wrong position of the camera on the base looks like a sideways motion in turns, as does a base that still slides.
-    """
-
-    MOTION = 1
-    ERRORS = 2
-    MOUNT = 3
-
-
+# Indices in `aux` that a measurement does not update, by whether it updates the errors of sensors and shows a delay.
 _CONSIDERED = {
-    (updates, shows_lag): np.array(places if shows_lag else sorted({*places, LAG}), int)
-    for updates, places in {
-        Updates.MOTION: [*range(ERRORS.start, BIAS)],
-        Updates.ERRORS: MOUNT_SHIFT,
-        Updates.MOUNT: [],
-    }.items()
-    for shows_lag in (True, False)
+    (True, True): np.zeros(0, int),
+    (True, False): np.array([LAG]),
+    (False, True): np.arange(ERRORS.start, BIAS),
+    (False, False): np.arange(ERRORS.start, BIAS),
 }
 
 
@@ -422,7 +406,7 @@ class PoseBelief:
         settings: FilterParameters,
         *,
         without_slip: bool = False,
-        updates: Updates = Updates.MOTION,
+        updates_errors: bool = False,
     ) -> Innovation:
         """Return the innovation of a camera measurement.
 
@@ -430,7 +414,7 @@ class PoseBelief:
             measurement: against a remembered pose.
             settings: of the filter.
             without_slip: assume that no wheel has slipped since the last accepted camera measurement.
-            updates: what the measurement updates beside the motion; while wheels may slip, no errors of sensors.
+            updates_errors: whether it updates the errors of sensors, too; not while wheels may slip.
         """
         at = self.index_of(measurement.name)
         then = self.remembered[at - 1]
@@ -444,7 +428,7 @@ class PoseBelief:
             if np.linalg.eigvalsh(certain - measurement.covariance)[0] >= 0:
                 S, nis = certain, motions.chi_squared(residual, certain)
         # At constant twist, noise of the wheels would be taken for a delay of the stamps.
-        considered_states = _CONSIDERED[updates, bool(change > settings.lag_chi2)]
+        considered_states = _CONSIDERED[updates_errors, bool(change > settings.lag_chi2)]
         return Innovation(residual, S, PHt, nis, considered_states)
 
     def since(self, at: int) -> tuple[FloatArray, FloatArray, FloatArray]:

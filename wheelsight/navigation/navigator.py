@@ -483,9 +483,8 @@ class Navigator(OneCaller):
         """Act on the answer of the planner."""
         task.goals.taken()
         task.passes_hidden |= planned.passes_hidden
-        if planned.found is None and (task.beside or task.unsure):
-            reason = NavigationReason.BESIDE if task.beside else NavigationReason.UNSURE
-            return self._fail(reason, task.beside or task.unsure)
+        if planned.found is None and task.missed is not None:
+            return self._fail(*task.missed)
         if planned.found is None:
             self._set_state(NavigationState.ARRIVED, task.goals.name)
             self.result = task.result(True, None, task.goals.name, self._robot.now_s)
@@ -600,8 +599,7 @@ class Navigator(OneCaller):
             task.has_waited = True
             self._set_state(NavigationState.RECOVERING, task.doing)
             return STOP
-        task.unsure = task.unsure or why_unsure
-        task.reached((self.settings.follow.goal_m, self.settings.follow.goal_rad))
+        task.reached((self.settings.follow.goal_m, self.settings.follow.goal_rad), why_unsure)
         self._set_state(NavigationState.PLANNING, "a goal is reached")
         return STOP
 
@@ -698,8 +696,7 @@ class NavigationTask:
         replan_reason: why another plan was requested while this one is driven.
         goal_change: why the last reached goal differs from the requested one; empty if it does not.
         wants_replan: whether another plan is still to be requested.
-        beside: `goal_change` of the first goal that the robot missed by more than the tolerance; empty without any.
-        unsure: how far off the robot may be, at the first goal where its pose was too uncertain; empty without any.
+        missed: reason and detail of the first goal at which the robot was, or may have been, beyond the tolerance.
         has_looked: whether it has looked around at the current goal to know its pose better.
         behaviour: current recovery behaviour; None without any.
         awaits_way: whether the behaviour waits for a blocked path to become free.
@@ -719,8 +716,7 @@ class NavigationTask:
         self.why_first = ""
         self.passes_hidden = False
         self.goal_change = ""
-        self.beside = ""
-        self.unsure = ""
+        self.missed: tuple[NavigationReason, str] | None = None
         self.has_waited = False
         self.has_looked = False
         # Recovery: the behaviour, and the numbers of attempts, of skipped goals and of searches for the pose.
@@ -864,16 +860,19 @@ class NavigationTask:
         """Why the plan's goal differs from the requested one; empty if it does not, or if no place was requested."""
         return self.plan.goal_change if self.plan is not None and self.goals.is_asked_for else ""
 
-    def reached(self, tolerance: tuple[float, float]) -> None:
+    def reached(self, tolerance: tuple[float, float], why_unsure: str) -> None:
         """Record that the plan's goal is reached, and why it differs from the requested one.
 
         Args:
             tolerance: distance in metres and angle in radians that still count as an arrival.
+            why_unsure: how far off the robot may be, if that is more; else "".
         """
         self.goal_change, plan = self.change, self.plan
-        if self.goal_change and plan is not None and not self.beside:
-            is_beside = plan.goal_off_m > tolerance[0] or plan.goal_off_rad > tolerance[1]
-            self.beside = self.goal_change if is_beside else ""
+        off = (0.0, 0.0) if plan is None or not self.goal_change else (plan.goal_off_m, plan.goal_off_rad)
+        if off[0] > tolerance[0] or off[1] > tolerance[1]:
+            self.missed = self.missed or (NavigationReason.BESIDE, self.goal_change)
+        elif why_unsure:
+            self.missed = self.missed or (NavigationReason.UNSURE, why_unsure)
         self.plan = None
         self.goals.reached()
         self.restart_progress()

@@ -288,11 +288,10 @@ class DriveGraph(SubmapGraph):
         share = passed / len(steps) * motions.log(motions.renormalized(T_old_new))
         corrected = []
         for stamp_s, edge in steps:
-            T = edge.T_first_second
-            off = motions.adjoint(T) @ share  # a left perturbation
-            T_new, covariance = motions.renormalized(motions.times(T, motions.exp(share))), edge.covariance
-            new = replace(edge, T_first_second=T_new, covariance=covariance + np.outer(off, off))
-            corrected.append((stamp_s, new))
+            T, off = edge.T_first_second, motions.adjoint(edge.T_first_second) @ share  # a left perturbation
+            T_new = motions.renormalized(motions.times(T, motions.exp(share)))
+            covariance = edge.covariance + np.outer(off, off)
+            corrected.append((stamp_s, replace(edge, T_first_second=T_new, covariance=covariance)))
         self._graph.remove_edges([edge for _, edge in steps])
         self.add_edges([edge for _, edge in corrected])
         self._graph.optimise()

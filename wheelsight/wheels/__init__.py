@@ -9,7 +9,6 @@ from wheelsight.wheels.odometry import (
     WheelSettings,
     WheelTrack,
     integrate_log,
-    rescale,
     sides_of_four,
     ticks_from_speeds,
 )
@@ -28,7 +27,6 @@ __all__ = [
     "integrate_log",
     "mean_yaw_rates",
     "odometry_of",
-    "rescale",
     "sides_of_four",
     "ticks_from_speeds",
 ]

@@ -385,13 +385,6 @@ def _prepare(wheels: Wheels, integration: Integration, gyro: Gyro) -> tuple[Floa
     return parameters, np.stack([state, state])
 
 
-def rescale(left: float, right: float, *odometries: object) -> None:
-    """Divide the ways of two wheels by factors in several odometries; others have no such wheels."""
-    for odometry in odometries:
-        if isinstance(odometry, WheelOdometry):
-            odometry.rescale(left, right)
-
-
 Timed = WheelTicks | WheelCounts | OdometryReading
 """Readings with distances, which indicate their durations. Speeds have none."""
 

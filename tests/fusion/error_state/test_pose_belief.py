@@ -22,7 +22,6 @@ from wheelsight.estimation.pose_belief import (
     FilterParameters,
     PoseBelief,
     RelativeMotion,
-    Updates,
     WheelStep,
 )
 
@@ -129,24 +128,17 @@ def test_a_pose_is_remembered_as_of_when_its_image_was_taken(rng):
     np.testing.assert_allclose(now.covariance, expected, atol=2e-5)
 
 
-UNTAUGHT = {
-    Updates.MOTION: [*range(ERRORS.start, LAG)],
-    Updates.ERRORS: [CAMERA_ERRORS.start + 4, CAMERA_ERRORS.start + 5],
-    Updates.MOUNT: [],
-}
-
-
-@pytest.mark.parametrize("teaches", Updates)
-def test_a_look_teaches_no_more_than_it_can_tell(rng, teaches):
-    """What it does not teach stays as it is, and as uncertain; all else moves."""
+@pytest.mark.parametrize("updates_errors", [True, False])
+def test_a_measurement_updates_the_errors_of_sensors_only_if_asked_to(rng, updates_errors):
+    """Else they stay as they are, and as uncertain; all other states move."""
     belief = belief_somewhere(rng)
-    after = belief.updated(belief.innovation(look_at(belief, "clone 0", rng), SETTINGS, updates=teaches))
-    untaught = UNTAUGHT[teaches]
-    taught = sorted({*range(LAG)} - {*untaught})
-    rows = belief.aux_offset + np.array(untaught, int)
-    np.testing.assert_array_equal(after.aux[untaught], belief.aux[untaught])
+    after = belief.updated(belief.innovation(look_at(belief, "clone 0", rng), SETTINGS, updates_errors=updates_errors))
+    kept = [] if updates_errors else [*range(ERRORS.start, LAG)]
+    updated = sorted({*range(LAG)} - {*kept})
+    rows = belief.aux_offset + np.array(kept, int)
+    np.testing.assert_array_equal(after.aux[kept], belief.aux[kept])
     np.testing.assert_allclose(after.covariance[np.ix_(rows, rows)], belief.covariance[np.ix_(rows, rows)], rtol=1e-12)
-    assert (after.aux[taught] != belief.aux[taught]).all()
+    assert (after.aux[updated] != belief.aux[updated]).all()
     assert np.linalg.eigvalsh(after.covariance)[0] > -1e-12
 
 
