@@ -42,6 +42,7 @@ _MADE = (
     f"plus {PLUS_M:g} m. A frame is sure and wrong if it is `tracking`, not doubtful, over {FAR_M:g} m off and "
     "outside 3σ."
 )
+_COVERED_S = 30.0, 36.0  # once a wheel is used with its new scale
 _COMPILED_S = 5.0  # after which kernels are compiled
 _GYRO_HZ, _GYRO_BIAS_RAD_S, _GYRO_NOISE_RAD_S = 100, 0.01, 0.003
 Change = Callable[[Event, bool], Event]
@@ -85,6 +86,24 @@ def _wheels(left: float, right: float) -> Callable[[], Change]:
                 sums[:] += (event.left - last[0].left) * by[0], (event.right - last[0].right) * by[1]
             last[:] = [event]
             return replace(event, left=round(sums[0]), right=round(sums[1]))
+
+        return change
+
+    return make
+
+
+def _wheel_then_cover(left: float) -> Callable[[], Change]:
+    """A change of the left wheel, and black images for some seconds later."""
+
+    def make() -> Change:
+        of_wheels, first = _wheels(left, 1)(), list[float]()
+
+        def change(event: Event, is_faulty: bool) -> Event:
+            first[:] = first or [event.stamp_s]
+            event = of_wheels(event, is_faulty)
+            if isinstance(event, RgbdFrame) and _COVERED_S[0] <= event.stamp_s - first[0] < _COVERED_S[1]:
+                return replace(event, color=np.zeros_like(event.color), depth_m=np.zeros_like(event.depth_m))
+            return event
 
         return change
 
@@ -158,6 +177,7 @@ CASES = (
     SensorFaultCase("right encoder dies", _wheels(1, 0), "right wheel"),
     SensorFaultCase("both encoders die", _wheels(0, 0), "both wheels"),
     SensorFaultCase("left wheel counts 10 % more", _wheels(1.1, 1), "left wheel"),
+    SensorFaultCase("left wheel 10 % more, covered from 30 to 36 s", _wheel_then_cover(1.1), "left wheel"),
     SensorFaultCase("right wheel counts 15 % less", _wheels(1, 0.85), "right wheel"),
     SensorFaultCase("images mirrored for 10 s", _images(_mirrored), "camera", end_s=25.0),
     SensorFaultCase("a plane passes, 90 % of the view, 7 s", _passing(0.9, 150, 1.3), "camera", end_s=22.0),

@@ -775,7 +775,10 @@ class SensorHealth:
                 pieces = [one for one in self._pieces if one.begin_s > begin_s]
                 true_m = [one.camera[0] + self._half_m * one.camera[5] * (-1, 1)[side] for one in pieces]
                 measured_m = np.array([one.ways_m[side] for one in pieces])
-                factor, sigma = factor_of(measured_m, self._usual.ratios[side] * np.array(true_m))
+                true = self._usual.ratios[side] * np.array(true_m)
+                factor, sigma = factor_of(measured_m, true)
+                # Of the whole way, in which the errors of the camera at the ends of its pieces cancel.
+                factor = float(measured_m @ np.sign(true) / max(np.abs(true).sum(), 1e-9))
                 usual = self._usual._replace(ratios=self._usual.ratios * np.where(np.arange(2) == side, factor, 1.0))
                 is_scale = _RESCALED[0] < factor < _RESCALED[1] and sigma < _RESCALED_SIGMA
                 agreed = self._rescaled[sensor]

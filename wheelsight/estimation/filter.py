@@ -141,6 +141,14 @@ class ErrorStateFilter:
         """Return a new filter of the same sensors that starts at a pose. Raises ConfigError."""
         return ErrorStateFilter(self._mount.T_base_camera, T_filter_base, covariance, self.parameters)
 
+    def with_unknown_wheels(self) -> ErrorStateFilter:
+        """Return a new filter at the current pose, of wheels that are as uncertain as those without calibration."""
+        now, sizes = self.estimate, ErrorStateSettings()
+        names = ("scale_sigma", "drift_sigma_rad_per_m", "turn_sigma")
+        larger = {name: max(getattr(sizes, name), getattr(self.parameters, name)) for name in names}
+        parameters = replace(self.parameters, **larger)
+        return ErrorStateFilter(self._mount.T_base_camera, now.T_odom_body, now.covariance, parameters)
+
     def predict(self, stamp_s: float, T_prev_now: ArrayLike, covariance: ArrayLike, begin_s: float) -> FusedEstimate:
         """Predict by a step of the wheels, from `begin_s` to `stamp_s`.
 

@@ -308,11 +308,8 @@ class ByFusion:
     def _exclude_faulty(
         self, health: SensorHealth, before: Sequence[Exclusion], since_s: float, stamp_s: float
     ) -> bool:
-        """Apply exclusions that changed since a stamp, at a frame; return whether the camera is used again."""
-        now, T_old, (left, right) = health.exclusions, self.filter.last_frame(), health.take_new_scales()
-        for odometry in self._base.odometries:
-            if isinstance(odometry, WheelOdometry):
-                odometry.rescale(left, right)
+        """Apply exclusions that changed since a stamp, at a frame; return whether the camera begins again."""
+        now, T_old = health.exclusions, self.filter.last_frame()
         if self.filter.exclude(now, since_s):
             is_camera_out = any(one.sensor is RobotSensor.CAMERA and one.end_s == math.inf for one in now)
             T_new = self.filter.last_frame()
@@ -321,6 +318,13 @@ class ByFusion:
             if self.loops is not None and T_old is not None and T_new is not None:
                 T_old_new = motions.times(motions.inverse(T_old), T_new)
                 self.loops.correct(since_s, stamp_s, self._map.in_camera(T_old_new))
+        scales = health.take_new_scales()
+        if (scales != 1.0).any():
+            for odometry in self._base.odometries:
+                if isinstance(odometry, WheelOdometry):
+                    odometry.rescale(*scales)
+            self._replace_filter(self.filter.with_unknown_wheels())
+            return True
         ended = {one.sensor for one in before if one.is_sure and one not in now}
         return RobotSensor.CAMERA in ended
 
