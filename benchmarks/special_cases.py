@@ -277,15 +277,6 @@ RULES = (
         is_pure=True,
     ),
     Rule(
-        "gaps with wheels without keypoints",
-        "features",
-        "two flats, a cover of 1 s",
-        "recordings",
-        dense_odometry.FaultDetector,
-        "is_bridged",
-        _constant(False),
-    ),
-    Rule(
         "half of the keypoints after 2 s",
         "features",
         "two of eight cameras alone",
@@ -465,10 +456,6 @@ VERDICTS = {
     "information of 0.4 is confirmed": (
         "Stays, undecided: +22 mm behind a cover (`flat-57`, 211 frames tracked instead of 206); four other drives do "
         "not change."
-    ),
-    "gaps with wheels without keypoints": (
-        "Stays, not judged: it acts on no drive here, not even after covers of 1.2, 3 and 4 s. Rooms without features "
-        "were not driven."
     ),
     "half of the keypoints after 2 s": (
         "Stays, not judged: no camera alone here matches few keypoints after two seconds without a pose."

@@ -18,16 +18,12 @@ continues and covers the other. After a decision for the wheels, the estimate co
 well. A fault ends after several measurements in a row that agree. Slip is accepted after all when a camera that looks
 well contradicts the wheels for a second or two: failures are mostly shorter. The estimate then covers the wheels'.
 
-`SensorHealth` detects a sensor that no longer follows the motion of the base. Wheels, camera and gyroscope measure the
-same planar motion. Over a piece of the drive their differences have a Gaussian distribution. A faulty sensor has a
-larger variance, or measures a multiple of the truth (zero, or minus one). So each sensor has hypotheses of its own. The
-log-likelihood ratio of each sensor to "all sound" accumulates in a one-sided CUSUM (Page 1954, Biometrika 41), over
-short pieces for large errors and over longer ones for small errors. A fault is found when one sum passes `_ALARM_NATS`
-and leads all others by `_MARGIN_NATS`. It began where its sum was last zero. Two sensors that agree name the third.
-A wheel that agrees with a new scale instead is used with it.
-
-A chair cannot move sideways, rise, or tilt as fast as it drives, so such motion counts against the camera. Slow
-differences are calibration: the ratio of each wheel to the camera is learned along 20 m, and its changes count.
+`SensorHealth` detects a sensor that no longer follows the motion of the base. A faulty sensor has a larger variance, or
+measures a multiple of the truth. The log-likelihood ratio of each sensor to "all sound" accumulates in a one-sided
+CUSUM (Page 1954, Biometrika 41), over short pieces for large errors and over longer ones for small errors. A fault is
+found when one sum passes `_ALARM_NATS` and leads all others by `_MARGIN_NATS`. Two sensors that agree name the third. A
+wheel that agrees with a new scale is used with it. A chair cannot move sideways, rise, or tilt as fast as it drives, so
+such motion counts against the camera. The ratio of each wheel to the camera is learned along 20 m; its changes count.
 """
 
 from __future__ import annotations

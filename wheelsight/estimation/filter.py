@@ -36,7 +36,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wheelsight.core.calibration_parts import Gyro
+from wheelsight.core.calibration_parts import WHEEL_SIGMAS, Gyro
 from wheelsight.core.checks import need_number
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.estimates import (
@@ -144,8 +144,7 @@ class ErrorStateFilter:
     def with_unknown_wheels(self) -> ErrorStateFilter:
         """Return a new filter at the current pose, of wheels that are as uncertain as those without calibration."""
         now, sizes = self.estimate, ErrorStateSettings()
-        names = ("scale_sigma", "drift_sigma_rad_per_m", "turn_sigma")
-        larger = {name: max(getattr(sizes, name), getattr(self.parameters, name)) for name in names}
+        larger = {name: max(getattr(sizes, name), getattr(self.parameters, name)) for name in WHEEL_SIGMAS}
         parameters = replace(self.parameters, **larger)
         return ErrorStateFilter(self._mount.T_base_camera, now.T_odom_body, now.covariance, parameters)
 

@@ -15,7 +15,7 @@ from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.vision.dense import DenseSettings
 from wheelsight.vision.dense.odometry import FaultDetector
-from wheelsight.vision.dense.tracking import Prediction, Tracked
+from wheelsight.vision.dense.tracking import Tracked
 
 STEP_S = 1 / 30
 FRAME = bench().grid(frame_of([Plane((0, 0, 1), 2.0)], np.eye(4), 0.0))
@@ -100,24 +100,3 @@ def test_a_pose_is_off_the_prior_that_moves_or_turns_by_more_than_rolling_wheels
 
 def moved(xi: list[float]) -> FloatArray:
     return np.asarray(se3.exp(np.array(xi)))
-
-
-@pytest.mark.parametrize(
-    ("off", "seconds", "residual", "is_bridged"),
-    [
-        ([0.03, 0.02, 0.0, 0.0, 0.01, 0.02], 1.1, 1.0, True),
-        ([0.03, 0.02, 0.0, 0.0, 0.01, 0.02], 5.1, 1.0, True),
-        ([0.03, 0.02, 0.0, 0.0, 0.01, 0.02], STEP_S, 1.0, False),  # no gap
-        ([0.03, 0.02, 0.0, 0.0, 0.01, 0.02], 20.0, 1.0, False),  # wheels do not know so long
-        ([0.06, 0.0, 0.0, 0.0, 0.0, 0.0], 1.1, 1.0, False),
-        ([0.0, 0.0, 0.0, 0.0, 0.0, 0.04], 1.1, 1.0, False),
-        ([0.0, 0.0, 0.0, 0.0, 0.0, 0.0], 1.1, 2.1, False),  # surfaces do not fit
-    ],
-)
-def test_a_gap_is_bridged_where_surfaces_fit_just_where_wheels_expect_them(
-    off: list[float], seconds: float, residual: float, is_bridged: bool
-) -> None:
-    T_map_expected = moved([1.0, 2.0, 0.5, 0.1, 0.2, 0.3])
-    found = replace(fitting(residual), T_map_camera=T_map_expected @ moved(off))
-    ahead = Prediction(found, seconds, (T_map_expected,), None, is_helped=True)
-    assert after().is_bridged(found, ahead) == is_bridged

@@ -54,25 +54,6 @@ def test_a_prior_stands_in_for_keypoints_after_a_failure(corner: list[RgbdFrame]
     assert alone.process(corner[6]).reason is Reason.NOT_RECOGNISED
 
 
-@pytest.mark.parametrize(("dark_s", "off_m", "is_bridged"), [(2.0, 0.01, True), (2.0, 0.3, False), (12.0, 0.01, False)])
-def test_a_gap_is_bridged_where_surfaces_are_found_just_where_wheels_expect_them(
-    corner: list[RgbdFrame], dark_s: float, off_m: float, is_bridged: bool
-) -> None:
-    """A corner may be any corner, but not the one that is met again within centimetres of where it should be."""
-    subject = dense()
-    with_priors(subject, corner[:5], WAY)
-    again_s = corner[4].stamp_s + dark_s
-    for begun in range(1, 6):
-        assert subject.process(covered_frame(corner[4].stamp_s + begun * dark_s / 6)).T_odom_body is None
-    expected = on_the_way(2) @ se3.exp([off_m, 0, 0, 0, 0, 0])
-    answer = subject.process(frame_of(CORNER, on_the_way(6), again_s, noise_seed=6), expected)
-    if is_bridged:
-        assert answer.status is Status.TRACKING
-        assert apart(on_the_way(6), not_none(answer.T_odom_body))[0] < 0.01
-    else:
-        assert answer.reason is Reason.NOT_RECOGNISED
-
-
 def test_a_leap_against_a_prior_is_believed_only_with_keypoints(
     frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch
 ) -> None:

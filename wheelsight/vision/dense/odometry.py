@@ -529,7 +529,7 @@ class Verifier:
 
         It is the pose by surfaces if keypoints agree, and the one by keypoints if these contradict it clearly. Without
         keypoints the pose by surfaces stands while it fits as usual, constrains all directions and makes no leap. A
-        prior replaces directions that surfaces do not constrain, and keypoints over a short gap.
+        prior replaces directions that surfaces do not constrain.
         """
         pose, seconds = ahead.keypoint_pose, ahead.seconds
         if not isinstance(found, Tracked):
@@ -541,8 +541,6 @@ class Verifier:
             return replace(found, keypoint_pose=pose)
         if pose is not None and pose.is_clear:
             return self._by_keypoints(grid, pose, is_helped=ahead.is_helped)
-        if ahead.is_helped and found.motion.shows_all and self.faults.is_bridged(found, ahead):
-            return found
         is_steady = ahead.is_helped or bool(ahead.last.twist.any())
         suspected = self.faults.suspects(found, seconds, is_alone=not ahead.is_helped, is_steady=is_steady)
         if not suspected and (state.failures == 0 or (ahead.is_helped and not self.faults.is_off_prior(found))):
@@ -590,9 +588,6 @@ _LEAP, _LEAP_PER_S = (0.5, 1.5), (10.0, 30.0)
 # Difference of speed (m/s, rad/s) from a prior by other sensors beyond which one of both is wrong: wheels without slip
 # err by a tenth and a quarter of it (simulator: docs/decisions/features.md).
 _OFF_PRIOR = np.array([0.2, 0.2])
-# Longest gap in seconds that such a prior bridges, and the distance from it, in metres and radians, within which a pose
-# after a gap needs no keypoints (simulator: docs/decisions/features.md).
-_BRIDGED_S, _BRIDGED_OFF_M, _BRIDGED_OFF_RAD = 10.0, 0.05, 0.03
 # Without prior, a residual this many times the usual one needs verification: wrong poses had 4 to 5 times in eight
 # simulated flats. On a real hand-held recording as much is usual, and learned (docs/decisions/features.md).
 _POOR_FIT = 2.0
@@ -630,15 +625,6 @@ class FaultDetector:
     def fits(self, found: Tracked) -> bool:
         """Whether the residual of surfaces is about as usual."""
         return found.residual <= _POOR_FIT * self._usual
-
-    def is_bridged(self, found: Tracked, ahead: Prediction) -> bool:
-        """Whether a pose after a gap fits and lies near the prior, within the drift of wheels over the gap.
-
-        Surfaces may fit at a wrong place, but hardly at the predicted one.
-        """
-        T = se3.invert(ahead.T_map_camera[0]) @ found.T_map_camera
-        is_near = float(np.linalg.norm(T[:3, 3])) < _BRIDGED_OFF_M and float(so3.angle(T[:3, :3])) < _BRIDGED_OFF_RAD
-        return LONGEST_STEP_S < ahead.seconds <= _BRIDGED_S and is_near and self.fits(found)
 
     def suspects(self, found: Tracked, seconds: float, *, is_alone: bool, is_steady: bool) -> bool:
         """Whether a pose needs verification by keypoints.
