@@ -708,8 +708,7 @@ class NavigationTask:
     def __init__(self, goals: Goals, now_s: float) -> None:
         self.goals = goals
         self.plan: Plan | None = None
-        self.planned_s = -math.inf
-        self.checked_s = -math.inf
+        self.planned_s = self.checked_s = -math.inf
         self.T_map_odom: FloatArray = np.zeros(3)
         self.wants_replan = False
         self.replan_reason = ""
@@ -724,9 +723,7 @@ class NavigationTask:
         self.is_lost = False
         self.awaits_way = False
         self.is_refused = False
-        self.tries = 0
-        self.skips = 0
-        self.searches = 0
+        self.tries = self.skips = self.searches = 0
         self._tried_s = now_s
         self._has_awaited_way = False
         self._has_met_people = False
@@ -744,8 +741,7 @@ class NavigationTask:
         self._rolled_s = now_s
         self._way_m = 0.0
         self._planned_m = 0.0
-        self._plans = 0
-        self._recoveries = 0
+        self._plans = self._recoveries = 0
 
     @property
     def doing(self) -> str:
