@@ -647,6 +647,13 @@ class SensorHealth:
             self._is_unproven, self._restarted_s = True, restarted_s
             self._scales[0].suspect(CAMERA, restarted_s)
 
+    def move(self, T_new_old: FloatArray) -> None:
+        """Apply a correction (4, 4) of the camera's map, from the left."""
+        for scale in self._scales:
+            scale.begin = scale.begin[0], np.asarray(motions.times(T_new_old, scale.begin[1]))
+        moved = [(stamp_s, np.asarray(motions.times(T_new_old, T)), shows) for stamp_s, T, shows in self._waiting]
+        self._waiting = deque(moved, maxlen=self._waiting.maxlen)
+
     def add_frame(self, stamp_s: float, T_map_camera: FloatArray, *, shows_all: bool = True) -> None:
         """Add the camera's pose (4, 4) by itself at a frame, and whether the frame shows all directions.
 

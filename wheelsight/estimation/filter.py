@@ -299,14 +299,14 @@ class ErrorStateFilter:
         self.clone(stamp_s, self._kept[-1])
         return motion
 
-    def settled_motions(self) -> list[tuple[FloatArray, FloatArray] | None] | None:
+    def settled_motions(self, *, waits: bool = False) -> list[tuple[FloatArray, FloatArray] | None] | None:
         """Return the motions of `keep_frame` by the current state, for all kept frames since the last call.
 
-        None while the filter has two hypotheses and enough room to remember the frames. Until a decision, estimates of
-        the motions lie between both hypotheses.
+        None while the filter has two hypotheses, or a sensor is suspected (`waits`), and enough room to remember the
+        frames. Until a decision, estimates of the motions lie between both hypotheses.
         """
         detection = self._history.newest.detection
-        if detection.alternative is not None and len(self._kept) + _OTHERS < self.parameters.max_clones:
+        if (waits or detection.alternative is not None) and len(self._kept) + _OTHERS < self.parameters.max_clones:
             return None
         belief, at = detection.answer(self.parameters), self._mount.T_base_camera
         found = [belief.between(*ends, at) for ends in pairwise(self._kept)]

@@ -296,7 +296,7 @@ class ByFusion:
             self._health.add_frame(frame.stamp_s, seen.T_odom_body, shows_all=shows_all)
             before = self._health.exclusions
             since_s = self._health.update(frame.stamp_s)
-            if since_s is not None and self._exclude_faulty(self._health, before, since_s, frame.stamp_s):
+            if since_s is not None and self._exclude_faulty(self._health, before, since_s):
                 return self._begin(frame, seen)
         motion = anchor.motion_to(seen.T_odom_body, seen.motion)
         motion = with_stamp_noise(motion, twist, self._base.noise_s)
@@ -305,19 +305,13 @@ class ByFusion:
             return self._lose(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         return self._measure(frame, seen, motion)
 
-    def _exclude_faulty(
-        self, health: SensorHealth, before: Sequence[Exclusion], since_s: float, stamp_s: float
-    ) -> bool:
+    def _exclude_faulty(self, health: SensorHealth, before: Sequence[Exclusion], since_s: float) -> bool:
         """Apply exclusions that changed since a stamp, at a frame; return whether the camera begins again."""
-        now, T_old = health.exclusions, self.filter.last_frame()
+        now = health.exclusions
         if self.filter.exclude(now, since_s):
             is_camera_out = any(one.sensor is RobotSensor.CAMERA and one.end_s == math.inf for one in now)
-            T_new = self.filter.last_frame()
-            self._map.correct(since_s, None if is_camera_out else T_new)
+            self._map.correct(since_s, None if is_camera_out else self.filter.last_frame())
             self._odom.correct(since_s)
-            if self.loops is not None and T_old is not None and T_new is not None:
-                T_old_new = motions.times(motions.inverse(T_old), T_new)
-                self.loops.correct(since_s, stamp_s, self._map.in_camera(T_old_new))
         scales = health.take_new_scales()
         if (scales != 1.0).any():
             for odometry in self._base.odometries:
@@ -343,7 +337,7 @@ class ByFusion:
             self._camera.pace.moved(T_new_old)
             self._check.moved(T_new_old)
             if self._health is not None:
-                self._health.interrupt()
+                self._health.move(T_new_old)
 
     def _measure(self, frame: RgbdFrame, seen: CameraEstimate, motion: MotionEstimate) -> FusedEstimate:
         """Update the filter by the motion of a tracked frame since the anchor. Accepted frames extend the map."""
@@ -424,6 +418,9 @@ class ByFusion:
             spread = self._kidnap.inflate(T_filter_base, wheels.covariance)
             self._replace_filter(self.filter.begun_at(T_filter_base, spread))
         first = len(self.odometry.store)
+        if self.loops is not None and self.loops.has_new:  # the restart does not continue them
+            of_frame = self.filter.keep_frame(frame.stamp_s)
+            self.loops.add_keyframes(frame.stamp_s, self._map.T_filter_map, wheels.covariance, of_frame)
         T_map_camera = self._map.camera_at(T_filter_base)
         if self.loops is None or not (self._kidnap.is_kidnapped or self.loops.confirmation.is_refuted):
             again = self._camera.restart(frame, T_map_camera, wheels.covariance)
@@ -446,7 +443,8 @@ class ByFusion:
             loops.forget_tracked()
         if loops.has_new and covariance is not None:
             loops.add_keyframes(stamp_s, self._map.T_filter_map, covariance, self.filter.keep_frame(stamp_s))
-        motions_there = self.filter.settled_motions() if loops.has_pending else None
+        is_suspected = self._health is not None and self._health.suspected is not None
+        motions_there = self.filter.settled_motions(waits=is_suspected) if loops.has_pending else None
         if motions_there is not None:
             self._move_map(loops.hand_over(motions_there, self._map.keyframe))
 
@@ -876,11 +874,6 @@ class CameraMap:
     def _align(self, T_filter_camera: FloatArray, T_map_camera: FloatArray) -> None:
         self.T_filter_map = motions.renormalized(motions.times(T_filter_camera, motions.inverse(T_map_camera)))
         self.T_map_filter = motions.inverse(self.T_filter_map)
-
-    def in_camera(self, T_base: FloatArray) -> FloatArray:
-        """Return a motion (4, 4) of the base as one of the camera."""
-        T = motions.times(motions.inverse(self._T_base_camera), motions.times(T_base, self._T_base_camera))
-        return np.asarray(T)
 
     def moved(self, T_new_old: FloatArray) -> None:
         """Apply a correction (4, 4) of the map by loops, from the left. The camera stays in the filter's frame."""

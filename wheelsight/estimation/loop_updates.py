@@ -161,10 +161,6 @@ class LoopClosureClient:
         if number != before:
             self._live.request_place(again)
 
-    def correct(self, since_s: float, now_s: float, T_old_new: FloatArray) -> None:
-        """Correct the odometry between keyframes since a stamp; see `DriveGraph.correct`."""
-        self._live.correct(since_s, now_s, T_old_new)
-
     def forget_tracked(self) -> None:
         """Forget the last tracked frame, after one that the filter rejects.
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 from typing import TypeAlias
 
 import numpy as np
 
 from wheelsight.core.geometry import FloatArray, IntArray, se3, so3
-from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.slam.graph import ANCHOR_SIGMA, Prior, RelativePose, along_floor, anchor, step_edge
 from wheelsight.slam.loop_gate import LoopCloser, LoopReport, aligned_by
@@ -26,7 +24,6 @@ _AGREE_M, _AGREE_RAD = 0.3, 0.1
 JOIN_APART_M = 0.5
 """Least distance of their viewpoints, with a turn by a radian as 1.5 m: a repeated wrong match agrees with itself."""
 _JOIN_MAJORITY = 2.0  # number of loops that must agree for each loop between the submaps that contradicts; chosen
-_KEPT_STEPS = 256  # newest odometry edges that a fault may correct: a filter corrects 20 s
 _MOST_ACROSS = 60  # newest loops between submaps that are kept: comparing more takes long; estimated
 
 CameraMotion: TypeAlias = tuple[FloatArray, FloatArray]
@@ -228,7 +225,6 @@ class DriveGraph(SubmapGraph):
                 self.add_prior(prior)
             self.add_edges(known.edges)
         self._reported: FloatArray = self.poses  # keyframe poses that odometry has
-        self._steps: deque[tuple[float, RelativePose]] = deque(maxlen=_KEPT_STEPS)  # stamp of the second keyframe
 
     def place(self, revisit: Revisit | None = None) -> KeyframePlace | None:
         """Return the map pose of the newest keyframe, or of a revisited one with the revisit's uncertainty added.
@@ -268,35 +264,8 @@ class DriveGraph(SubmapGraph):
                 edge = along_floor(edge, keyframe.motion, up=before.T_odom_keyframe[2, :3])
             self.add_pose(se3.nearest(self.poses[-1] @ edge.T_first_second), int(self.submaps[-1]))
             self.add_edges([edge])
-            self._steps.append((keyframe.stamp_s, edge))
             step = edge.T_first_second if keyframe.T_before_now is None else keyframe.T_before_now
             self._reported = np.concatenate([self._reported, self._reported[-1:] @ step])
-
-    def correct(self, since_s: float, now_s: float, T_old_new: FloatArray) -> None:
-        """Correct the odometry edges since a stamp, after a fault of a sensor was found that began then.
-
-        The edges share the correction, and each may be off by it, since the fault's course is unknown.
-
-        Args:
-            since_s, now_s: the stamp, and that of the newest frame.
-            T_old_new: (4, 4) corrected pose of the camera at that frame, in its frame before the correction.
-        """
-        steps = [one for one in self._steps if one[0] > since_s]
-        if not steps:
-            return
-        passed = min((steps[-1][0] - since_s) / max(now_s - since_s, 1e-9), 1.0)  # the newest keyframes follow later
-        share = passed / len(steps) * motions.log(motions.renormalized(T_old_new))
-        corrected = []
-        for stamp_s, edge in steps:
-            T, off = edge.T_first_second, motions.adjoint(edge.T_first_second) @ share  # a left perturbation
-            T_new = motions.renormalized(motions.times(T, motions.exp(share)))
-            covariance = edge.covariance + np.outer(off, off)
-            corrected.append((stamp_s, replace(edge, T_first_second=T_new, covariance=covariance)))
-        self._graph.remove_edges([edge for _, edge in steps])
-        self.add_edges([edge for _, edge in corrected])
-        self._graph.optimise()
-        kept = [one for one in self._steps if one[0] <= since_s]
-        self._steps = deque([*kept, *corrected], maxlen=_KEPT_STEPS)
 
     def _begin(self, prior: Prior, submap: int, *, until_joined: bool = False) -> None:
         """Add the first keyframe of a drive or of a submap, with its prior."""

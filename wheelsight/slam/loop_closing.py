@@ -182,15 +182,6 @@ class LiveLoops:
         self._processing_s.append(time.perf_counter() - started)
         return result
 
-    def correct(self, since_s: float, now_s: float, T_old_new: FloatArray) -> None:
-        """Submit a correction of the odometry since a stamp; see `DriveGraph.correct`."""
-        if self._thread is not None:
-            self._waiting.append((now_s, self._thread.submit(self._correct, since_s, now_s, T_old_new)))
-
-    def _correct(self, since_s: float, now_s: float, T_old_new: FloatArray) -> KeyframeResult:
-        self._graph.correct(since_s, now_s, T_old_new)
-        return KeyframeResult(self._graph.close([]), self._graph.place())
-
     def request_place(self, revisit: Revisit) -> None:
         """Request the pose and covariance of a revisited keyframe. A busy thread skips the request."""
         if revisit.number < self._known:
