@@ -765,33 +765,33 @@ class SensorHealth:
         self._usual = Usual(ratios, bias, sigma)
 
     def _end_faults(self, piece: Piece, is_first: bool) -> None:
-        """End each fault whose sensor has agreed with the others for long enough, over pieces of all lengths.
-
-        A wheel may agree with a new scale instead.
-        """
-        for sensor, begin_s in list(self.faults.items()):
+        """End each fault whose sensor has agreed with the others for long enough, over pieces of all lengths."""
+        for sensor in list(self.faults):
             if self._agrees(piece, sensor, self._usual, self._sound[sensor], is_first):
                 if (self._sound[sensor] >= self._again[sensor]).all():
                     self._end_fault(sensor, piece.end_s, self._found[sensor][3])
             elif sensor in self._rescaled:
-                side = 0 if sensor is LEFT else 1
-                pieces = [one for one in self._pieces if one.begin_s > begin_s]
-                true_m = [one.camera[0] + self._half_m * one.camera[5] * (-1, 1)[side] for one in pieces]
-                measured_m = np.array([one.ways_m[side] for one in pieces])
-                true = self._usual.ratios[side] * np.array(true_m)
-                factor, sigma = factor_of(measured_m, true)
-                # Of the whole way, in which the errors of the camera at the ends of its pieces cancel.
-                factor = float(measured_m @ np.sign(true) / max(np.abs(true).sum(), 1e-9))
-                usual = self._usual._replace(ratios=self._usual.ratios * np.where(np.arange(2) == side, factor, 1.0))
-                is_scale = _RESCALED[0] < factor < _RESCALED[1] and sigma < _RESCALED_SIGMA
-                agreed = self._rescaled[sensor]
-                if not (is_scale and self._agrees(piece, sensor, usual, agreed, is_first)):
-                    agreed[:] = 0.0
-                elif agreed[0] >= _RESCALED_WAY_M and agreed[1] >= _RESCALED_S:
-                    self._new_scales[side] *= factor
-                    cause = f"it counts {factor:.2f} times its way, and is used with that scale; check its tyre"
-                    self._end_fault(sensor, piece.end_s, cause)
-                    self.interrupt()  # the next pieces have the new scale
+                self._use_new_scale(piece, sensor, is_first)
+
+    def _use_new_scale(self, piece: Piece, sensor: RobotSensor, is_first: bool) -> None:
+        """End the fault of a wheel that has agreed with the others by a new scale for long enough."""
+        side, agreed = 0 if sensor is LEFT else 1, self._rescaled[sensor]
+        pieces = [one for one in self._pieces if one.begin_s > self.faults[sensor]]
+        measured_m = np.array([one.ways_m[side] for one in pieces])
+        by_camera_m = np.array([one.camera[0] + self._half_m * one.camera[5] * (-1, 1)[side] for one in pieces])
+        true_m = self._usual.ratios[side] * by_camera_m
+        _, sigma = factor_of(measured_m, true_m)
+        # Of the whole way, in which the errors of the camera at the ends of its pieces cancel.
+        factor = float(measured_m @ np.sign(true_m) / max(np.abs(true_m).sum(), 1e-9))
+        usual = self._usual._replace(ratios=self._usual.ratios * np.where(np.arange(2) == side, factor, 1.0))
+        is_scale = _RESCALED[0] < factor < _RESCALED[1] and sigma < _RESCALED_SIGMA
+        if not (is_scale and self._agrees(piece, sensor, usual, agreed, is_first)):
+            agreed[:] = 0.0
+        elif agreed[0] >= _RESCALED_WAY_M and agreed[1] >= _RESCALED_S:
+            self._new_scales[side] *= factor
+            cause = f"it counts {factor:.2f} times its way, and is used with that scale; check its tyre"
+            self._end_fault(sensor, piece.end_s, cause)
+            self.interrupt()  # the next pieces have the new scale
 
     def _agrees(self, piece: Piece, sensor: RobotSensor, usual: Usual, agreed: FloatArray, is_first: bool) -> bool:
         """Return whether a faulty sensor agrees with the others over a piece; add it to `agreed`, or clear that."""
