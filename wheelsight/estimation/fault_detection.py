@@ -606,7 +606,10 @@ class SensorHealth:
             leader = scale.leads(_SUSPECT_NATS)
             if leader is not None:
                 suspects.setdefault(leader, self._earliest_s(leader, scale.zero_s[leader]))
+        is_alone = not self.faults.keys().isdisjoint((LEFT, RIGHT, WHEELS))
         for sensor, begin_s in suspects.items():
+            if sensor is CAMERA and is_alone:  # doubtful, but nothing else gives the pose
+                continue
             known = current.get(sensor)
             wanted.setdefault(sensor, Exclusion(sensor, begin_s) if known is None or known.is_sure else known)
         largest = max((one for scale in self._scales for one in scale.nats.items()), key=itemgetter(1))

@@ -193,7 +193,7 @@ class LoopClosureClient:
         Args:
             stamp_s: of the frame.
             T_odom_map, covariance: as of `add_tracked`.
-            motion: of the camera since the previous frame with new keyframes; see `OdometryKeyframe`.
+            motion: of the camera from the previous frame with new keyframes to this one.
         """
         added: list[OdometryKeyframe] = []
         for number in map(KeyframeId, range(self._added, len(self._store))):
@@ -210,9 +210,10 @@ class LoopClosureClient:
                 T_older_new = se3.invert(self._store.pose(older)) @ T_map_keyframe
                 seen_from = aligned_edge((older, number), T_older_new, spread)
             by_odometry = (number, stamp_s, T_odom_keyframe, covariance, begins, T_before_now)
-            added.append(OdometryKeyframe(*by_odometry, None if added else motion, T_map_keyframe, seen_from))
+            added.append(OdometryKeyframe(*by_odometry, None, T_map_keyframe, seen_from))
         self._added = len(self._store)
         if added:
+            set_motion(added, motion)
             self._pending.append(added)
 
     def hand_over(
@@ -226,7 +227,7 @@ class LoopClosureClient:
         pending, self._pending = self._pending, []
         # A filter that has taken over knows the motions to the last ones only.
         for of_frame, motion in zip(reversed(pending), reversed(motions), strict=False):
-            of_frame[0] = of_frame[0] if motion is None else replace(of_frame[0], motion=motion)
+            set_motion(of_frame, motion)
         corrected = corrected_keyframes(self._store, pending, GATE_PROBABILITY)
         pending, T_new = (pending, None) if corrected is None else corrected
         for one in chain.from_iterable(pending):
@@ -441,6 +442,20 @@ def _is_within(T_map_body: FloatArray | None, covariance: FloatArray | None, mos
     C = se3.position_covariance(T_map_body, covariance)
     sigma_m, sigma_rad = (np.sqrt(np.linalg.eigvalsh(one)[-1]) for one in (C, covariance[3:, 3:]))
     return bool(sigma_m <= most_m and sigma_rad <= most_rad)
+
+
+def set_motion(of_frame: list[OdometryKeyframe], motion: CameraMotion | None) -> None:
+    """Set the motion to the first of some keyframes, given that to the last; None for nothing new.
+
+    While the filter has no pose, keyframes of several frames come together. The camera's map has what lies between.
+    """
+    if motion is None:
+        return
+    T, covariance = motion
+    for keyframe in reversed(of_frame[1:]):
+        assert keyframe.T_before_now is not None
+        T = se3.nearest(T @ se3.invert(keyframe.T_before_now))
+    of_frame[0] = replace(of_frame[0], motion=(T, covariance))
 
 
 def corrected_keyframes(
