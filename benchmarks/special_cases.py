@@ -477,14 +477,22 @@ VERDICTS = {
         "Stays, not judged: one field is crossed in 18.8 s with and without it. Five further fields took too long."
     ),
     "HeldPlace": ("Gains 11 ± 3 mm on three days among six people in a known map, 1 wrong frame instead of 3."),
-    "OpenWay": ("Stays, not judged: two goals from one start were ended after four minutes of processor time."),
-    "behaviours keep clear of the map": ("Stays, not judged, as `OpenWay`. It keeps a robot off the map's obstacles."),
+    "OpenWay": (
+        "Stays, undecided: it acts on two goals of `flat` and changes neither (158.8 s, not reached; 178.1 s, reached)."
+    ),
+    "behaviours keep clear of the map": (
+        "Stays, undecided: it acts 102 times on one goal of `flat`, not reached in 158.8 s with it and 160.5 s without."
+    ),
     "uncertain in a known map is coasting": (
         "Gains: 1 tracked frame of three days in a known map is wrong instead of 8; 569 frames are tracked instead of "
         "590."
     ),
-    "waits before a long way round": "Stays, not judged, as `OpenWay`.",
-    "backs up before unseen floor": "Stays, not judged, as `OpenWay`.",
+    "waits before a long way round": (
+        "Stays, undecided: one goal of `flat` is reached in 178.1 s with it and in 153.2 s without."
+    ),
+    "backs up before unseen floor": (
+        "Stays, not judged: it acts once in two goals of `flat`, and that drive was not repeated without it."
+    ),
 }
 # Rules that were removed, as measured with the code that had them: found on, acts on, gain, better and worse, and more.
 REMOVED = (
