@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wheelsight.core.geometry import FloatArray, se3
-from wheelsight.estimation.agreement import Piece, RobotSensor, Usual, cause_of, log_ratios, of_sensors
-from wheelsight.estimation.fault_detection import SensorHealth
+from wheelsight.estimation.agreement import Piece, RobotSensor, Usual, cause_of
+from wheelsight.estimation.fault_detection import SensorHealth, log_ratios, of_sensors
 
 HALF_M, FAULT_S = 0.25, 10.0
 USUAL = Usual(np.ones(2))

@@ -30,6 +30,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
@@ -43,13 +44,17 @@ from wheelsight.core.geometry import FloatArray, IntArray
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.geometry.chi_square import quantile as _quantile
 from wheelsight.estimation.agreement import (
+    ANY_CAMERA,
     CAMERA,
+    FLIPS,
     GYRO,
     HYPOTHESES,
     LEFT,
     MIRRORED,
     OF_SENSOR,
+    PLACES,
     RIGHT,
+    SCALES,
     WHEELS,
     Exclusion,
     Piece,
@@ -57,8 +62,6 @@ from wheelsight.estimation.agreement import (
     Usual,
     cause_of,
     factor_of,
-    log_ratios,
-    of_sensors,
 )
 from wheelsight.estimation.filter_kernels import leap_kernel, speed_kernel
 from wheelsight.estimation.pose_belief import (
@@ -488,6 +491,16 @@ _ALARM_NATS, _MARGIN_NATS, _SUSPECT_NATS, _SOUND_NATS = 12.0, 3.0, 6.0, 2.0
 _AGREES_NATS = 0.5  # of one piece, for a sensor that agrees with the others
 _HEAD_START_NATS = 5.0  # of a camera that restarted
 _LARGEST_NATS = 60.0  # at which sums end
+# Errors of a sound camera over a piece (metres, and share of the way; radians, and share of the turn), of a sound
+# wheel, of the way to the side, and of a gyroscope, also per second for its bias. Found on the simulator.
+_CAMERA_M, _CAMERA_SHARE, _CAMERA_RAD, _CAMERA_TURN_SHARE = 0.008, 0.03, 0.004, 0.012
+_WHEEL_M, _WHEEL_SHARE, _SIDE_M, _SIDE_SHARE = 0.003, 0.01, 0.01, 0.15
+_GYRO_RAD, _GYRO_SHARE, _GYRO_RAD_S = 0.003, 0.01, 0.004
+_NOTHING = 10.0  # error of a sensor that does not count, as a multiple of way or turn
+# Motion out of the plane of the floor that is usual over a piece, and how much larger a faulty camera's is.
+_RISE_M, _RISE_SHARE, _TILT_RAD, _FAR_OFF = 0.03, 0.15, 0.06, 5.0
+# One piece counts at most this much, since errors have longer tails than a Gaussian.
+_PIECE_NATS, _LEAST_NATS = 8.0, -6.0
 _PIECES_S, _SHORTEST_S, _GAP_S = (0.25, 1.25), 0.15, 2.0
 # Of a gyroscope's bias: its prior, its growth in a second, and the error of one piece.
 _BIAS_SIGMA_RAD_S, _BIAS_WALK_RAD_S, _BIAS_PIECE_RAD_S = 0.05, 0.0003, 0.02
@@ -498,6 +511,64 @@ _AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD = 1.0, 2.0, 0.6
 _RESCALED_WAY_M, _RESCALED_S, _RESCALED, _RESCALED_SIGMA = 2.0, 4.0, (0.5, 2.0), 0.02
 _KEPT_S, _MOST_WAITING = 5.0, 4096  # of readings; while the camera is dark, older ones are dropped
 _DESCRIBED = 120  # pieces by which a fault is described
+
+
+def log_ratios(piece: Piece, half_m: float, usual: Usual, faulty: Collection[RobotSensor] = ()) -> FloatArray:
+    """Return the log-likelihood ratio of each of `HYPOTHESES` to no other fault, nats; 0 for those of faulty sensors.
+
+    Args:
+        piece: of the drive.
+        half_m: half of the track.
+        usual: in this drive.
+        faulty: sensors whose measurements do not count.
+    """
+    x, y, z, roll, pitch, yaw = piece.camera
+    ways_m, seconds = piece.ways_m, piece.end_s - piece.begin_s
+    turn = None if piece.turn_rad is None else piece.turn_rad - usual.bias_rad_s * seconds
+    wheel_yaw, rolled_m = (ways_m[1] - ways_m[0]) / (2 * half_m), float(np.abs(ways_m).max())
+    way_m = max(rolled_m, abs(x) + half_m * abs(yaw), abs(y))
+    turn_rad = max(abs(wheel_yaw), abs(yaw), 0.0 if turn is None else abs(turn))
+    rows = 3 if turn is None else 4
+    J = np.zeros((4, 7))
+    J[:2, 0], J[:2, 2], J[:2, 3:5] = -1, (half_m, -half_m), np.eye(2)
+    J[2, [1, 5]], J[3, [2, 6]] = 1, (-1, 1)
+    J = J[:rows]
+    camera_m, wheel_m = _CAMERA_M + _CAMERA_SHARE * way_m, _WHEEL_M + _WHEEL_SHARE * way_m
+    camera_rad = _CAMERA_RAD + _CAMERA_TURN_SHARE * turn_rad
+    side_m, gyro_rad = _SIDE_M + _SIDE_SHARE * rolled_m, _GYRO_RAD + _GYRO_SHARE * turn_rad
+    gyro_rad += math.hypot(_GYRO_RAD_S, usual.bias_sigma_rad_s) * seconds
+    sound = np.square([camera_m, camera_m, camera_rad, wheel_m, wheel_m, side_m, gyro_rad])
+    sizes = np.array([way_m, way_m, turn_rad, way_m, way_m, 0.0, turn_rad])
+    if not piece.shows_all:
+        sound[:2] += 1.0
+    for sensor in faulty:
+        sound[PLACES[sensor]] += np.square(_NOTHING * sizes[PLACES[sensor]] + 1.0)
+    flips = np.vstack([np.ones(4), FLIPS])
+    variances = sound + np.square(np.vstack([np.zeros(7), SCALES]) * sizes)
+    true_yaw = flips[:, 2] * yaw  # a mirrored camera measures the opposite of the truth
+    by_camera = usual.ratios * np.stack([x - half_m * true_yaw, x + half_m * true_yaw], axis=-1)
+    apart = np.empty((len(flips), 4))
+    apart[:, :2] = ways_m - flips[:, :2] * by_camera
+    apart[:, 2] = flips[:, 2] * y
+    apart[:, 3] = 0.0 if turn is None else turn - flips[:, 3] * true_yaw
+    apart = apart[:, :rows]
+    C = (J * variances[:, None, :]) @ J.T
+    chi2 = (apart * np.linalg.solve(C, apart[:, :, None])[:, :, 0]).sum(axis=1)
+    logs = -0.5 * (np.linalg.slogdet(C)[1] + chi2)
+    sound_log, logs = logs[0], logs[1:]
+    # The camera's motion out of the plane of the floor: a faulty camera has one in half of the cases.
+    off = np.array([z, roll, pitch]) / (_RISE_M + _RISE_SHARE * rolled_m, _TILT_RAD, _TILT_RAD)
+    out = float((0.5 * (1 - 1 / _FAR_OFF**2) * off**2 - math.log(_FAR_OFF)).sum()) if piece.shows_all else 0.0
+    logs[ANY_CAMERA] += math.log(0.5) + float(np.logaddexp(0.0, out))
+    unknown = faulty if turn is not None else {*faulty, GYRO}
+    is_judged = np.array([one.sensor not in unknown for one in HYPOTHESES])
+    sound_log = max(sound_log, logs[is_judged].max() - _PIECE_NATS)
+    return np.where(is_judged, np.maximum(logs - sound_log, _LEAST_NATS), 0.0)
+
+
+def of_sensors(values: FloatArray) -> dict[RobotSensor, int]:
+    """Return the place of the largest value of each sensor among those of `HYPOTHESES`."""
+    return {sensor: max(places, key=values.__getitem__) for sensor, places in OF_SENSOR.items()}
 
 
 class Sums:

@@ -447,7 +447,7 @@ def _is_within(T_map_body: FloatArray | None, covariance: FloatArray | None, mos
 def set_motion(of_frame: list[OdometryKeyframe], motion: CameraMotion | None) -> None:
     """Set the motion to the first of some keyframes, given that to the last; None for nothing new.
 
-    While the filter has no pose, keyframes of several frames come together. The camera's map has what lies between.
+    While the filter has no pose, keyframes of several frames come together. The camera's map has the motions between.
     """
     if motion is None:
         return
