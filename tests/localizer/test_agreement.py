@@ -63,8 +63,9 @@ def turned(axis: int, degrees: float) -> Callable[[FloatArray], FloatArray]:
 
 
 def found(agreement: MotionComparison, floor_ratio: float | None = None) -> dict[RobotSensor, str]:
-    told = agreement.explanations(floor_ratio)
-    return {who: "; ".join(one.cause for one in told if one.sensor is who) for who in {one.sensor for one in told}}
+    explanations = agreement.explanations(floor_ratio)
+    sensors = {one.sensor for one in explanations}
+    return {who: "; ".join(one.cause for one in explanations if one.sensor is who) for who in sensors}
 
 
 def test_a_sound_drive_needs_no_explanation() -> None:
@@ -166,8 +167,8 @@ def test_a_mount_is_wrong_where_directions_are(axis: int, degrees: float) -> Non
     assert list(causes) == [RobotSensor.CAMERA]
     assert "T_base_camera" in causes[RobotSensor.CAMERA]
     if abs(degrees) < 90:
-        told = float(causes[RobotSensor.CAMERA].split("about ")[1].split("°")[0])
-        assert told == pytest.approx(abs(degrees), abs=3)
+        stated = float(causes[RobotSensor.CAMERA].split("about ")[1].split("°")[0])
+        assert stated == pytest.approx(abs(degrees), abs=3)
 
 
 def test_mirrored_images_and_swapped_wheels_are_alike_until_a_gyroscope_tells() -> None:

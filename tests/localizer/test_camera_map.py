@@ -111,9 +111,9 @@ def test_errors_of_views_add_up_along_the_way_in_the_frames_own_axes() -> None:
     of_frame = np.diag(np.square([3e-3, 2e-3, 1e-3, 4e-3, 5e-3, 6e-3]))
     T, before = se3.from_parts(np.eye(3), [0.0, 0.0, 0.5]), np.diag([1e-6] * 6)
     T[:3, :3] = se3.exp(np.array([0, 0, 0, 0, 0.5, 0]))[:3, :3]
-    told = with_view_noise(motion(T, before), of_frame, 25.0).covariance
+    widened = with_view_noise(motion(T, before), of_frame, 25.0).covariance
     Ad_back = np.linalg.inv(se3.adjoint(T))
-    walked = Ad_back @ (not_none(told) - before) @ Ad_back.T
+    walked = Ad_back @ (not_none(widened) - before) @ Ad_back.T
     np.testing.assert_allclose(walked, 25.0 * motions.view_shift_m(T) * of_frame, atol=1e-12)
     np.testing.assert_allclose(motions.view_shift_m(T), 1.25, atol=1e-9)
 

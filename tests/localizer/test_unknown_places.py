@@ -99,7 +99,7 @@ def test_after_a_silence_of_all_sensors_an_unknown_view_is_of_a_doubtful_place(m
 
 @dataclass
 class Loops:
-    """Stand in for LoopClosureClient: asked so many times, they tie what is seen since to what was seen before."""
+    """Stand in for LoopClosureClient: after a number of questions, loops join the new keyframes to the old ones."""
 
     times: int
     submap: SubmapState = SubmapState.PLACED

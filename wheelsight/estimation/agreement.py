@@ -63,6 +63,7 @@ class RobotSensor(Enum):
 
 
 LEFT, RIGHT, WHEELS, CAMERA, GYRO = RobotSensor
+WHEEL_SENSORS = frozenset((LEFT, RIGHT, WHEELS))
 
 
 class Exclusion(NamedTuple):
@@ -390,6 +391,11 @@ FLIPS = np.array([one.flips for one in HYPOTHESES])
 OF_SENSOR = {sensor: [n for n, one in enumerate(HYPOTHESES) if one.sensor is sensor] for sensor in RobotSensor}
 
 
+def ways_by_camera(camera: FloatArray, half_m: float) -> FloatArray:
+    """Return the ways (N, 2) of both wheels, m, by motions (N, 6) of the base by the camera; `half_m` of the track."""
+    return np.asarray(camera[:, :1] + half_m * camera[:, 5:] * (-1, 1))
+
+
 def factor_of(measured: FloatArray, true: FloatArray) -> tuple[float, float]:
     """Return the factor of a measurement (N,), by least squares, and its standard deviation by the residuals."""
     squares = max(float(true @ true), 1e-12)
@@ -417,19 +423,18 @@ def cause_of(
         ratios: (2,) usual ratio of each wheel to the camera.
     """
     wheel_turns = (ways_m[:, 1] - ways_m[:, 0]) / (2 * half_m)
-    if sensor in (RobotSensor.LEFT, RobotSensor.RIGHT):
-        i = 0 if sensor is RobotSensor.LEFT else 1
-        by_camera = camera[:, 0] + half_m * camera[:, 5] * (-1, 1)[i]
-        factor, _ = factor_of(ways_m[:, i], ratios[i] * by_camera)
+    if sensor in (LEFT, RIGHT):
+        i = 0 if sensor is LEFT else 1
+        factor, _ = factor_of(ways_m[:, i], ratios[i] * ways_by_camera(camera, half_m)[:, i])
         if abs(factor) < 0.1:
             return "it does not count while the robot moves; check its encoder and cable"
         if factor < -0.5:
             return "it counts backwards; check the channels of its encoder"
         return f"it counts {factor:.2f} times its way; check its tyre and encoder"
-    if sensor is RobotSensor.WHEELS:
+    if sensor is WHEELS:
         factor, _ = factor_of(ways_m.mean(axis=1), camera[:, 0])
         return f"both count {factor:.2f} times their way; they slip, or the robot was lifted"
-    if sensor is RobotSensor.GYRO:
+    if sensor is GYRO:
         factor, _ = factor_of(turns_rad[np.isfinite(turns_rad)], camera[np.isfinite(turns_rad), 5])
         return f"it measures {factor:.2f} times the turns of camera and wheels; check its mounting and scale"
     if np.abs(camera[:, 1]).sum() > 0.3 * np.abs(ways_m).max(axis=1).sum():

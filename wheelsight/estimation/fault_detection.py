@@ -55,6 +55,7 @@ from wheelsight.estimation.agreement import (
     PLACES,
     RIGHT,
     SCALES,
+    WHEEL_SENSORS,
     WHEELS,
     Exclusion,
     Piece,
@@ -62,6 +63,7 @@ from wheelsight.estimation.agreement import (
     Usual,
     cause_of,
     factor_of,
+    ways_by_camera,
 )
 from wheelsight.estimation.filter_kernels import leap_kernel, speed_kernel
 from wheelsight.estimation.pose_belief import (
@@ -677,7 +679,7 @@ class SensorHealth:
             leader = scale.leads(_SUSPECT_NATS)
             if leader is not None:
                 suspects.setdefault(leader, self._earliest_s(leader, scale.zero_s[leader]))
-        is_alone = not self.faults.keys().isdisjoint((LEFT, RIGHT, WHEELS))
+        is_alone = bool(WHEEL_SENSORS & self.faults.keys())
         for sensor, begin_s in suspects.items():
             if sensor is CAMERA and is_alone:  # doubtful, but nothing else gives the pose
                 continue
@@ -686,7 +688,7 @@ class SensorHealth:
         largest = max((one for scale in self._scales for one in scale.nats.items()), key=itemgetter(1))
         self.suspected = largest[0] if largest[1] > _SOUND_NATS else None
         self.is_suspicious = not all(one.is_sure for one in wanted.values()) or largest[1] > _ALARM_NATS
-        self.is_without_wheels = not wanted.keys().isdisjoint((LEFT, RIGHT, WHEELS))
+        self.is_without_wheels = bool(WHEEL_SENSORS & wanted.keys())
         since_s = stamp_s
         for sensor in {*wanted, *current}:
             now, before = wanted.get(sensor), current.get(sensor)
@@ -825,7 +827,7 @@ class SensorHealth:
     def _learn(self, piece: Piece) -> None:
         """Update the usual values."""
         ratios, (_, bias, sigma), seconds = self._usual.ratios.copy(), self._usual, piece.end_s - piece.begin_s
-        by_camera = piece.camera[0] + self._half_m * piece.camera[5] * np.array([-1, 1])
+        by_camera = ways_by_camera(piece.camera[None], self._half_m)[0]
         for i, way_m in enumerate(np.abs(by_camera)):
             if way_m > 0.03:
                 self._weights[i] = self._weights[i] * math.exp(-way_m / _RATIO_WAY_M) + way_m
@@ -852,8 +854,8 @@ class SensorHealth:
         side, agreed = 0 if sensor is LEFT else 1, self._rescaled[sensor]
         pieces = [one for one in self._pieces if one.begin_s > self.faults[sensor]]
         measured_m = np.array([one.ways_m[side] for one in pieces])
-        by_camera_m = np.array([one.camera[0] + self._half_m * one.camera[5] * (-1, 1)[side] for one in pieces])
-        true_m = self._usual.ratios[side] * by_camera_m
+        camera = np.array([one.camera for one in pieces]).reshape(-1, 6)
+        true_m = self._usual.ratios[side] * ways_by_camera(camera, self._half_m)[:, side]
         _, sigma = factor_of(measured_m, true_m)
         # Of the whole way, in which the errors of the camera at the ends of its pieces cancel.
         factor = float(measured_m @ np.sign(true_m) / max(np.abs(true_m).sum(), 1e-9))

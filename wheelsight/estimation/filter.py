@@ -58,7 +58,7 @@ from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.settings.fusion import ErrorStateSettings
 from wheelsight.estimation import fault_detection as faults
-from wheelsight.estimation.agreement import Exclusion, RobotSensor
+from wheelsight.estimation.agreement import WHEEL_SENSORS, Exclusion, RobotSensor
 from wheelsight.estimation.fault_detection import Fault, FaultDetection
 from wheelsight.estimation.filter_kernels import answered
 from wheelsight.estimation.pose_belief import (
@@ -137,16 +137,21 @@ class ErrorStateFilter:
         """State after the newest event; immutable."""
         return self._history.newest
 
-    def begun_at(self, T_filter_base: ArrayLike, covariance: ArrayLike) -> ErrorStateFilter:
-        """Return a new filter of the same sensors that starts at a pose. Raises ConfigError."""
-        return ErrorStateFilter(self._mount.T_base_camera, T_filter_base, covariance, self.parameters)
+    def begun_at(
+        self, T_filter_base: ArrayLike, covariance: ArrayLike, parameters: FilterParameters | None = None
+    ) -> ErrorStateFilter:
+        """Return a new filter of the same sensors that starts at a pose; default the same parameters.
+
+        Raises ConfigError.
+        """
+        return ErrorStateFilter(self._mount.T_base_camera, T_filter_base, covariance, parameters or self.parameters)
 
     def with_unknown_wheels(self) -> ErrorStateFilter:
         """Return a new filter at the current pose, of wheels that are as uncertain as those without calibration."""
-        now, sizes = self.estimate, ErrorStateSettings()
+        now, sizes = self.current, ErrorStateSettings()
+        assert now is not None
         larger = {name: max(getattr(sizes, name), getattr(self.parameters, name)) for name in WHEEL_SIGMAS}
-        parameters = replace(self.parameters, **larger)
-        return ErrorStateFilter(self._mount.T_base_camera, now.T_odom_body, now.covariance, parameters)
+        return self.begun_at(now.T, now.covariance, replace(self.parameters, **larger))
 
     def predict(self, stamp_s: float, T_prev_now: ArrayLike, covariance: ArrayLike, begin_s: float) -> FusedEstimate:
         """Predict by a step of the wheels, from `begin_s` to `stamp_s`.
@@ -210,7 +215,7 @@ class ErrorStateFilter:
                 continue
             if sensor is RobotSensor.CAMERA and event.measurement is not None:
                 return replace(event, measurement=None, failure=Reason.CONTRADICTION, original=event)
-            of_wheels = event.wheels is not None and sensor in (RobotSensor.LEFT, RobotSensor.RIGHT, RobotSensor.WHEELS)
+            of_wheels = event.wheels is not None and sensor in WHEEL_SENSORS
             if of_wheels or (event.yaw_rate_rad_s is not None and sensor is RobotSensor.GYRO):
                 return FilterEvent(event.stamp_s, drop="", original=event)
         return event

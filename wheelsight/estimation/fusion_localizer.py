@@ -68,7 +68,6 @@ from wheelsight.vision.dense import DenseEstimate, DenseOdometry
 from wheelsight.vision.features import FeatureEstimate, MatchedPixels
 from wheelsight.vision.features.tracking import Pace
 from wheelsight.wheels import (
-    AnyWheelOdometry,
     HolonomicOdometry,
     ReadingTimes,
     WheelOdometry,
@@ -314,13 +313,10 @@ class ByFusion:
             self._odom.correct(since_s)
         scales = health.take_new_scales()
         if (scales != 1.0).any():
-            for odometry in self._base.odometries:
-                if isinstance(odometry, WheelOdometry):
-                    odometry.rescale(*scales)
+            self._base.rescale(*scales)
             self._replace_filter(self.filter.with_unknown_wheels())
             return True
-        ended = {one.sensor for one in before if one.is_sure and one not in now}
-        return RobotSensor.CAMERA in ended
+        return any(one.sensor is RobotSensor.CAMERA and one.is_sure and one not in now for one in before)
 
     def _apply_loops(self, loops: LoopClosureClient, stamp_s: float) -> None:
         """Move keyframes by the loops found so far. The pose in odom does not change."""
@@ -418,9 +414,8 @@ class ByFusion:
             spread = self._kidnap.inflate(T_filter_base, wheels.covariance)
             self._replace_filter(self.filter.begun_at(T_filter_base, spread))
         first = len(self.odometry.store)
-        if self.loops is not None and self.loops.has_new:  # the restart does not continue them
-            of_frame = self.filter.keep_frame(frame.stamp_s)
-            self.loops.add_keyframes(frame.stamp_s, self._map.T_filter_map, wheels.covariance, of_frame)
+        if self.loops is not None:  # the restart does not continue the last keyframes
+            self._add_keyframes(self.loops, frame.stamp_s, wheels.covariance)
         T_map_camera = self._map.camera_at(T_filter_base)
         if self.loops is None or not (self._kidnap.is_kidnapped or self.loops.confirmation.is_refuted):
             again = self._camera.restart(frame, T_map_camera, wheels.covariance)
@@ -441,12 +436,17 @@ class ByFusion:
         """Pass new keyframes on to loop closing once the filter knows which sensor was right on the way to them."""
         if loops.tracked_s != stamp_s:
             loops.forget_tracked()
-        if loops.has_new and covariance is not None:
-            loops.add_keyframes(stamp_s, self._map.T_filter_map, covariance, self.filter.keep_frame(stamp_s))
+        if covariance is not None:
+            self._add_keyframes(loops, stamp_s, covariance)
         is_suspected = self._health is not None and self._health.suspected is not None
         motions_there = self.filter.settled_motions(waits=is_suspected) if loops.has_pending else None
         if motions_there is not None:
             self._move_map(loops.hand_over(motions_there, self._map.keyframe))
+
+    def _add_keyframes(self, loops: LoopClosureClient, stamp_s: float, covariance: FloatArray) -> None:
+        """Add the keyframes that odometry has made since the last call, at a frame with its covariance (6, 6)."""
+        if loops.has_new:
+            loops.add_keyframes(stamp_s, self._map.T_filter_map, covariance, self.filter.keep_frame(stamp_s))
 
     def _without_camera(self, frame: RgbdFrame) -> FusedEstimate:
         """Return the wheels' pose at a frame of a camera that is left out. The frame may still show an area."""
@@ -649,10 +649,11 @@ class BaseSensors:
         self._was_trusted = True
         fusion.update_yaw_rate(rate.stamp_s, rate.yaw_rate_rad_s)
 
-    @property
-    def odometries(self) -> tuple[AnyWheelOdometry, ...]:
-        """All odometries of the wheels."""
-        return self._wheels, *self._with_gyro.odometries
+    def rescale(self, left: float, right: float) -> None:
+        """Divide the ways of both wheels by new scales."""
+        for odometry in (self._wheels, *self._with_gyro.odometries):
+            if isinstance(odometry, WheelOdometry):
+                odometry.rescale(left, right)
 
     def forget_bias(self) -> None:
         """Pass the bias on again: the next filter does not know it."""
@@ -674,7 +675,7 @@ class FusedOdom:
         self._frame = self.last_output_frame = OdomFrame()
         self._past: deque[tuple[float, FloatArray]] = deque(maxlen=_REMEMBERED_POSES)  # stamp, T_odom_filter
         self._target: FloatArray | None = None  # T_odom_filter to which a correction moves
-        self._remaining: FloatArray | None = None  # (6,) what is left of the correction
+        self._remaining: FloatArray | None = None  # (6,) the rest of the correction
         self._begin: StepBegin | None = None
         self._last: tuple[float, FloatArray] | None = None  # stamp and pose in odom of the last estimate
         self._readings_s: deque[float] = deque(maxlen=_LONGEST_READING_GAP)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from odometry.dense.scenes import Plane, bench, frame_of
 
 from wheelsight.core.estimates import MotionEstimate
-from wheelsight.core.geometry import FloatArray, se3
+from wheelsight.core.geometry import FloatArray
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.vision.dense import DenseSettings
 from wheelsight.vision.dense.odometry import FaultDetector
@@ -96,7 +96,3 @@ def test_a_pose_is_off_the_prior_that_moves_or_turns_by_more_than_rolling_wheels
         assert not after().is_off_prior(fitting(0.8, np.array(twist)))
     for twist in ([0, 0, 0.25, 0, 0, 0], [0, 0, 0, 0, 0.25, 0]):
         assert after().is_off_prior(fitting(0.8, np.array(twist)))
-
-
-def moved(xi: list[float]) -> FloatArray:
-    return np.asarray(se3.exp(np.array(xi)))
