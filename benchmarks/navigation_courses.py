@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
+import shapely
 
 from benchmarks.box_worlds import Box
 from benchmarks.session_starts import Building, FirstDay, beside_nearest
@@ -17,6 +18,9 @@ from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import Costmap, KnownFloor, NavigationSettings, Plan, Planner, planar_pose
 from wheelsight.navigation.path_smoothing import Drivable
 from wheelsight.slam.maps import MapFolder, driven_way, occupancy_of
+from wheelsight_sim import SimulationSettings
+from wheelsight_sim.clearance import footprints
+from wheelsight_sim.simulate import world_of
 
 ROUND_M = 0.05
 _HEADINGS, _TRIES = 8, 200
@@ -64,6 +68,14 @@ class KnownBuilding:
         """Of it."""
         return Costmap.of(self.floor.layer, self.footprint, self.settings.costmap)
 
+    @cached_property
+    def _extent_m(self) -> FloatArray:
+        """(2, 2) least and greatest x and y of the building on its first day, in the world."""
+        building = self.building
+        where = {"world": building.world} if building.plan is None else {"plan": building.plan}
+        things = footprints(world_of(SimulationSettings(**where)))
+        return np.reshape(shapely.union_all([thing.polygon for thing in things]).bounds, (2, 2))
+
     def costmap_with(self, things: tuple[Box, ...]) -> Costmap:
         """As it would be if the map knew them."""
         if not things:
@@ -86,15 +98,24 @@ class KnownBuilding:
         return Box(x, y, box.length_m, box.width_m, box.height_m, yaw)
 
     def pose(self, rng: np.random.Generator, around_m: float = 0.0) -> FloatArray:
-        """A pose at which the outline fits with the wanted margin, and with so much room about the axle."""
+        """A pose at which the outline fits with the wanted margin, and with so much room about the axle.
+
+        Candidates are drawn in the building, not from the cells of the map: two versions, whose maps differ by some
+        cells, get the same goals where both can go there.
+        """
         least_m = max(self.footprint.inscribed_m + self.settings.drivable.wanted_margin_m, around_m)
-        cells = np.argwhere((self.costmap.distance_m > least_m) & ~self.costmap.is_lethal)
+        room = Drivable.of(self.costmap, self.planner.footprint, self.planner.settings, self.planner.limits)
+        low, high = self._extent_m
         while True:
-            xy = self.costmap.middle_of(cells[rng.integers(len(cells))])
+            x, y = rng.uniform(low, high).tolist()
             yaws = rng.permutation(_HEADINGS) * 2 * np.pi / _HEADINGS - np.pi
-            tries = np.column_stack([np.tile(xy, (_HEADINGS, 1)), yaws])
-            planner = self.planner
-            room = Drivable.of(self.costmap, planner.footprint, planner.settings, planner.limits)
+            row, column = self.costmap.cells_at(self.map_pose(se3.from_plane(x, y, 0.0))[None, :2])[0].tolist()
+            rows, columns = self.costmap.distance_m.shape
+            if not (0 <= row < rows and 0 <= column < columns) or self.costmap.is_lethal[row, column]:
+                continue
+            if self.costmap.distance_m[row, column] <= least_m:
+                continue
+            tries = np.array([self.map_pose(se3.from_plane(x, y, float(yaw))) for yaw in yaws])
             free = np.flatnonzero(room.tightness(tries) == 0)
             if len(free):
                 return np.asarray(tries[free[0]])
@@ -126,8 +147,8 @@ class KnownBuilding:
         """Goals one after another, and so many things on the ways there that leave another way to each."""
         start = self.pose(rng, self.footprint.circumscribed_m + ROUND_M)
         found, ways = [start], list[Plan]()
-        for _ in range(goals):
-            goal, plan = self.goal_from(found[-1], rng)
+        for of_goal in rng.spawn(goals):  # where one goal cannot be reached, the others stay the same
+            goal, plan = self.goal_from(found[-1], of_goal)
             found.append(goal)
             ways.append(plan)
         placed: tuple[Box, ...] = ()

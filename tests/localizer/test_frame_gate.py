@@ -47,7 +47,12 @@ def test_what_repeats_for_over_a_second_hangs_and_may_come_back(T_last_frame: np
     assert [r.is_repeat for r in refusals if r] == [True] * 10 + [False] * 3
     assert refusals[-1] is not None
     assert refusals[-1].note == "the camera hangs: the same image for over 1 s"
+    since = "the camera was left out from 0.0 s after the first frame"
+    assert gate.warnings == (f"{since} on: it repeats one image; check its cable and driver",)
     assert gate.why_not(frame(1.5, 1), T_last_frame) is None
+    assert gate.warnings == (f"{since} until 1.4 s: it repeats one image; check its cable and driver",)
+    whys(gate, [frame(k / 10, 2) for k in range(20, 40)], T_last_frame)
+    assert gate.warnings[0].startswith("the camera was left out 2 times, last from 1.9 s after")
 
 
 def test_a_robot_that_stands_by_its_wheels_may_see_the_same_for_long() -> None:

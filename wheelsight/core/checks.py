@@ -358,6 +358,7 @@ class FrameGate:
         self.has_wheels = False
         self._first_s = math.inf
         self._repeats = Repeats()
+        self._hangs = list[tuple[float, float]]()  # begin and end of each, or infinity
 
     def why_not(self, frame: RgbdFrame, T_last_frame: FloatArray | None = None) -> FrameRefusal | None:
         """Return why a frame is rejected, or None.
@@ -366,8 +367,11 @@ class FrameGate:
             frame: to check.
             T_last_frame: (4, 4) motion of the camera since the last tracked frame, by the wheels.
         """
+        self._first_s = min(self._first_s, frame.stamp_s)
         lasting_s = self._repeats.lasting_s(frame)
         if lasting_s == 0:
+            if self._hangs and self._hangs[-1][1] == math.inf:
+                self._hangs[-1] = self._hangs[-1][0], frame.stamp_s
             return None
         if T_last_frame is not None:
             way_m, turn_rad = np.linalg.norm(T_last_frame[:3, 3]), se3.angle(T_last_frame[:3, :3])
@@ -375,7 +379,20 @@ class FrameGate:
                 return None  # the robot stands: a camera without noise repeats its image
         if lasting_s <= _HANGS_S:
             return FrameRefusal("the same image as before", is_repeat=True)
+        if not self._hangs or self._hangs[-1][1] < math.inf:
+            self._hangs.append((frame.stamp_s - lasting_s, math.inf))
         return FrameRefusal(f"the camera hangs: the same image for over {_HANGS_S:g} s")
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence for a camera that hung."""
+        if not self._hangs:
+            return ()
+        times, (begin_s, end_s) = len(self._hangs), self._hangs[-1]
+        until = "on" if end_s == math.inf else f"until {end_s - self._first_s:.1f} s"
+        what = "the camera was left out" + ("" if times == 1 else f" {times} times, last")
+        since = f"from {begin_s - self._first_s:.1f} s after the first frame {until}"
+        return (f"{what} {since}: it repeats one image; check its cable and driver",)
 
     def waits_for_wheels(self, frame: RgbdFrame) -> bool:
         """Whether a frame is too early to go without wheel readings."""

@@ -349,6 +349,14 @@ class FusedEstimate(Estimate):
     nis: tuple[float, int] | None = None
     wheel_errors: FloatArray | None = None
 
+    @property
+    def filter_covariance(self) -> FloatArray | None:
+        """(6, 6) of the left perturbation (v, ω) of `T_filter_body`, which has no drift of odom; or None."""
+        if self.covariance is None or self.T_filter_odom is _IDENTITY:
+            return self.covariance
+        Ad = se3.adjoint(self.T_filter_odom)
+        return np.asarray(Ad @ (self.covariance - _drift_covariance(se3.invert(self.T_filter_odom))) @ Ad.T)
+
 
 class PoseFinding(StrEnum):
     """What an odometry, a filter or a check finds about a pose. `DECISIONS` has the consequences."""
@@ -516,6 +524,10 @@ class OdomFrame:
 
     It is planar: the filter estimates height and tilt of each pose directly.
 
+    A pose of a fused estimate in `odom` is off by the filter's error and by all corrections that `odom` does not
+    follow, or not yet. Their sum is this transform. It is known, so its covariance has one direction. It is not
+    subtracted, since `odom` would jump.
+
     Attributes:
         T_odom_filter, T_filter_odom: (4, 4) pose of the filter's frame in `odom`, and its inverse.
         has_moved: whether `odom` is no longer the filter's frame.
@@ -552,10 +564,20 @@ class OdomFrame:
             "T_odom_body": None if T is None else motions.times(self.T_odom_filter, T),
             "covariance": None if C is None else Ad @ C @ Ad.T,
         }
+        if C is not None and isinstance(answer, FusedEstimate):
+            fields["covariance"] += _drift_covariance(self.T_odom_filter)
         if isinstance(answer, WheelEstimate) and answer.before is not None:
             stamp_s, T_before, C_before = answer.before
             fields["before"] = (stamp_s, self.T_odom_body(T_before), Ad @ C_before @ Ad.T)
         return replace(answer, **fields)
+
+
+def _drift_covariance(T_odom_filter: FloatArray) -> FloatArray:
+    """Return (6, 6) of the left perturbation (v, ω) of poses in `odom` by the drift of `odom`."""
+    from wheelsight.core.geometry import motion_kernels as motions
+
+    drift = motions.log(T_odom_filter)
+    return np.outer(drift, drift)
 
 
 def _planar(T: FloatArray) -> FloatArray:

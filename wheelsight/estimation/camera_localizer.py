@@ -54,7 +54,6 @@ class ByFrames:
 
     answers = (RgbdFrame, SkippedFrame)
     last_place = None
-    warnings: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -83,6 +82,11 @@ class ByFrames:
             self.T_odom_map = se3.nearest(T_odom_camera @ se3.invert(begin_in(known, calibration)))
         self._keyframe: KeyframeId | None = None
         self._last: CameraEstimate | None = None  # the last one with a pose, in odom
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence for a camera that hung."""
+        return self._gate.warnings
 
     def process(self, event: Event) -> tuple[Estimate | None, str]:
         """Return the estimate at a frame, None at any other event, and why a frame cannot be used."""

@@ -211,10 +211,7 @@ class ByFusion:
             T_keyframe_body=T_keyframe_base,
             T_map_odom=T_map_filter,
         )
-        framed = odom.framed(estimate)
-        if self._odom.remaining_covariance is not None and framed.covariance is not None:
-            framed = replace(framed, covariance=framed.covariance + self._odom.remaining_covariance)
-        return framed
+        return odom.framed(estimate)
 
     def _update_wheels(self, reading: WheelReading) -> tuple[Estimate | None, str]:
         wheels, note = self._base.process(reading)
@@ -504,7 +501,7 @@ class ByFusion:
     @property
     def warnings(self) -> tuple[str, ...]:
         """One sentence for each fault of a sensor or of the calibration, and for a wrong place in a known map."""
-        found = self._base.warnings if self._base.has_gyro else ()
+        found = self._camera.gate.warnings + (self._base.warnings if self._base.has_gyro else ())
         found += () if self._health is None else self._health.warnings
         found += () if self.loops is None else self.loops.confirmation.warnings
         return found + self._check.verdict.warnings if self._check.verdict.is_sure else found
@@ -675,7 +672,6 @@ class FusedOdom:
         self._frame = self.last_output_frame = OdomFrame()
         self._past: deque[tuple[float, FloatArray]] = deque(maxlen=_REMEMBERED_POSES)  # stamp, T_odom_filter
         self._target: FloatArray | None = None  # T_odom_filter to which a correction moves
-        self._remaining: FloatArray | None = None  # (6,) the rest of the correction
         self._begin: StepBegin | None = None
         self._last: tuple[float, FloatArray] | None = None  # stamp and pose in odom of the last estimate
         self._readings_s: deque[float] = deque(maxlen=_LONGEST_READING_GAP)
@@ -713,11 +709,6 @@ class FusedOdom:
         """Move to where the robot would be in odom if the filter had known since a stamp what it knows now."""
         self._target = next((T for stamp_s, T in reversed(self._past) if stamp_s <= since_s), None)
 
-    @property
-    def remaining_covariance(self) -> FloatArray | None:
-        """(6, 6) of the error in odom that is not corrected yet; None for none."""
-        return None if self._remaining is None else np.outer(self._remaining, self._remaining)
-
     def _move_to_target(self, T_filter_body: FloatArray, T_odom_body: FloatArray, seconds: float) -> FloatArray:
         """Return the pose (4, 4) in odom, closer to the target by what the speed of a correction allows."""
         assert self._target is not None
@@ -727,9 +718,8 @@ class FusedOdom:
         share = 1.0 if slowness <= seconds else seconds / slowness
         T_odom_body = motions.times(T_odom_body, se3.exp(share * error))  # rare: no kernel is compiled for it
         self._frame.align(T_filter_body, T_odom_body)
-        self._remaining = motions.adjoint(T_odom_body) @ ((1.0 - share) * error)
         if share == 1.0:
-            self._target = self._remaining = None
+            self._target = None
         return np.asarray(motions.times(self._frame.T_odom_filter, T_filter_body))
 
     def _remember(self, stamp_s: float, fusion: ErrorStateFilter, event: Event | None) -> None:

@@ -528,10 +528,10 @@ def _pose(T: FloatArray) -> FloatArray:
 
 
 def _sigma_m(estimate: Estimate) -> float:
-    """Return the horizontal standard deviation in `odom` along its larger axis; 0 if there is none."""
-    if estimate.covariance is None or estimate.T_odom_body is None:
+    """Return the horizontal standard deviation of the filter along its larger axis; 0 if there is none."""
+    if estimate.filter_covariance is None or estimate.T_filter_body is None:
         return 0.0
-    return _worse_sigma_m(estimate.T_odom_body, estimate.covariance)
+    return _worse_sigma_m(estimate.T_filter_body, estimate.filter_covariance)
 
 
 def _worse_sigma_m(T: FloatArray, covariance: FloatArray) -> float:

@@ -158,10 +158,13 @@ def _place(of: StaticLayer | Costmap) -> tuple[float, float, float, float]:
 def _ellipse(senses: Senses) -> list[float] | None:
     """Half axes of two standard deviations, metres, and the direction of the longer one in `map`; None if unknown."""
     estimate = senses.where.estimate
-    if estimate is None or estimate.covariance is None or estimate.T_odom_body is None:
+    if estimate is None or estimate.filter_covariance is None or estimate.T_filter_body is None:
         return None
-    R = se2.from_parts(*senses.where.T_map_odom)[:2, :2]
-    C = R @ se3.position_covariance(estimate.T_odom_body, estimate.covariance)[:2, :2] @ R.T
+    if estimate.covariance_map is not None and estimate.T_map_body is not None:
+        C = se3.position_covariance(estimate.T_map_body, estimate.covariance_map)[:2, :2]
+    else:
+        R = se2.from_parts(*senses.where.T_map_odom)[:2, :2] @ se3.invert(estimate.T_filter_odom)[:2, :2]
+        C = R @ se3.position_covariance(estimate.T_filter_body, estimate.filter_covariance)[:2, :2] @ R.T
     values, vectors = np.linalg.eigh(C)
     small, large = _SIGMAS * np.sqrt(np.maximum(values, 0))
     return [round(float(v), 3) for v in (large, small, np.arctan2(vectors[1, 1], vectors[0, 1]))]
