@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -322,7 +323,7 @@ def measure_case(
     )
 
 
-def faults_sheet(figures: Sequence[FaultFigures]) -> Sheet:
+def faults_sheet(figures: Sequence[FaultFigures], title: str) -> Sheet:
     """A line a fault: the worst over all drives, and how many of them are within the limits."""
     worlds, seeds = len({one.world for one in figures}), len({one.seed for one in figures})
     rows = []
@@ -356,7 +357,7 @@ def faults_sheet(figures: Sequence[FaultFigures]) -> Sheet:
         "after s (worst)",
         "slowest event ms",
     )
-    return Sheet(f"Faults in mid-drive, {worlds} worlds, {seeds} seeds", head, tuple(rows))
+    return Sheet(f"{title}: {worlds} worlds, {seeds} seeds", head, tuple(rows))
 
 
 def main() -> None:
@@ -369,7 +370,7 @@ def main() -> None:
     parser.add_argument("--cases", nargs="+", default=[], metavar="WORDS", help="parts of names of faults; else all")
     parser.add_argument("--seconds", type=float, default=45.0, help="duration of a drive (45)")
     parser.add_argument("--realism", default="ideal", help="of the sensors (ideal)")
-    parser.add_argument("--loops", action="store_true", help="with a map and loops")
+    parser.add_argument("--loops", action="store_true", help="also with a map and loops")
     parser.add_argument("--images", type=Path, metavar="DIR", help="keeps drives for next time")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keeps results; those kept are not measured again")
     parser.add_argument("--out", type=Path, help="Markdown file for the table")
@@ -378,44 +379,48 @@ def main() -> None:
     settings = SimulationSettings(
         "flat", size=(320, 240), rate_hz=10.0, duration_s=arguments.seconds, realism=arguments.realism
     )
-    overrides = {"map": "surfels", "loops.source": "keyframes"} if arguments.loops else {}
-    how = " with loops" if arguments.loops else ""
-    figures = []
+    hows: dict[str, dict[str, str]] = {"": {}}
+    if arguments.loops:
+        hows[" with loops"] = {"map": "surfels", "loops.source": "keyframes"}
+    figures: dict[str, list[FaultFigures]] = {how: [] for how in hows}
     with TemporaryDirectory() as made:
-        for world in arguments.worlds:
-            for seed in arguments.seeds:
+        for seed in arguments.seeds:
+            for world in arguments.worlds:
                 recording = drive_of(seed, arguments.images or Path(made), replace(settings, world=world))
                 camera_m: float | None = None
-                for case in cases:
+                for how, case in product(hows, cases):
                     name = re.sub("[^a-z0-9]+", "-", f"{world} {seed} {case.name}{how}".lower())
                     kept = None if arguments.keep is None else arguments.keep / f"{name}.json"
                     if kept is not None and kept.exists():
                         record = json.loads(kept.read_text())
-                        figures.append(FaultFigures(**{**record, "warnings": tuple(record["warnings"])}))
+                        figures[how].append(FaultFigures(**{**record, "warnings": tuple(record["warnings"])}))
                         continue
                     if camera_m is None:
                         camera_m = drive(recording, CASES[0], "dense").odom_m
-                    figures.append(measure_case(recording, case, world, seed, camera_m, **overrides))
+                    one = measure_case(recording, case, world, seed, camera_m, **hows[how])
+                    figures[how].append(one)
                     if kept is not None:
                         kept.parent.mkdir(parents=True, exist_ok=True)
-                        write_text(kept, json.dumps(asdict(figures[-1]), indent=1))
-                    print(figures[-1], file=sys.stderr, flush=True)
-    sheet = faults_sheet(figures)
-    Console(width=None if sys.stdout.isatty() else 200).print(sheet.to_rich())
+                        write_text(kept, json.dumps(asdict(one), indent=1))
+                    print(one, file=sys.stderr, flush=True)
+    titles = {"": "Faults in mid-drive", " with loops": "The same with a map and loops"}
+    sheets = [faults_sheet(of, titles[how]) for how, of in figures.items()]
+    console = Console(width=None if sys.stdout.isatty() else 200)
+    for sheet in sheets:
+        console.print(sheet.to_rich())
     if arguments.out is not None:
-        system = machine.description()
-        words = [
-            "python -m benchmarks.sensor_faults --worlds",
-            *arguments.worlds,
-            "--seeds",
-            *map(str, arguments.seeds),
-        ]
-        words += ["--loops"] if arguments.loops else []
-        words += ["--cases", *map(repr, arguments.cases)] if arguments.cases else []
-        command = " ".join([*words, f"--realism {arguments.realism} --out {shown(arguments.out)}"])
-        lines = [f"- {name}: {system[name]}" for name in ("Date", "System", "Versions")]
-        text = ["# Faults of sensors in mid-drive", "", f"Written by `{command}`.", "", *lines, "", _MADE, ""]
-        write_text(arguments.out, "\n".join([*text, sheet.to_markdown()]))
+        write_text(arguments.out, "\n".join([*_page_head(arguments), *(sheet.to_markdown() for sheet in sheets)]))
+
+
+def _page_head(asked: argparse.Namespace) -> list[str]:
+    """Return the lines before the tables."""
+    system = machine.description()
+    words = ["python -m benchmarks.sensor_faults --worlds", *asked.worlds, "--seeds", *map(str, asked.seeds)]
+    words += ["--loops"] if asked.loops else []
+    words += ["--cases", *map(repr, asked.cases)] if asked.cases else []
+    command = " ".join([*words, f"--realism {asked.realism} --out {shown(asked.out)}"])
+    lines = [f"- {name}: {system[name]}" for name in ("Date", "System", "Versions")]
+    return ["# Faults of sensors in mid-drive", "", f"Written by `{command}`.", "", *lines, "", _MADE, ""]
 
 
 if __name__ == "__main__":

@@ -5,9 +5,10 @@ python tests/warm_up.py
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+import subprocess
+import sys
 
-from wheelsight.app.run.kernels import compile_kernels, missing_parts, usable_parts
+from wheelsight.app.run.kernels import missing_parts, usable_parts
 
 # The parts of a run share kernels, and go one after the other; the others share none with them.
 OF_RUNS = ("wheels", "dense", "joined", "loops", "features")
@@ -19,8 +20,12 @@ def main() -> None:
         [part for part in OF_RUNS if part in missing],
         [part for part in missing if part not in OF_RUNS],
     ]
-    with ThreadPoolExecutor(len(groups)) as pool:
-        list(pool.map(compile_kernels, groups))
+    # One process for each group, not for each part as before a run: memory is no matter here, and each costs seconds.
+    command = [sys.executable, "-m", "wheelsight.app.run.kernel_process"]
+    processes = [subprocess.Popen([*command, *group], stdout=subprocess.DEVNULL) for group in groups if group]
+    codes = [process.wait() for process in processes]
+    if any(codes):
+        raise SystemExit("kernels could not be compiled")
 
 
 if __name__ == "__main__":

@@ -64,7 +64,7 @@ def test_the_table_has_the_worst_and_what_was_named() -> None:
     )
     other = FaultFigures("left encoder dies", "flat", 4, 0.2, 0.9, 0.1, 400, 2, 0, math.nan, (), 70.0)
     clean = FaultFigures("clean", "flat", 3, 0.1, 0.1, 0.1, 400, 0, 0, math.nan, (), 60.0)
-    (row, sound) = faults_sheet([one, other, clean]).rows
+    (row, sound) = faults_sheet([one, other, clean], "Faults").rows
     assert row == ("left encoder dies", "0.40 0.20", "0.10 0.90", "1, 1 of 2", "2", "0 %", "1 of 2", "1.5 (1.5)", "90")
     assert sound[6] == "0 alarms"
     assert case_of("left encoder dies").begin_s == BEGIN_S
