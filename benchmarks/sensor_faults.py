@@ -386,10 +386,11 @@ def main() -> None:
     with TemporaryDirectory() as made:
         for seed in arguments.seeds:
             for world in arguments.worlds:
-                recording = drive_of(seed, arguments.images or Path(made), replace(settings, world=world))
+                images = (arguments.images or Path(made)) / arguments.realism
+                recording = drive_of(seed, images, replace(settings, world=world))
                 camera_m: float | None = None
                 for how, case in product(hows, cases):
-                    name = re.sub("[^a-z0-9]+", "-", f"{world} {seed} {case.name}{how}".lower())
+                    name = re.sub("[^a-z0-9]+", "-", f"{world} {arguments.realism} {seed} {case.name}{how}".lower())
                     kept = None if arguments.keep is None else arguments.keep / f"{name}.json"
                     if kept is not None and kept.exists():
                         record = json.loads(kept.read_text())

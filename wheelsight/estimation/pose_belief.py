@@ -335,6 +335,8 @@ class PoseBelief:
     def cloned(self, name: str, stamp_s: float, most: int, spread: FloatArray | None = None) -> PoseBelief:
         """Remember the current pose as `name`; replace one of that name, or else the oldest of too many.
 
+        It is the pose when the image with that stamp was taken, but for the begin of a step of `odom`.
+
         `spread` (6, 6), in the base's own frame, is added to its covariance: the error of the camera's pose there.
         """
         entry = Remembered(name, stamp_s, self.aux[TWIST].copy(), self.slip_covariance, self.by_errors)
@@ -348,9 +350,11 @@ class PoseBelief:
                 here = here.dropped(min(here.remembered, key=attrgetter("stamp_s")).name)
             there = here.selected(np.append(np.arange(len(here.T)), 0), (*here.remembered, entry))
             index = len(there.remembered)
-        # The delay of the camera's stamps is part of the state (Li & Mourikis, IJRR 2014).
-        there.T[index], rows, spread_now = imaged_now(there.T[0], there.aux, there.covariance)
         at = slice(6 * index, 6 * index + 6)
+        if name == STEP_BEGIN:  # no image: a change of the delay is no motion
+            there.T[index], rows, spread_now = there.T[0], there.covariance[:6].copy(), there.covariance[:6, :6].copy()
+        else:  # the delay of the camera's stamps is part of the state (Li & Mourikis, IJRR 2014)
+            there.T[index], rows, spread_now = imaged_now(there.T[0], there.aux, there.covariance)
         there.covariance[at], there.covariance[:, at] = rows, rows.T
         there.covariance[at, at] = spread_now if spread is None else spread_now + motions.carried(self.T[0], spread)
         return there
