@@ -36,12 +36,13 @@ from wheelsight.io.recordings import Recording
 from wheelsight_sim import SimulationSettings
 
 BEGIN_S, FAR_M, TIMES, PLUS_M = 15.0, 0.5, 1.5, 0.15
+_LAPS = 8  # of a small world, which is driven through in less than the duration
 _MADE = (
-    "A drive is what `wheelsight simulate WORLD --rate 10 --duration 45 --size 320x240 --seed N` writes. It is "
-    "localized by `wheels,dense`. The worst error is the largest distance in the plane from the true pose of any "
-    f"frame of each drive, nothing aligned. The limit is {TIMES:g} times the worst error of the best single sensor, "
-    f"plus {PLUS_M:g} m. A frame is sure and wrong if it is `tracking`, not doubtful, over {FAR_M:g} m off and "
-    "outside 3σ."
+    f"A drive is what `wheelsight simulate WORLD --rate 10 --duration 45 --laps {_LAPS} --size 320x240 --seed N` "
+    "writes. It is localized by `wheels,dense`. The worst error is the largest distance in the plane from the true "
+    f"pose of any frame of each drive, nothing aligned. The limit is {TIMES:g} times the worst error of the best "
+    f"single sensor, plus {PLUS_M:g} m. A frame is sure and wrong if it is `tracking`, not doubtful, over {FAR_M:g} m "
+    "off and outside 3σ."
 )
 _COVERED_S = 30.0, 36.0  # once a wheel is used with its new scale
 _COMPILED_S = 5.0  # after which kernels are compiled
@@ -377,7 +378,7 @@ def main() -> None:
     arguments = parser.parse_args()
     cases = [one for one in CASES if not arguments.cases or any(word in one.name for word in arguments.cases)]
     settings = SimulationSettings(
-        "flat", size=(320, 240), rate_hz=10.0, duration_s=arguments.seconds, realism=arguments.realism
+        "flat", size=(320, 240), rate_hz=10.0, duration_s=arguments.seconds, realism=arguments.realism, laps=_LAPS
     )
     hows: dict[str, dict[str, str]] = {"": {}}
     if arguments.loops:

@@ -63,6 +63,7 @@ def driven(
     until_s: float = 25.0,
     ends_s: float = math.inf,
     is_armed: bool = True,
+    knows_turns: bool = True,
     scales: list[FloatArray] | None = None,
 ) -> tuple[SensorHealth, dict[RobotSensor, float]]:
     """Drive curves of up to 0.5 m/s and 0.5 rad/s, with noise; a fault begins at `FAULT_S`. Also when it was found.
@@ -70,7 +71,7 @@ def driven(
     `scales` receives the scales of the wheels.
     """
     rng, health, T = np.random.default_rng(seed), SensorHealth(2 * HALF_M, T_BASE_CAMERA), np.eye(4)
-    step_s, found, health.is_armed = 0.05, dict[RobotSensor, float](), is_armed
+    step_s, found, health.is_armed, health.knows_turns = 0.05, dict[RobotSensor, float](), is_armed, knows_turns
     by = np.ones(2)
     for n in range(round(until_s / step_s)):
         now_s = 100.0 + n * step_s
@@ -194,6 +195,33 @@ def test_one_piece_that_contradicts_leaves_out_a_camera_that_restarted(aside_m: 
         health.add_frame(now_s, T)
     assert health.update(105.4) == (105.0 if is_out else None)
     assert [one.sensor for one in health.exclusions] == ([RobotSensor.CAMERA] if is_out else [])
+
+
+def track(factor: float) -> Fault:
+    """Wheels that are closer together, or farther apart, than is known."""
+
+    def change(motion: Motion) -> Motion:
+        middle = motion.ways_m.mean()
+        return motion._replace(ways_m=middle + factor * (motion.ways_m - middle))
+
+    return change
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.4])
+def test_a_wrong_track_is_no_fault_before_turns_have_agreed(factor: float) -> None:
+    health, _ = driven(track(factor), knows_turns=True)
+    assert health.is_suspicious
+    health, found = driven(track(factor), knows_turns=False)
+    assert not found
+    assert not health.is_suspicious
+
+
+@pytest.mark.parametrize("fault", [left(0.0), left(-1.0), right(0.0)])
+def test_a_wheel_that_fails_is_found_before_turns_have_agreed(fault: Fault) -> None:
+    _, found = driven(fault, knows_turns=False)
+    (sensor,) = found
+    assert sensor in (RobotSensor.LEFT, RobotSensor.RIGHT)
+    assert found[sensor] < FAULT_S + 3.0
 
 
 def test_a_fault_before_the_check_of_the_calibration_is_over_is_its_matter() -> None:

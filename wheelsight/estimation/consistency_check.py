@@ -208,6 +208,15 @@ class BaseCheck:
         return self.verdict.left_out is None and (self.verdict.has_agreed or self.by_wheels is None)
 
     @property
+    def has_agreed_ahead(self) -> bool:
+        """Whether wheels and camera agreed over enough way, so that a later contradiction is a fault, but for turns."""
+        return self.verdict.has_agreed_ahead and self.verdict.left_out is None
+
+    def end(self) -> None:
+        """End the check: a sensor has failed since wheels and camera agreed over enough way."""
+        self.by_wheels, self.verdict = None, Verdict()
+
+    @property
     def has_agreed(self) -> bool:
         """Whether wheels and camera agree, and colour is not known to be late."""
         return self.verdict.has_agreed and self.verdict.left_out is None and not self._colors.late
@@ -293,11 +302,12 @@ class Verdict:
         is_sure: whether one of them is certain.
         left_out: the sensor that is left out, or None.
         has_agreed: whether wheels and camera are known to agree.
+        has_agreed_ahead: the same, but for turns, which a straight drive does not show.
     """
 
     def __init__(self) -> None:
         self.found: list[Explanation] = []
-        self.is_sure = self.has_agreed = False
+        self.is_sure = self.has_agreed = self.has_agreed_ahead = False
         self.left_out: RobotSensor | None = None
 
     def judge(self, comparison: MotionComparison, floor_ratio: float | None) -> bool:
@@ -308,9 +318,9 @@ class Verdict:
         self.is_sure = bool(self.found) and all(_is_certain(one, comparison) for one in self.found)
         if self.is_sure and len({one.sensor for one in self.found}) == 1:
             self.left_out = self.found[0].sensor
-        is_enough = comparison.way_m > ENOUGH_M and comparison.turn_rad > _ENOUGH_RAD
-        if not self.found and is_enough and comparison.agrees():
-            self.has_agreed = True
+        if not self.found and comparison.way_m > ENOUGH_M and comparison.agrees():
+            self.has_agreed_ahead = True
+            self.has_agreed = self.has_agreed or comparison.turn_rad > _ENOUGH_RAD
         return bool(explanations)
 
     def leave_out_late_color(self, late_frames: int) -> None:

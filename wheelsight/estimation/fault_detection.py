@@ -568,6 +568,12 @@ def log_ratios(piece: Piece, half_m: float, usual: Usual, faulty: Collection[Rob
     return np.where(is_judged, np.maximum(logs - sound_log, _LEAST_NATS), 0.0)
 
 
+def turns_alike(piece: Piece, half_m: float) -> bool:
+    """Whether wheels and camera turn in the same direction over a piece, one at most twice as far as the other."""
+    by_wheels, by_camera = (piece.ways_m[1] - piece.ways_m[0]) / (2 * half_m), piece.camera[5]
+    return bool(by_wheels * by_camera > 0 and 0.5 < by_wheels / by_camera < 2.0)
+
+
 def of_sensors(values: FloatArray) -> dict[RobotSensor, int]:
     """Return the place of the largest value of each sensor among those of `HYPOTHESES`."""
     return {sensor: max(places, key=values.__getitem__) for sensor, places in OF_SENSOR.items()}
@@ -631,6 +637,8 @@ class SensorHealth:
         is_without_wheels: whether a wheel is left out.
         suspected: the sensor that is most likely wrong, without certainty; None if all are likely sound.
         is_armed: whether faults are looked for; before, usual values are learned.
+        knows_turns: whether wheels and camera have agreed over turns. Before, turns in the same direction are no
+            fault: the track may be wrong.
     """
 
     def __init__(self, track_m: float, T_base_camera: FloatArray) -> None:
@@ -641,7 +649,8 @@ class SensorHealth:
         self.warnings: tuple[str, ...] = ()
         # Of each sensor: how often it was left out, and the last time from when, until when, and why.
         self._found: dict[RobotSensor, tuple[int, float, float, str]] = {}
-        self.is_suspicious = self.is_without_wheels = self.is_armed = self._has_news = False
+        self.is_suspicious = self.is_without_wheels = self._has_news = False
+        self.is_armed = self.knows_turns = False
         self.suspected: RobotSensor | None = None
         self._half_m = track_m / 2
         self._T_base_camera, self._T_camera_base = T_base_camera, motions.inverse(T_base_camera)
@@ -787,7 +796,7 @@ class SensorHealth:
             self._pieces.append(piece)
             if ratios[of_sensors(ratios)[CAMERA]] <= _AGREES_NATS:
                 self._is_unproven = False
-        if self.is_armed:
+        if self.is_armed and (self.knows_turns or not turns_alike(piece, self._half_m)):
             self._end_faults(piece, is_first)
             scale.add(ratios, piece)
         if is_first and not self.faults and all(max(one.nats.values()) < _SOUND_NATS for one in self._scales):

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,7 +44,7 @@ from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import WHEEL_READINGS, Event, RgbdFrame, SkippedFrame, WheelReading, WheelSpeeds, YawRate
 from wheelsight.estimation import camera_localizer as cameras
-from wheelsight.estimation.agreement import Exclusion, RobotSensor
+from wheelsight.estimation.agreement import RobotSensor
 from wheelsight.estimation.area_localizer import Places, PlaceSense
 from wheelsight.estimation.camera_localizer import RESTART_AFTER, CameraOdometry, mount_of
 from wheelsight.estimation.consistency_check import (
@@ -287,13 +286,8 @@ class ByFusion:
         self._check.add_tracked(frame, seen, shows_all=shows_all)
         if self._check.verdict.left_out is not None and self._switch_filter_without(RobotSensor.WHEELS):
             return self._begin(frame, seen)
-        if self._health is not None:
-            self._health.is_armed = self._check.is_over
-            self._health.add_frame(frame.stamp_s, seen.T_odom_body, shows_all=shows_all)
-            before = self._health.exclusions
-            since_s = self._health.update(frame.stamp_s)
-            if since_s is not None and self._exclude_faulty(self._health, before, since_s):
-                return self._begin(frame, seen)
+        if self._health is not None and self._update_health(self._health, frame.stamp_s, seen.T_odom_body, shows_all):
+            return self._begin(frame, seen)
         motion = anchor.motion_to(seen.T_odom_body, seen.motion)
         motion = with_stamp_noise(motion, twist, self._base.noise_s)
         motion = with_view_noise(motion, self._of_frame, _FRAME_WALK_PER_M)
@@ -301,8 +295,16 @@ class ByFusion:
             return self._lose(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         return self._measure(frame, seen, motion)
 
-    def _exclude_faulty(self, health: SensorHealth, before: Sequence[Exclusion], since_s: float) -> bool:
-        """Apply exclusions that changed since a stamp, at a frame; return whether the camera begins again."""
+    def _update_health(self, health: SensorHealth, stamp_s: float, T_map_camera: FloatArray, shows_all: bool) -> bool:
+        """Exclude sensors that are faulty by a frame, T_map_camera (4, 4); return whether the camera begins again."""
+        health.knows_turns = self._check.is_over
+        health.is_armed = health.knows_turns or self._check.has_agreed_ahead
+        health.add_frame(stamp_s, T_map_camera, shows_all=shows_all)
+        before, since_s = health.exclusions, health.update(stamp_s)
+        if health.faults and not self._check.is_over:
+            self._check.end()
+        if since_s is None:
+            return False
         now = health.exclusions
         if self.filter.exclude(now, since_s):
             is_camera_out = any(one.sensor is RobotSensor.CAMERA and one.end_s == math.inf for one in now)
@@ -661,8 +663,8 @@ class FusedOdom:
     """`odom` of the default filter, in which the base moves by its motion since a pose that the filter remembers.
 
     A correction that moves the remembered pose as well is no part of that motion. The remembered pose is that of the
-    last wheel reading before the last frame: up to there wheel steps are complete. Without a frame for `COAST_AFTER_S`,
-    the next pose is remembered.
+    last frame, if it was accepted. Else it is that of the last wheel reading before it: up to there wheel steps are
+    complete. Without a frame for `COAST_AFTER_S`, the next pose is remembered.
 
     Attributes:
         last_output_frame: `odom` of the last estimate.
@@ -723,7 +725,7 @@ class FusedOdom:
         return np.asarray(motions.times(self._frame.T_odom_filter, T_filter_body))
 
     def _remember(self, stamp_s: float, fusion: ErrorStateFilter, event: Event | None) -> None:
-        """Remember the pose at the last reading up to a frame; or the current one, if no frame arrives."""
+        """Remember the pose at an accepted frame, or at the last reading up to another; or the current one."""
         begin_s = -math.inf if self._begin is None or self._begin.fusion is not fusion else self._begin.stamp_s
         due_s = stamp_s if stamp_s - begin_s > COAST_AFTER_S else -math.inf
         if isinstance(event, WheelReading):
@@ -731,6 +733,8 @@ class FusedOdom:
         if isinstance(event, RgbdFrame | SkippedFrame):
             past_s = [s for s in self._readings_s if event.stamp_s - COAST_AFTER_S < s <= event.stamp_s]
             due_s = max(past_s, default=min(event.stamp_s, stamp_s))
+            if fusion.state.vision_s == event.stamp_s:  # known better than at a reading of wheels that may slip
+                due_s = event.stamp_s
         if due_s > begin_s:
             fusion.clone(due_s, STEP_BEGIN)
             T_begin = fusion.remembered(STEP_BEGIN)
