@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from wheelsight.core.errors import MapError
 from wheelsight.core.keyframes import FrameSurface
-from wheelsight.mapping import SurfelMap, Surfels, surfels
+from wheelsight.mapping import SurfelMap, Surfels
 
 FRAMES = 20
 FIELDS = ("position", "normal", "radius_m", "color", "grey", "confidence", "variance_m2", "first_s", "last_s")
@@ -101,7 +101,9 @@ def test_laps_of_the_same_place_do_not_fill_it_for_ever(monkeypatch):
         return count[-1] / count[-3], float(np.mean(off_m > 0.02))
 
     growth_settled, far_settled = laps()
-    monkeypatch.setattr(surfels, "_RULES", surfels._RULES._replace(gap_m=0.0))  # noqa: SLF001
+    usual = SurfelMap._rules_for  # noqa: SLF001
+    without_gap = {"gap_m": np.float32(0.0)}
+    monkeypatch.setattr(SurfelMap, "_rules_for", lambda *of: usual(*of)._replace(**without_gap))
     growth, far = laps()
     assert growth > 1.03
     assert growth_settled < 1.01

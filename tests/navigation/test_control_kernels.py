@@ -22,12 +22,13 @@ from wheelsight.navigation.clearance_kernels import (
     people_apart,
     toward,
 )
-from wheelsight.navigation.controllers import WEIGHTS, MotionState, Rollouts, Situation, cut, noise_of
-from wheelsight.navigation.mppi_kernels import blend
+from wheelsight.navigation.controllers import MotionState, Rollouts, Situation, cut, noise_of
+from wheelsight.navigation.mppi_kernels import RolloutWeights, blend
 from wheelsight.navigation.settings import FollowSettings, outline_of
 
 OUTLINE = outline_of(CHAIR)
 MARGIN_M = 0.04
+WEIGHTS = RolloutWeights(MARGIN_M, MARGIN_M)
 
 
 def pose_of(x: float, y: float, yaw: float) -> tuple[float, float, float, float]:

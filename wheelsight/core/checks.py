@@ -388,16 +388,21 @@ class FrameGate:
         """A sentence for a camera that hung."""
         if not self._hangs:
             return ()
-        times, (begin_s, end_s) = len(self._hangs), self._hangs[-1]
-        until = "on" if end_s == math.inf else f"until {end_s - self._first_s:.1f} s"
-        what = "the camera was left out" + ("" if times == 1 else f" {times} times, last")
-        since = f"from {begin_s - self._first_s:.1f} s after the first frame {until}"
-        return (f"{what} {since}: it repeats one image; check its cable and driver",)
+        begin_s, end_s = (stamp_s - self._first_s for stamp_s in self._hangs[-1])
+        cause = "it repeats one image; check its cable and driver"
+        return (left_out("the camera was", len(self._hangs), begin_s, end_s, cause),)
 
     def waits_for_wheels(self, frame: RgbdFrame) -> bool:
         """Whether a frame is too early to go without wheel readings."""
         self._first_s = min(self._first_s, frame.stamp_s)
         return not self.has_wheels and frame.stamp_s - self._first_s < _WAIT_S
+
+
+def left_out(sensor_was: str, times: int, begin_s: float, end_s: float, cause: str) -> str:
+    """Return the warning of a sensor that was left out, the last time between two times after the first frame."""
+    often = "left out" if times == 1 else f"left out {times} times, last"
+    until = "on" if end_s == math.inf else f"until {end_s:.1f} s"
+    return f"{sensor_was} {often} from {begin_s:.1f} s after the first frame {until}: {cause}"
 
 
 # A gyroscope is optional, so no other sensor is left out because of it.

@@ -371,21 +371,20 @@ class VelocityControl:
                 loop.count(ticks.stamp_s, count)
         if now_s - self._last_ticks_s > TICKS_SILENT_S:
             self.stop("no wheel readings come")
-        elif self._stood_still(now_s) and self.reason and command.is_stop:
-            self.reason = ""
+        else:
+            self._stopped_s = now_s if self._stopped_s is None else self._stopped_s
+            if any(abs(loop.speed_m_s) >= _RIM_STANDS_M_S for loop in self._loops):
+                self._rolled_s = now_s
+            # The wheels stand, or still roll after a long time without voltage.
+            has_stood = now_s - self._rolled_s > _STOOD_S or now_s - self._stopped_s > _ROLLS_S
+            if has_stood and command.is_stop:
+                self.reason = ""
         self._is_driven = False
         if self.reason or not self._has_ticks:
             return Duties(reason=self.reason)
         duties = self._duties(command, since_s)
         self._is_driven = duties.left != 0 or duties.right != 0
         return duties
-
-    def _stood_still(self, now_s: float) -> bool:
-        """Whether the wheels stand, or still roll after a long time without voltage."""
-        self._stopped_s = now_s if self._stopped_s is None else self._stopped_s
-        if any(abs(loop.speed_m_s) >= _RIM_STANDS_M_S for loop in self._loops):
-            self._rolled_s = now_s
-        return now_s - self._rolled_s > _STOOD_S or now_s - self._stopped_s > _ROLLS_S
 
     def _duties(self, command: VelocityCommand, since_s: float) -> Duties:
         velocity = self._velocity.towards(command, since_s)

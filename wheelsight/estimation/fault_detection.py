@@ -39,6 +39,7 @@ from operator import itemgetter
 import numpy as np
 from scipy.special import chdtri
 
+from wheelsight.core.checks import left_out
 from wheelsight.core.estimates import STEP_BEGIN, Reason
 from wheelsight.core.geometry import FloatArray, IntArray
 from wheelsight.core.geometry import motion_kernels as motions
@@ -824,14 +825,12 @@ class SensorHealth:
 
     def _warn(self) -> None:
         """Update the warnings."""
-        found = []
-        for sensor, (times, begin_s, end_s, cause) in self._found.items():
-            name = "both wheels were" if sensor is WHEELS else f"the {sensor.value} was"
-            name += " left out" if times == 1 else f" left out {times} times, last"
-            first_s = self._first_s or 0.0
-            until = "on" if end_s == math.inf else f"until {end_s - first_s:.1f} s"
-            found.append(f"{name} from {begin_s - first_s:.1f} s after the first frame {until}: {cause}")
-        self.warnings = tuple(found)
+        first_s = self._first_s or 0.0
+        self.warnings = tuple(
+            left_out("both wheels were" if sensor is WHEELS else f"the {sensor.value} was", times, *ends_s, cause)
+            for sensor, (times, begin_s, end_s, cause) in self._found.items()
+            for ends_s in [(begin_s - first_s, end_s - first_s)]
+        )
 
     def _learn(self, piece: Piece) -> None:
         """Update the usual values."""

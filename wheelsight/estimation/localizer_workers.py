@@ -51,15 +51,8 @@ Make = Callable[..., AbstractContextManager[Answering]]
 """Returns a context manager of an `Answering`, which it closes at the end."""
 
 
-class LocalizerInStep(OneCaller):
-    """Answers all events in the caller's thread, so that equal events give equal estimates. For simulators.
-
-    Args:
-        localizer: closed with this.
-    """
-
-    def __init__(self, localizer: Answering) -> None:
-        self.localizer = localizer
+class _Worker(OneCaller):
+    localizer: Answering
 
     @property
     def keyframes(self) -> KeyframeStore | None:
@@ -76,6 +69,17 @@ class LocalizerInStep(OneCaller):
         """As `Localizer.warnings`."""
         return self.localizer.warnings
 
+
+class LocalizerInStep(_Worker):
+    """Answers all events in the caller's thread, so that equal events give equal estimates. For simulators.
+
+    Args:
+        localizer: closed with this.
+    """
+
+    def __init__(self, localizer: Answering) -> None:
+        self.localizer = localizer
+
     @one_at_a_time
     def process(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
         """Return each event with its estimate. Raises what `Localizer.process` raises."""
@@ -91,7 +95,7 @@ class LocalizerInStep(OneCaller):
 _EVENT_ENDING_S = 5.0
 
 
-class LocalizerBeside(OneCaller):
+class LocalizerBeside(_Worker):
     """Answers events in a thread of its own, with a lower priority than the caller's, which controls a robot.
 
     Of frames that arrive faster than they are processed, only the newest is kept. All wheel readings are processed.
@@ -112,21 +116,6 @@ class LocalizerBeside(OneCaller):
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._run, name="localizer", daemon=True)
         self._thread.start()
-
-    @property
-    def keyframes(self) -> KeyframeStore | None:
-        """As `Localizer.keyframes`."""
-        return self.localizer.keyframes
-
-    @property
-    def recognised(self) -> int | None:
-        """As `Localizer.recognised`."""
-        return self.localizer.recognised
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """As `Localizer.warnings`."""
-        return self.localizer.warnings
 
     @one_at_a_time
     def process(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:

@@ -74,33 +74,37 @@ class FrameReadings(NamedTuple):
 
 
 class FusionRules(NamedTuple):
-    """FusionRules of fusion, all float32; see `_RULES` in `surfels`.
+    """Rules of fusion, all float32; without a source they were chosen.
 
     Attributes:
-        min_normal_dot, min_cosine: of consistent normals, and of the viewing angle of a surface.
-        laid_m: largest distance at which surfels are added.
-        least_cosine2: the square of least_cosine.
+        stable_confidence, far_m, laid_m: of the settings and the sensor; the last two are the largest distances at
+            which surfels are fused and added.
     """
 
     stable_confidence: Any
-    most_confidence: Any
-    gone_confidence: Any
-    color_frames: Any
-    most_readings: Any
     far_m: Any
-    averaged_sigmas: Any
-    gate_sigmas: Any
-    gate_m: Any
-    disk_cosine: Any
-    gap_m: Any
-    fine_enough: Any
-    free_m: Any
-    free_sigmas: Any
-    drift_m: Any
-    min_normal_dot: Any
-    min_cosine: Any
     laid_m: Any
-    least_cosine2: Any
+    most_confidence: Any = 100.0  # frames: a surface seen for long can still change
+    gone_confidence: Any = 0.4  # a surfel in free space loses half of its confidence per frame, and goes below this
+    # Frames over which colour is averaged: lamps and lenses shade a point differently from each viewpoint. Simulator:
+    # docs/decisions/dense-alignment.md.
+    color_frames: Any = 4.0
+    most_readings: Any = 50.0  # that count for a position: it is never better known than poses are
+    # Surfels are averaged this much farther than they are added: otherwise only readings of a wall there that err
+    # towards the camera would count. Simulator: docs/decisions/dense-alignment.md.
+    averaged_sigmas: Any = 6.0
+    gate_sigmas: Any = 3.0  # largest distance of consistent readings along the normal, and gate_m for errors of poses
+    gate_m: Any = 0.01
+    disk_cosine: Any = 0.35  # least cosine by which a disk is larger than its pixel: a grazed one would reach far
+    gap_m: Any = 0.02  # no disk is added this close to a stable surfel's centre
+    fine_enough: Any = 1.5  # a disk larger than a reading's by this factor is too coarse to cover it
+    free_m: Any = 0.05  # a surfel this far in front of a measurement, plus free_sigmas, is removed
+    free_sigmas: Any = 4.0
+    drift_m: Any = 0.1  # added to it for surfels outside the active window
+    min_normal_dot: Any = np.cos(np.radians(40.0))  # largest angle between consistent normals
+    # Surfaces seen at a larger angle are not fused. Simulator: docs/decisions/dense-alignment.md.
+    min_cosine: Any = np.cos(np.radians(84.5))
+    least_cosine2: Any = 0.2**2  # of the viewing angle of a plane, by which the depth error is projected on its normal
 
 
 class Candidates(NamedTuple):

@@ -59,33 +59,6 @@ _VAGUE_M = 0.035
 # the largest, drawing takes long), the least cosine of the viewing angle, and the distance of disks of one surface, per
 # metre of depth and at any depth, metres.
 _SMALLEST_PX, _LARGEST_PX, _SHOWN_COSINE, _BLEND, _BLEND_M = 0.75, 24.0, 0.05, 0.012, 0.006
-# Rules of fusion; see `FusionRules`. Without a source they were chosen. `SurfelMap` sets those that are 0 here.
-_RULES = FusionRules(
-    stable_confidence=0.0,
-    most_confidence=100.0,  # frames: a surface seen for long can still change
-    gone_confidence=0.4,  # a surfel in free space loses half of its confidence per frame, and is removed below this
-    # Frames over which colour is averaged: lamps and lenses shade a point differently from each viewpoint. Simulator:
-    # docs/decisions/dense-alignment.md.
-    color_frames=4.0,
-    most_readings=50.0,  # that count for a position: it is never better known than poses are
-    far_m=0.0,
-    # Surfels are averaged this much farther than they are added: otherwise only readings of a wall there that err
-    # towards the camera would count. Simulator: docs/decisions/dense-alignment.md.
-    averaged_sigmas=6.0,
-    gate_sigmas=3.0,  # largest distance of consistent readings along the normal, and gate_m for errors of poses
-    gate_m=0.01,
-    disk_cosine=0.35,  # least cosine by which a disk is larger than its pixel: a grazed one would reach far
-    gap_m=0.02,  # no disk is added this close to a stable surfel's centre
-    fine_enough=1.5,  # a disk larger than a reading's by this factor is too coarse to cover it
-    free_m=0.05,  # a surfel this far in front of a measurement, plus free_sigmas, is removed
-    free_sigmas=4.0,
-    drift_m=0.1,  # added to it for surfels outside the active window
-    min_normal_dot=np.cos(np.radians(40.0)),  # largest angle between consistent normals
-    # Surfaces seen at a larger angle are not fused. Simulator: docs/decisions/dense-alignment.md.
-    min_cosine=np.cos(np.radians(84.5)),
-    laid_m=0.0,
-    least_cosine2=0.2**2,  # of the viewing angle of a plane, by which the depth error is projected on its normal
-)
 
 
 class SurfelSettings(Settings):
@@ -459,10 +432,8 @@ class SurfelMap:
 
     def _rules_for(self, sensor: Float32Array) -> FusionRules:
         """Return the rules of fusion for a sensor's depth noise."""
-        far_m = {"far_m": self.settings.far_m, "laid_m": self._surfels_far_m(sensor)}
-        return FusionRules(
-            *map(np.float32, _RULES._replace(stable_confidence=self.settings.stable_confidence, **far_m))
-        )
+        own = self.settings.stable_confidence, self.settings.far_m, self._surfels_far_m(sensor)
+        return FusionRules(*map(np.float32, FusionRules(*own)))
 
     def _surfels_far_m(self, sensor: Float32Array) -> float:
         """Return the largest distance of surfels, with a margin for depth noise."""

@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import pairwise
@@ -150,27 +149,6 @@ _FINE_SHARE, _LONG_SHARE = 0.5, 0.25
 _SPREAD = (0.25, 0.5)
 # Cost difference that reduces a rollout's weight to 1/e: lower follows the best, higher is smoother (kinematic drives).
 _TEMPERATURE = 0.2
-# Aside to progress, beyond and near were found on kinematic drives of the tests alone. People count from a step away;
-# contact is more than everything else. Margins are of the settings.
-WEIGHTS = RolloutWeights(
-    aside=80.0,
-    aside_m=0.1,
-    heading=4.0,
-    progress=8.0,
-    beyond=200.0,
-    wrong_way=20.0,
-    too_fast=50.0,
-    cost=1.0,
-    near=1.5,
-    change_forward=1.0,
-    change_turn=0.5,
-    contact=1000.0,
-    people=8.0,
-    margin_m=math.nan,
-    near_m=0.3,
-    people_margin_m=math.nan,
-    people_m=0.6,
-)
 
 
 class Rollouts:
@@ -179,7 +157,7 @@ class Rollouts:
     def __init__(self, outline: Outline, limits: RobotLimits, rollouts: int, follow: FollowSettings) -> None:
         self._follow, self._limits = follow, limits
         self._dynamics = dynamics_of(outline, limits, follow.lag_s)
-        self._weights = WEIGHTS._replace(margin_m=follow.margin_m, people_margin_m=follow.people_margin_m)
+        self._weights = RolloutWeights(follow.margin_m, follow.people_margin_m)
         self._noise = noise_of(rollouts)
         self._drawn = np.empty_like(self._noise)
         self._costs = np.empty(rollouts)

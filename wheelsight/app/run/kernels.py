@@ -228,7 +228,13 @@ def _compile(part: str) -> Generator[int]:
 
 def mark_compiled(part: str) -> None:
     """Note that all kernels of a part are on the disk: how many files each folder of them has. Raises OutputError."""
-    folders = {str(folder): len(list(folder.glob("*.nbi"))) for folder in _folders()}
+    loaded = [
+        module
+        for name, module in sys.modules.items()
+        if name.startswith(("wheelsight.", "wheelsight_sim.")) and name.endswith("kernels")
+    ]
+    caches = set().union(*map(_caches, loaded))
+    folders = {str(folder): len(list(folder.glob("*.nbi"))) for folder in caches}
     write_text(_mark(part), json.dumps({"kernels": _digest(), "folders": folders}) + "\n")
 
 
@@ -246,14 +252,6 @@ def _is_compiled(part: str) -> bool:
 def _mark(part: str) -> Path:
     folder = min(_caches(import_module("wheelsight.core.geometry.motion_kernels")))
     return folder / _MARK.format(part)
-
-
-def _folders() -> set[Path]:
-    """The caches of all kernels that were loaded by now."""
-    loaded = [
-        (name, module) for name, module in sys.modules.items() if name.startswith(("wheelsight.", "wheelsight_sim."))
-    ]
-    return set().union(*(_caches(module) for name, module in loaded if name.endswith("kernels")))
 
 
 def _caches(module: ModuleType) -> set[Path]:
