@@ -24,7 +24,7 @@ from wheelsight.navigation import KnownFloor, NavigationSettings, Navigator, Tra
 SIZE_M, BEGIN = (8.0, 6.0), (1.5, 3.0, 0.0)
 ROOM = Walls.of(*walls_about(*SIZE_M))
 GOAL = {"type": "goal", "x_m": 5.0, "y_m": 3.0, "yaw_rad": 0.0}
-LONGEST_S = 30.0
+LONGEST_S = 60.0
 
 
 class ObedientRobot(RoomRobot):
