@@ -124,9 +124,8 @@ class Driven:
 
 def explored(building: Building, how: How, seed: int, folder: Path) -> Explored:
     """Explore, and judge the map, which is left in a folder."""
-    where = {"world": building.world} if building.plan is None else {"plan": building.plan}
     sensors = {"size": (320, 240), "rate_hz": how.rate_hz, "seed": seed, "realism": "real"}
-    settings = SimulationSettings(**where, **sensors)  # type: ignore[arg-type]
+    settings = SimulationSettings(**building.where, **sensors)  # type: ignore[arg-type]
     config = load_config(overrides={"odometry": "wheels,dense", "loops.source": "keyframes"})
     with Simulator(settings, limits=config.navigation.limits) as simulator:
         driven = _driven(simulator, config, how.longest_s, folder)

@@ -169,8 +169,7 @@ def main() -> None:
     margin_m = max(navigation.planner.margin_m, navigation.follow.margin_m)
     rows = []
     for building in buildings_of(asked.flats, asked.data, 40.0):
-        where = {"world": building.world} if building.plan is None else {"plan": building.plan}
-        world = world_of(SimulationSettings(seed=asked.seed, **where))
+        world = world_of(SimulationSettings(seed=asked.seed, **building.where))
         start = planar_pose(start_of(world))
         plan = TruePlan.of(world, navigation.footprint.outline, margin_m, CAMERA_M)
         found, way_m = explored(plan, start, navigation), tour_m(plan, plan.reached(start), start, SIGHT, 0.97)

@@ -69,11 +69,15 @@ class KnownBuilding:
         return Costmap.of(self.floor.layer, self.footprint, self.settings.costmap)
 
     @cached_property
+    def _drivable(self) -> Drivable:
+        """Where the outline fits in it."""
+        planner = self.planner
+        return Drivable.of(self.costmap, planner.footprint, planner.settings, planner.limits)
+
+    @cached_property
     def _extent_m(self) -> FloatArray:
         """(2, 2) least and greatest x and y of the building on its first day, in the world."""
-        building = self.building
-        where = {"world": building.world} if building.plan is None else {"plan": building.plan}
-        things = footprints(world_of(SimulationSettings(**where)))
+        things = footprints(world_of(SimulationSettings(**self.building.where)))
         return np.reshape(shapely.union_all([thing.polygon for thing in things]).bounds, (2, 2))
 
     def costmap_with(self, things: tuple[Box, ...]) -> Costmap:
@@ -104,7 +108,6 @@ class KnownBuilding:
         cells, get the same goals where both can go there.
         """
         least_m = max(self.footprint.inscribed_m + self.settings.drivable.wanted_margin_m, around_m)
-        room = Drivable.of(self.costmap, self.planner.footprint, self.planner.settings, self.planner.limits)
         low, high = self._extent_m
         while True:
             x, y = rng.uniform(low, high).tolist()
@@ -116,7 +119,7 @@ class KnownBuilding:
             if self.costmap.distance_m[row, column] <= least_m:
                 continue
             tries = np.array([self.map_pose(se3.from_plane(x, y, float(yaw))) for yaw in yaws])
-            free = np.flatnonzero(room.tightness(tries) == 0)
+            free = np.flatnonzero(self._drivable.tightness(tries) == 0)
             if len(free):
                 return np.asarray(tries[free[0]])
 

@@ -138,9 +138,9 @@ def _begun(
     known: KnownBuilding, rng: np.random.Generator, goals: int, seed: int, hard: Hardness
 ) -> tuple[Simulator, Course]:
     """A robot somewhere on free floor, on the second day, and its course."""
-    where = {"world": known.building.world} if known.building.plan is None else {"plan": known.building.plan}
+    where, people = known.building.where, hard.people
     settings = SimulationSettings(
-        **where, size=hard.size, rate_hz=hard.rate_hz, seed=5, day=1 + seed, realism="real", passersby=hard.people
+        **where, size=hard.size, rate_hz=hard.rate_hz, seed=5, day=1 + seed, realism="real", passersby=people
     )
     world = world_of(settings)
     for _ in range(_MOST_COURSES):

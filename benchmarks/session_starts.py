@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import nan
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -39,6 +40,11 @@ class Building:
     name: str
     world: str
     plan: FloorPlan | None
+
+    @property
+    def where(self) -> dict[str, Any]:
+        """The setting of the simulator that names it."""
+        return {"world": self.world} if self.plan is None else {"plan": self.plan}
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,9 +173,8 @@ def drive_in(
     With a folder `units` of calibrations, its robot is calibrated, once for all its drives; else it is believed to be
     as the data sheet says.
     """
-    where = {"world": building.world} if building.plan is None else {"plan": building.plan}
     how = {"size": (320, 240), "rate_hz": rate_hz, "seed": seed, "realism": "real"}
-    settings = SimulationSettings(day=day, passersby=passersby, laps=laps, **where, **how)  # type: ignore[arg-type]
+    settings = SimulationSettings(day=day, passersby=passersby, laps=laps, **building.where, **how)  # type: ignore[arg-type]
     recording = simulate(settings)
     return recording if units is None else with_calibration(recording, calibration_for(settings, units))
 

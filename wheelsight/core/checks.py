@@ -390,7 +390,7 @@ class FrameGate:
             return ()
         begin_s, end_s = (stamp_s - self._first_s for stamp_s in self._hangs[-1])
         cause = "it repeats one image; check its cable and driver"
-        return (left_out("the camera was", len(self._hangs), begin_s, end_s, cause),)
+        return (left_out_warning("the camera was", len(self._hangs), begin_s, end_s, cause),)
 
     def waits_for_wheels(self, frame: RgbdFrame) -> bool:
         """Whether a frame is too early to go without wheel readings."""
@@ -398,7 +398,7 @@ class FrameGate:
         return not self.has_wheels and frame.stamp_s - self._first_s < _WAIT_S
 
 
-def left_out(sensor_was: str, times: int, begin_s: float, end_s: float, cause: str) -> str:
+def left_out_warning(sensor_was: str, times: int, begin_s: float, end_s: float, cause: str) -> str:
     """Return the warning of a sensor that was left out, the last time between two times after the first frame."""
     often = "left out" if times == 1 else f"left out {times} times, last"
     until = "on" if end_s == math.inf else f"until {end_s:.1f} s"

@@ -228,11 +228,14 @@ class Estimate:
 
     @property
     def filter_covariance(self) -> FloatArray | None:
-        """(6, 6) of the left perturbation (v, ω) of `T_filter_body`, or None."""
-        if self.covariance is None or self.T_filter_odom is _IDENTITY:
-            return self.covariance
+        """(6, 6) of the left perturbation (v, ω) of `T_filter_body`, which has no drift of odom; or None."""
+        C = self.covariance
+        if C is None or self.T_filter_odom is _IDENTITY:
+            return C
         Ad = se3.adjoint(self.T_filter_odom)
-        return np.asarray(Ad @ self.covariance @ Ad.T)
+        if isinstance(self, FusedEstimate):  # as `OdomFrame.framed` adds it
+            C = C - _drift_covariance(se3.invert(self.T_filter_odom))
+        return np.asarray(Ad @ C @ Ad.T)
 
     def pose_in(self, store: KeyframeStore) -> FloatArray | None:
         """Return T_map_body (4, 4) by the present pose of its keyframe, for instance after a loop closure.
@@ -348,14 +351,6 @@ class FusedEstimate(Estimate):
     twist_covariance: FloatArray | None = None
     nis: tuple[float, int] | None = None
     wheel_errors: FloatArray | None = None
-
-    @property
-    def filter_covariance(self) -> FloatArray | None:
-        """(6, 6) of the left perturbation (v, ω) of `T_filter_body`, which has no drift of odom; or None."""
-        if self.covariance is None or self.T_filter_odom is _IDENTITY:
-            return self.covariance
-        Ad = se3.adjoint(self.T_filter_odom)
-        return np.asarray(Ad @ (self.covariance - _drift_covariance(se3.invert(self.T_filter_odom))) @ Ad.T)
 
 
 class PoseFinding(StrEnum):

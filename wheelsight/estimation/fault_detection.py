@@ -39,7 +39,7 @@ from operator import itemgetter
 import numpy as np
 from scipy.special import chdtri
 
-from wheelsight.core.checks import left_out
+from wheelsight.core.checks import left_out_warning
 from wheelsight.core.estimates import STEP_BEGIN, Reason
 from wheelsight.core.geometry import FloatArray, IntArray
 from wheelsight.core.geometry import motion_kernels as motions
@@ -826,11 +826,11 @@ class SensorHealth:
     def _warn(self) -> None:
         """Update the warnings."""
         first_s = self._first_s or 0.0
-        self.warnings = tuple(
-            left_out("both wheels were" if sensor is WHEELS else f"the {sensor.value} was", times, *ends_s, cause)
-            for sensor, (times, begin_s, end_s, cause) in self._found.items()
-            for ends_s in [(begin_s - first_s, end_s - first_s)]
-        )
+        found = []
+        for sensor, (times, begin_s, end_s, cause) in self._found.items():
+            sensor_was = "both wheels were" if sensor is WHEELS else f"the {sensor.value} was"
+            found.append(left_out_warning(sensor_was, times, begin_s - first_s, end_s - first_s, cause))
+        self.warnings = tuple(found)
 
     def _learn(self, piece: Piece) -> None:
         """Update the usual values."""

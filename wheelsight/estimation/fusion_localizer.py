@@ -730,11 +730,11 @@ class FusedOdom:
         due_s = stamp_s if stamp_s - begin_s > COAST_AFTER_S else -math.inf
         if isinstance(event, WheelReading):
             self._readings_s.append(stamp_s)
-        if isinstance(event, RgbdFrame | SkippedFrame):
+        if isinstance(event, RgbdFrame) and fusion.state.vision_s == event.stamp_s:
+            due_s = event.stamp_s  # known better than at a reading of wheels that may slip
+        elif isinstance(event, RgbdFrame | SkippedFrame):
             past_s = [s for s in self._readings_s if event.stamp_s - COAST_AFTER_S < s <= event.stamp_s]
             due_s = max(past_s, default=min(event.stamp_s, stamp_s))
-            if fusion.state.vision_s == event.stamp_s:  # known better than at a reading of wheels that may slip
-                due_s = event.stamp_s
         if due_s > begin_s:
             fusion.clone(due_s, STEP_BEGIN)
             T_begin = fusion.remembered(STEP_BEGIN)

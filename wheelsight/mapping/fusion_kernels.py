@@ -95,7 +95,7 @@ class FusionRules(NamedTuple):
     averaged_sigmas: Any = 6.0
     gate_sigmas: Any = 3.0  # largest distance of consistent readings along the normal, and gate_m for errors of poses
     gate_m: Any = 0.01
-    disk_cosine: Any = 0.35  # least cosine by which a disk is larger than its pixel: a grazed one would reach far
+    disk_cosine: Any = 0.35  # least cosine that enlarges a disk: one at a grazing angle would be too long
     gap_m: Any = 0.02  # no disk is added this close to a stable surfel's centre
     fine_enough: Any = 1.5  # a disk larger than a reading's by this factor is too coarse to cover it
     free_m: Any = 0.05  # a surfel this far in front of a measurement, plus free_sigmas, is removed
@@ -104,7 +104,7 @@ class FusionRules(NamedTuple):
     min_normal_dot: Any = np.cos(np.radians(40.0))  # largest angle between consistent normals
     # Surfaces seen at a larger angle are not fused. Simulator: docs/decisions/dense-alignment.md.
     min_cosine: Any = np.cos(np.radians(84.5))
-    least_cosine2: Any = 0.2**2  # of the viewing angle of a plane, by which the depth error is projected on its normal
+    least_cosine2: Any = 0.2**2  # of a plane's viewing angle, where the depth error is projected on its normal
 
 
 class Candidates(NamedTuple):
