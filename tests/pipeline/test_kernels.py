@@ -25,7 +25,7 @@ from wheelsight_sim import SimulationSettings, WheelFaults, simulate, write_simu
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A cache of two kernels, which are marked as compiled."""
-    monkeypatch.setattr(kernels, "_folders", lambda: {tmp_path})
+    monkeypatch.setattr(kernels, "_caches", lambda module: {tmp_path})
     monkeypatch.setattr(kernels, "_mark", lambda part: tmp_path / f"{part}.json")
     for name in ("a", "b"):
         (tmp_path / f"{name}.nbi").write_bytes(b"")
