@@ -73,7 +73,6 @@ from wheelsight.mapping import (
     NamedPoses,
     SurfelMap,
     Surfels,
-    SurfelSettings,
     load_map,
     save_map,
 )
@@ -817,7 +816,7 @@ def _map() -> bytes:
     flat = np.ones(n, np.float32)
     seen_s = np.zeros(n)
     position, color = rng.random((n, 3), np.float32), rng.random((n, 3), np.float32)
-    made = SurfelMap(SurfelSettings(threads=1))
+    made = SurfelMap()
     seen = (seen_s, seen_s, np.full(len(flat), -1, np.int32))
     made.add(Surfels(position, normal, 0.01 * flat, color, 50 * flat, flat, 1e-4 * flat, *seen), 1.0)
     return _saved(lambda path: save_map(made, path))

@@ -11,7 +11,6 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import FrameSurface, PredictedView
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.core.threads import Rows
 from wheelsight.mapping import SurfelMap
 from wheelsight.mapping.surfels import Thinning
 from wheelsight.vision.dense import DenseSettings
@@ -57,12 +56,11 @@ class KnownSurfels:
 
     def __init__(self, calibration: Calibration) -> None:
         settings = DenseSettings()
-        rows = Rows(settings.threads)
         self.map = SurfelMap()
         self._thinning = Thinning(self.map.settings)
         self._noise = calibration.depth_noise
-        self._gridder = Gridder(calibration, settings, rows)
-        self._maker = ReferenceMaker(calibration.depth_noise, rows)
+        self._gridder = Gridder(calibration, settings)
+        self._maker = ReferenceMaker(calibration.depth_noise)
 
     def fuse(self, frame: RgbdFrame, poses: TruePoses) -> None:
         """Straighten and fuse a frame, after its view was predicted, as a tracker needs it."""

@@ -96,7 +96,7 @@ def played(path: Path, loops: str) -> Drive:
     if len(frames) <= _WARM_UP_FRAMES:
         raise InputError("has hardly a frame", path=path, fix="name another recording")
     source = {"loops.source": "keyframes"} if loops == WITH else {}
-    settings = {"odometry": "dense", "map": "surfels", "dense.threads": 2, "surfels.threads": 2, **source}
+    settings = {"odometry": "dense", "map": "surfels", **source}
     localizer = Localizer(recording.calibration, load_config(overrides=settings))
     closures = [] if localizer.loops is None else timed(localizer.loops)
     frame_s = np.array(list(_paced(localizer, frames)))

@@ -47,7 +47,6 @@ ALONE: Mapping[str, Mapping[str, str]] = {
     "dense, map": {"odometry": "dense", "map": "surfels"},
 }
 JOINED = {"odometry": "wheels,dense", "map": "surfels", "loops.source": "keyframes"}
-THREADS = {"dense.threads": 1, "surfels.threads": 1}
 SECONDS, RATE_HZ, SEED = 60.0, 10.0, 1
 _WARM_UP_FRAMES = 5
 HEADER = ("drive", "settings", "frames", "poses", "error m", "median ms", "p95 ms", "CPU ms", "keyframes", "surfels")
@@ -121,7 +120,7 @@ class Cost:
 
 def configs(base: Mapping[str, Any]) -> dict[str, Config]:
     """Default settings and the profile's, by name, both on one thread."""
-    return {name: load_config(overrides={**base, **THREADS, "profile": profile}) for name, profile in NAMES.items()}
+    return {name: load_config(overrides={**base, "profile": profile}) for name, profile in NAMES.items()}
 
 
 def costs_of(drive: str, events: Iterable[Event], truth: Trajectory, localizers: Mapping[str, Localizer]) -> list[Cost]:

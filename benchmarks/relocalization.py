@@ -145,8 +145,8 @@ class Place:
     def _by_surfaces(self, view: SeenView, keyframe: KeyframeId, T_true: FloatArray) -> FloatArray:
         """T_keyframe_camera (4, 4) by planes alone, begun at the truth."""
         views, settings = self.views, self.views.settings.model_copy(update=_SURFACES_ALONE)
-        maker = ReferenceMaker(self.calibration.depth_noise, views.rows)
-        aligner = Aligner(self.calibration, settings, views.rows, views.gridder, maker)
+        maker = ReferenceMaker(self.calibration.depth_noise)
+        aligner = Aligner(self.calibration, settings, views.gridder, maker)
         reference = maker.of_frame(views.of_keyframe(self.keyframes[keyframe]).grid, np.eye(4))
         return aligner.align(view.grid, reference, T_true).T_reference_frame
 

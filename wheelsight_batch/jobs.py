@@ -152,7 +152,7 @@ def seeded(config: Config, seeds: int) -> Iterator[Config]:
 
 def _jobs(path: Path, file: Path | None, digest: Digest, seeds: int) -> tuple[Config, list[Job]]:
     """The resolved configuration, and a job for each seed. Raises InputError."""
-    config = load_config(file, {"dense.threads": 1, "surfels.threads": 1})
+    config = load_config(file)
     recording = open_recording(path, config.recording)
     config = resolved(recording, config)
     # Digests of all files in the settings, with absolute paths: another process may have another working folder

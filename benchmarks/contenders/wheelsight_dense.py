@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
-import cv2
 
 from benchmarks.contenders.protocol import Contender
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.messages import RgbdFrame
-
-if TYPE_CHECKING:
-    from wheelsight.vision.dense import DenseSettings
 
 
 class WheelsightDense:
@@ -22,7 +16,7 @@ class WheelsightDense:
     def __init__(self, calibration: Calibration) -> None:
         from wheelsight.vision.dense import DenseOdometry
 
-        self._odometry = DenseOdometry(calibration, _as_many_threads())
+        self._odometry = DenseOdometry(calibration)
 
     def prepare(self, frame: RgbdFrame) -> RgbdFrame:
         """The frame as the recording gives it, distortion and all."""
@@ -40,9 +34,8 @@ class WheelsightSurfels:
         from wheelsight.config import load_config
         from wheelsight.estimation import Localizer
 
-        threads = cv2.getNumThreads()
-        settings = {"odometry": "dense", "map": "surfels", "dense.threads": threads, "surfels.threads": threads}
-        self._localizer = Localizer(replace(calibration, T_base_camera=None), load_config(overrides=settings))
+        settings = load_config(overrides={"odometry": "dense", "map": "surfels"})
+        self._localizer = Localizer(replace(calibration, T_base_camera=None), settings)
 
     def prepare(self, frame: RgbdFrame) -> RgbdFrame:
         """The frame as the recording gives it, distortion and all."""
@@ -52,13 +45,6 @@ class WheelsightSurfels:
         """T_odom_camera (4, 4), or None."""
         estimate = self._localizer.process(prepared)
         return None if estimate is None else estimate.T_odom_body
-
-
-def _as_many_threads() -> DenseSettings:
-    """Default settings, but for the threads that measure.py holds all libraries to: OpenCV tells how many."""
-    from wheelsight.vision.dense import DenseSettings
-
-    return DenseSettings(threads=cv2.getNumThreads())
 
 
 KEYFRAMES = Contender(

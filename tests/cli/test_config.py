@@ -78,7 +78,7 @@ def test_a_drive_goes_by_a_profile_and_by_what_is_set_over_it() -> None:
     assert (config.profile, config.navigation.mppi.rollouts, config.localizer.most_width_px) == ("pi", 300, 320)
 
 
-@pytest.mark.parametrize("change", ["", "features.reference=previous", "dense.threads=1", "features.seed=3"])
+@pytest.mark.parametrize("change", ["", "features.reference=previous", "features.seed=3"])
 def test_a_drive_chooses_its_odometry_as_a_run_does(change: str) -> None:
     options = DriveOptions(explore=True, out=Path("out"), set_=[change] if change else [])
     mount, wheels = np.eye(4), Wheels(0.1, 0.1, 0.4, 4000.0)

@@ -69,7 +69,7 @@ def test_a_blackout_on_a_drive(room: Room, camera: str) -> None:
     way = since_begin(truth)
     mapped = {"map": "surfels", "surfels.stable_confidence": 2.0} if camera == "map" else {}
     kind = "features" if camera == "features" else "dense"
-    settings = load_config(overrides={"odometry": f"wheels,{kind}", "dense.threads": 1, **mapped})
+    settings = load_config(overrides={"odometry": f"wheels,{kind}", **mapped})
     answers = answers_of(Localizer(calibration, settings), seen_as(covered, events, DARK_S))
     begin_s = events[0].stamp_s
     dark = [a for a in answers if DARK_S[0] < a[0].stamp_s - begin_s < DARK_S[1]]
@@ -103,7 +103,7 @@ def test_wheels_that_spin_before_a_room(room: Room) -> None:
         extra = round(np.clip(event.stamp_s - begin_s - 1.4, 0, 0.8) * 3000)  # about 1 m/s
         return WheelTicks(event.stamp_s, event.left + extra, event.right + extra)
 
-    settings = load_config(overrides={"odometry": "wheels,dense", "dense.threads": 1})
+    settings = load_config(overrides={"odometry": "wheels,dense"})
     answers = answers_of(Localizer(calibration, settings), [spun(event) for event in events])
     told = [a for frame, a, _ in answers if 1.5 < frame.stamp_s - begin_s < 2.2]
     assert all(a.slip or a.doubtful for a in told)
@@ -121,9 +121,7 @@ def test_after_a_blackout_the_map_goes_on_where_nothing_is_known(room: Room) -> 
         color, depth_m = render_room(T_other_here @ T_odom_base @ T_BASE_CAMERA)
         return replace(frame, color=color, depth_m=depth_m)
 
-    settings = load_config(
-        overrides={"odometry": "wheels,dense", "dense.threads": 1, "map": "surfels", "surfels.stable_confidence": 2.0}
-    )
+    settings = load_config(overrides={"odometry": "wheels,dense", "map": "surfels", "surfels.stable_confidence": 2.0})
     given = seen_as(elsewhere, seen_as(covered, events, (1.2, 1.6)), (1.6, 99.0))
     answers = answers_of(Localizer(calibration, settings), given)
     begin_s = events[0].stamp_s

@@ -78,7 +78,7 @@ class Told:
 def test_odom_does_not_jump_where_the_map_does(
     room: Recording, events: list[Event], way: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    settings = load_config(overrides={**WAYS[way], "dense.threads": 1, "loops.source": "keyframes"})
+    settings = load_config(overrides={**WAYS[way], "loops.source": "keyframes"})
     still = Localizer(room.calibration, settings, waits=True)
     expected = answers(still, events)
     subject = Localizer(room.calibration, settings, waits=True)

@@ -102,7 +102,7 @@ def test_a_camera_through_a_localizer_is_dense_odometry(data_folder: Path, name:
 def test_real_images_listed_twice_are_tracked_as_if_listed_once(data_folder: Path, odometry: str) -> None:
     recording = open_recording(data_folder / "rgbd" / "freiburg1_rpy_part")
     frames = [event for event in islice(recording.events(), 30) if isinstance(event, RgbdFrame)]
-    settings = load_config(overrides={"odometry": odometry, "dense.threads": 1})
+    settings = load_config(overrides={"odometry": odometry})
     once, twice = (Localizer(recording.calibration, settings) for _ in range(2))
     for frame in frames:
         expected, answer = once.process(frame), twice.process(frame)

@@ -10,7 +10,6 @@ from mapping.scenes import GRID, NOISE, SHAPE, Wall, fuse, look_at, made_map, po
 from odometry.plain_kernels import plain
 
 from wheelsight.core.geometry import FloatArray, se3, so3
-from wheelsight.core.threads import Rows
 from wheelsight.mapping import Surfels, blocks, surfels
 from wheelsight.mapping import block_kernels as _block_kernels
 from wheelsight.mapping import fusion_kernels as _fusion_kernels
@@ -154,7 +153,7 @@ def test_compiled_loops_do_as_plain_python_does(monkeypatch, rng):
     monkeypatch.setattr("wheelsight.mapping.surfels._UNSTABLE_S", 0.15)
 
     def made() -> tuple[Surfels, list[np.ndarray]]:
-        surfel_map = made_map(stable_confidence=3.0, threads=1)
+        surfel_map = made_map(stable_confidence=3.0)
         for k, view in enumerate(views):
             surfel_map.fuse(view, grid, pose(0.02 * k), k / 30, NOISE)
         drawn = surfel_map.render(pose(0.1), grid, shape)
@@ -194,7 +193,7 @@ def test_a_floor_between_two_blocks_takes_no_more_memory_where_loops_move_it_up_
     made.append(made_of(geometry), 0.0, RULES)
     took = made.memory_bytes
     for way_m in (*(0.02, -0.02) * 3, 0.02):
-        made.move(np.array([se3.from_parts(np.eye(3), [0.0, 0.0, way_m])]), 0.0, RULES, Rows(1).share)
+        made.move(np.array([se3.from_parts(np.eye(3), [0.0, 0.0, way_m])]), 0.0, RULES)
         made.sweep(0.0, RULES)
     assert made.alive == n
     assert made.memory_bytes < 1.2 * took
@@ -202,7 +201,7 @@ def test_a_floor_between_two_blocks_takes_no_more_memory_where_loops_move_it_up_
     cells = made.cell_xyz[made.page_cell[slots // PAGE]]
     stray = np.abs(made.geometry[slots, :3] - 0.5 * (cells + 0.5)).max() - 0.25
     assert 0.0 < stray <= STRAY_M + 1e-6
-    made.move(np.array([se3.from_parts(np.eye(3), [0.0, 0.0, 0.1])]), 0.0, RULES, Rows(1).share)
+    made.move(np.array([se3.from_parts(np.eye(3), [0.0, 0.0, 0.1])]), 0.0, RULES)
     slots = made.slots()
     assert (made.cell_xyz[made.page_cell[slots // PAGE], 2] == 0).mean() > 0.99
 
@@ -213,7 +212,7 @@ def test_a_map_that_loops_move_far_takes_its_memory_once(rng):
     made.append(scattered(rng, 100_000), 0.0, RULES)
     took = made.memory_bytes
     for _ in range(4):
-        made.move(np.array([se3.from_parts(np.eye(3), [0.6, 0.0, 0.0])]), 0.0, RULES, Rows(1).share)
+        made.move(np.array([se3.from_parts(np.eye(3), [0.6, 0.0, 0.0])]), 0.0, RULES)
         made.sweep(0.0, RULES)
     assert made.alive == 100_000
     assert made.memory_bytes < 1.5 * took

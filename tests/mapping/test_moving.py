@@ -109,19 +109,6 @@ def test_moved_surfels_are_averaged_with_what_is_seen_of_them(
     assert fused.added < 0.02 * size
 
 
-def test_moves_do_not_depend_on_the_number_of_threads_to_the_last_bit(rng: np.random.Generator) -> None:
-    made = []
-    for threads in (1, 2):
-        store = kept_keyframes(2)
-        one = SurfelMap(SurfelSettings(threads=threads), store)
-        for k in range(4):
-            fuse(one, see([Wall(2.0, slope=0.2)], pose(), np.random.default_rng(k)), pose(), k * FRAME_S, k % 2)
-        move(store, se3.exp([0.2, -0.1, 0.3, 0.1, -0.2, 0.3]), SECOND)
-        made.append(one.surfels())
-    for name in Surfels.__slots__:
-        assert_array_equal(getattr(made[0], name), getattr(made[1], name))
-
-
 def test_where_room_runs_short_moves_take_that_of_what_has_left(rng: np.random.Generator) -> None:
     store, size = kept_keyframes(1), 2 * SHAPE[0] * SHAPE[1]
     one = SurfelMap(SurfelSettings(max_surfels=size), store)

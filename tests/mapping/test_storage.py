@@ -38,7 +38,7 @@ from wheelsight.mapping.columns import COLUMNS, columns_of, packed, unpacked
 def surfel_map() -> SurfelMap:
     """Of which some surfels hang on two keyframes, and others on none; nobody changes it."""
     store, rng = kept_keyframes(2), np.random.default_rng(20240817)
-    made = SurfelMap(SurfelSettings(active_s=7.0, threads=1), store)
+    made = SurfelMap(SurfelSettings(active_s=7.0), store)
     walls = [Wall(2.0, slope=0.3), Wall(1.4, low=-0.1, high=0.1)]
     for k, keyframe in enumerate([None] * 4 + [0] * 4 + [1] * 4):
         T = pose(0.05 * k)

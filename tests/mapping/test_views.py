@@ -78,14 +78,13 @@ def test_unstable_surfels_show_only_where_no_stable_one_does():
     assert (np.abs(depth_m[was_empty] - 1.5) < 1e-3).all()
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_unstable_disks_reach_out_from_beside_stable_ones_only(threads):
+def test_unstable_disks_reach_out_from_beside_stable_ones_only():
     # One stable surfel, and unstable ones farther off: in its middle, half hidden by it, and all beside it.
     middles = np.array([[0.0, 0, 1], [0.005, 0, 1.2], [0.08, 0, 1.2], [0.4, 0, 1.2]], np.float32)
     n, facing = len(middles), np.array([0, 0, -1], np.float32)
     grey, confidence = np.array([10, 20, 30, 40], np.float32), np.array([20, 1, 1, 1], np.float32)
     looks = (np.full(n, 0.05, np.float32), np.repeat(grey[:, None], 3, axis=1), grey, confidence)
-    surfel_map = made_map(threads=threads)
+    surfel_map = made_map()
     seen = (np.zeros(n), np.zeros(n), np.full(n, -1, np.int32))
     surfel_map.add(Surfels(middles, np.tile(facing, (n, 1)), *looks, np.full(n, 1e-6, np.float32), *seen), 0.0)
     view = surfel_map.predict(pose(), GRID, SHAPE)

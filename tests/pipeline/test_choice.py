@@ -81,8 +81,8 @@ def test_a_camera_alone_is_followed_by_what_settings_ask_for(drive: ImageRecordi
         ({"features.keypoints": 900, "map": "surfels"}, "dense"),
         ({"profile": "pi", "map": "surfels"}, "dense"),
         ({"profile": "pi", "dense.lost_after": 5}, "dense"),
-        ({"dense.threads": 1}, "dense"),
-        ({"profile": "pi", "dense.threads": 1}, "features"),
+        ({"features.seed": 1}, "dense"),
+        ({"profile": "pi", "features.seed": 1}, "features"),
     ],
 )
 def test_a_slow_computer_follows_a_camera_alone_by_features(

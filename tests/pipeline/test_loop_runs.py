@@ -105,7 +105,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_loops_of_a_camera_are_closed_on_the_way_and_reported(room: Path, tmp_path: Path) -> None:
-    overrides = {"odometry": "dense", "dense.keyframe_way_m": 0.05, "dense.threads": 1}
+    overrides = {"odometry": "dense", "dense.keyframe_way_m": 0.05}
     loops = {"loops.source": "keyframes", "loops.apart_s": 0.3, "loops.latency_s": 0.2}
     out = tmp_path / "out"
     record = run(open_recording(room), load_config(overrides=overrides | loops), out)

@@ -29,7 +29,7 @@ from wheelsight.mapping import SurfelMap, load_map, surfels
 
 def seen_along(T_odom_map: list[FloatArray]) -> tuple[Stops, SurfelMap]:
     """A wall that is mapped from poses 2 cm apart, while the map lies at some motions (4, 4)."""
-    stops, surfel_map = Stops(spread(2, len(T_odom_map))), made_map(threads=1)
+    stops, surfel_map = Stops(spread(2, len(T_odom_map))), made_map()
     for k, T in enumerate(T_odom_map):
         T_map_camera = pose(0.02 * k)
         fuse(surfel_map, see([Wall(2.0)], T_map_camera), T_map_camera, k * FRAME_S)

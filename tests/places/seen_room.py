@@ -25,7 +25,7 @@ def standing(x: float, y: float, yaw: float, z: float = 1.3) -> FloatArray:
 
 @lru_cache(maxsize=1)
 def maker() -> ViewMaker:
-    return ViewMaker(EXACT, DenseSettings(threads=1))
+    return ViewMaker(EXACT, DenseSettings())
 
 
 def frame_at(T_map_camera: FloatArray, *, seed: int = 0, stamp_s: float = 0.0, blank: bool = False) -> RgbdFrame:

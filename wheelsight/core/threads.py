@@ -1,23 +1,19 @@
-"""`OneCaller` refuses concurrent calls of an object with a state. `Rows` shares an image, `Worker` runs functions, and
-`Stopwatch` adds up the times of stages.
+"""`OneCaller` refuses concurrent calls of an object with a state, `Worker` runs functions, and `Stopwatch` adds up the
+times of stages.
 """
 
 from __future__ import annotations
 
-import itertools
 import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import wraps
 from typing import Any, Concatenate, Generic, ParamSpec, Protocol, Self, TypeVar
 
 from wheelsight.core.errors import ArgumentError
 
-_FEWEST_ROWS = 100  # a single thread is faster for smaller images
-_PARTS_A_THREAD = 2  # rows differ in work, and threads in their start
 # Of `nice` of background work: a third of an ordinary thread's share. With less, such a thread holds Python's lock
 # while the system runs other programs, and frames wait.
 _YIELDED = 5
@@ -112,34 +108,6 @@ def yield_to_others() -> None:
     thread = threading.get_native_id()
     with suppress(AttributeError, OSError):
         os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, thread) + _YIELDED)
-
-
-class Rows:
-    """Shares the rows of an image among threads; the result does not depend on their number."""
-
-    def __init__(self, threads: int) -> None:
-        self._threads = threads
-        self._pool = ThreadPoolExecutor(threads, "wheelsight-dense") if threads > 1 else None
-
-    def share(self, height: int, work: Callable[..., None], *given: Any, after: tuple[Any, ...] = ()) -> None:
-        """Call `work(*given, begin, end, *after)` until all rows below `height` are done."""
-        if self._pool is None or height < _FEWEST_ROWS:
-            work(*given, 0, height, *after)
-            return
-        todo, parts = itertools.count(), _PARTS_A_THREAD * self._threads
-
-        def take() -> None:
-            while (part := next(todo)) < parts:
-                work(*given, height * part // parts, height * (part + 1) // parts, *after)
-
-        others = []
-        for _ in range(1, self._threads):
-            others.append(self._pool.submit(take))
-        while (part := next(todo)) < parts:
-            work(*given, height * part // parts, height * (part + 1) // parts, *after)
-        for other in others:
-            if not other.cancel():
-                other.result()
 
 
 # Longest wait for unfinished work at the end of a program; the thread is a daemon.

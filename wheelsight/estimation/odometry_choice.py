@@ -139,10 +139,9 @@ def odometry_of_robot(config: Config) -> tuple[OdometryName, OdometryName]:
 def _camera_odometry(config: Config, *, beside_wheels: bool) -> OdometryName:
     """Return dense or feature odometry; see `choose_odometry`."""
     defaults = Config(profile=config.profile)
-    # Threads change no result and a seed is common to all: neither indicates an odometry.
-    dense = config.dense.model_copy(update={"threads": defaults.dense.threads})
+    # A seed is common to all: it indicates no odometry.
     features = config.features.model_copy(update={"seed": defaults.features.seed})
-    asks_dense = config.map is not None or dense != defaults.dense
+    asks_dense = config.map is not None or config.dense != defaults.dense
     is_slow = config.profile == "pi" and not beside_wheels
     return "features" if (features != defaults.features or is_slow) and not asks_dense else "dense"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import mkdtemp
@@ -30,7 +30,6 @@ from wheelsight.mapping.block_kernels import (
 from wheelsight.mapping.fusion_kernels import move
 
 _BINS = 512
-Share = Callable[[int, Callable[[int, int], None]], None]
 # Share of surfels dropped at once. Dropping visits the whole map, and a tenth at once makes it rare.
 _DROPPED_AT_ONCE = 0.1
 _SWEPT_SURFELS = 1 << 15
@@ -161,16 +160,14 @@ class Blocks:
         everything = int(self._counters[CELLS]), np.iinfo(np.int64).max
         return self._compact(0, *everything, now_s, rules, np.zeros(0, np.int64))[0]
 
-    def move(self, T_new_old: FloatArray, now_s: float, rules: FloatArray, share: Share) -> None:
+    def move(self, T_new_old: FloatArray, now_s: float, rules: FloatArray) -> None:
         """Move surfels with their keyframes: motions (K + 1, 4, 4) by keyframe, the last for surfels without one.
 
-        Surfels that leave their cell are moved to the new one; those without room there count as dropped. `share` is
-        `Rows.share`: this visits the whole map while a frame waits.
+        Surfels that leave their cell are moved to the new one; those without room there count as dropped.
         """
         has_moved, pages = (T_new_old != np.eye(4)).any(axis=(1, 2)), int(self._counters[PAGES])
         has_left = np.zeros(pages * PAGE, np.bool_)
-        given = (T_new_old, has_moved, self.surfels, self.pages, self.cells, has_left)
-        share(pages, lambda a, b: move(a, b, *given))
+        move(0, pages, T_new_old, has_moved, self.surfels, self.pages, self.cells, has_left)
         left = np.flatnonzero(has_left)
         if len(left):
             are_many = len(left) > _LEFT_AT_ONCE * self.alive  # adding them again takes longer than compacting

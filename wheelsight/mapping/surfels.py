@@ -18,7 +18,6 @@ from wheelsight.core.errors import MapError
 from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, Int32Array, se3
 from wheelsight.core.keyframes import FrameSurface, KeyframeId, KeyframeStore, PredictedView
 from wheelsight.core.settings import ASKED, CHOSEN, ON_SIMULATOR, Settings, setting
-from wheelsight.core.threads import Rows
 from wheelsight.mapping import fusion_kernels as fusion
 from wheelsight.mapping import view_kernels as view
 from wheelsight.mapping.block_kernels import CONFIDENCE, PAGE, RADIUS, InView, SurfelArrays
@@ -95,9 +94,6 @@ class SurfelSettings(Settings):
     resting_folder: str | None = setting(
         None, "folder of surfels on disk; none for the system's folder of temporary files", ASKED
     )
-    threads: int = setting(
-        2, "threads that share a frame's rows", "two cores, for which wheelsight is made", gt=0, le=64
-    )
 
 
 class SurfelMap:
@@ -107,7 +103,7 @@ class SurfelMap:
     keyframes: the map applies their motion before fusing, predicting and reading. When memory is short, surfels of
     distant keyframes are on disk until the camera comes near.
 
-    Results do not depend on `settings.threads`, to the last bit. Not thread-safe.
+    Not thread-safe.
 
     Args:
         store: store of the keyframes; without one, surfels do not move.
@@ -131,7 +127,6 @@ class SurfelMap:
         self.stamp_s, self.frames = -np.inf, 0
         self.blocks = Blocks(_BLOCK_M, self.settings.max_surfels)
         self._paging = SurfelPaging(self.settings.max_surfels, self.settings.far_m, self.settings.resting_folder)
-        self._rows = Rows(self.settings.threads)
         self._scratch: dict[str, np.ndarray] = {}
         self._weight_of: tuple[float, ...] = ()
 
@@ -176,8 +171,8 @@ class SurfelMap:
         looks = (color.reshape(-1, 3), grey.reshape(-1))
         since_s = self.stamp_s - np.array([*self._lifetime_s, self.settings.active_s])
         seen = FrameReadings(depth_m, reading, radius, *looks, self.stamp_s, np.float32(frames), since_s)
-        given = (seen, normal, self._weight(pose.grid, shape), camera, self._rules_for(camera.noise))
-        self._rows.share(shape[0], lambda a, b: fusion.read(a, b, *given))
+        weight, rules = self._weight(pose.grid, shape), self._rules_for(camera.noise)
+        fusion.read(0, shape[0], seen, normal, weight, camera, rules)
         matched, removed, merged, is_new = self._average(seen, camera, pose)
         n = int(np.count_nonzero(is_new))
         images = np.empty((n, 8), np.float32), np.empty((n, 4), np.float32), np.empty((n, 2))
@@ -204,7 +199,7 @@ class SurfelMap:
         """Match, average and merge; return the numbers of matched, removed and merged surfels, and which pixels are new
         (h, w).
         """
-        blocks, share, rules = self.blocks, self._rows.share, self._rules_for(camera.noise)
+        blocks, rules = self.blocks, self._rules_for(camera.noise)
         height, width = seen.depth_m.shape
         pages = blocks.pages_in_view(pose.T, pose.grid, (height, width), self._surfels_far_m(camera.noise) + 1, -np.inf)
         entries, surfels = (len(pages) * PAGE,), blocks.surfels
@@ -215,20 +210,19 @@ class SurfelMap:
             self._room("found", (len(pages), 4), np.int32),
             self._room("chosen", (seen.depth_m.size,), np.int32),
         )
-        given = (InView(pages, blocks.page_fill), surfels, seen, camera, rules, found)
-        share(len(pages), find_candidates, after=given)
+        in_view = InView(pages, blocks.page_fill)
+        find_candidates(0, len(pages), in_view, surfels, seen, camera, rules, found)
         best = self._room("best", (seen.depth_m.size,), np.float32)
-        ranked = (found.pixel, found.rank, found.counts, best, found.chosen)
-        share(height, choose, after=(width, *ranked))
+        choose(0, height, width, found.pixel, found.rank, found.counts, best, found.chosen)
         is_new = self._room("is_new", (height, width), np.bool_)
-        share(height, find_new, after=(found, surfels, seen, camera.pitch, rules, is_new))
+        find_new(0, height, found, surfels, seen, camera.pitch, rules, is_new)
         home = fusion.Home(blocks.page_cell, blocks.cell_xyz, blocks.cell_seen_s, blocks.block_m)
-        share(len(pages), fusion.update, after=(found, surfels, home, camera, seen, rules))
+        fusion.update(0, len(pages), found, surfels, home, camera, seen, rules)
         is_due = self.frames % _MERGED_EVERY == 1
         merged = 0
         if is_due:
             by_row = np.zeros(height, np.int64)
-            share(height, fusion.merge, after=(width, found, surfels, rules, by_row))
+            fusion.merge(0, height, width, found, surfels, rules, by_row)
             merged = int(by_row.sum())
         _, died, matched, died_then = found.counts.sum(axis=0, dtype=np.int64).tolist()
         blocks.count_deaths(died + died_then + merged)
@@ -268,7 +262,7 @@ class SurfelMap:
         `limits` are the largest distance, the least confidence, and the largest variance.
         """
         far_m, least, vague_m2 = limits
-        blocks, (height, width), share = self.blocks, shape, self._rows.share
+        blocks, (height, width) = self.blocks, shape
         pages = blocks.pages_in_view(pose.T, pose.grid, shape, far_m, since_s)
         entries = len(pages) * PAGE
         disks = view.Disks(
@@ -280,16 +274,16 @@ class SurfelMap:
         numbers = (far_m, self.settings.stable_confidence, least, vague_m2, *sizes)
         shown = view.RenderLimits._make((*map(np.float32, numbers), since_s))
         lens = view.RenderCamera(pose.T.astype(np.float32), pose.grid.astype(np.float32), width, height)
-        given = (InView(pages, blocks.page_fill), blocks.surfels, lens, shown, disks)
-        share(len(pages), view.project_disks, after=given)
+        in_view = InView(pages, blocks.page_fill)
+        view.project_disks(0, len(pages), in_view, blocks.surfels, lens, shown, disks)
         near = self._room("near", (*shape, view.NEAR), np.float32)
         sums = self._room("sums", (*shape, view.SUMS), np.float32)
         image = view.RenderImage(*rays_of(pose.grid, shape), near, sums, np.float32(_BLEND), np.float32(_BLEND_M))
-        share(height, view.blend, after=(disks, image))
-        share(height, view.fill_in, after=(disks, image))
+        view.blend(0, height, disks, image)
+        view.fill_in(0, height, disks, image)
         color = np.empty((*shape, 3) if with_color else (0, 0, 3), np.float32)
         out = np.empty(shape, np.float32), np.empty((*shape, 3), np.float32), np.empty(shape, np.float32)
-        share(height, view.divide, after=(near, sums, *out, color))
+        view.divide(0, height, near, sums, *out, color)
         return *out, color
 
     def _load_near(self, pose: Pose) -> None:
@@ -391,7 +385,7 @@ class SurfelMap:
         moves = store.T_map_keyframe[: len(known)] @ se3.invert(known)
         moves = np.where(np.isfinite(moves).all(axis=(1, 2), keepdims=True), moves, np.eye(4))
         if not np.allclose(moves, np.eye(4), atol=1e-12):
-            self.blocks.move(np.concatenate([moves, np.eye(4)[None]]), self.stamp_s, self._rules, self._rows.share)
+            self.blocks.move(np.concatenate([moves, np.eye(4)[None]]), self.stamp_s, self._rules)
         self._store, self._follower = store, store.follow()
 
     def move(self, T_new_old: FloatArray) -> None:
@@ -406,7 +400,7 @@ class SurfelMap:
         else:
             self._store.move(list(self._store), T @ self._store.T_map_keyframe)
             self._follower.moves()  # moved below, with surfels that have no keyframe
-        self.blocks.move(T[None], self.stamp_s, self._rules, self._rows.share)
+        self.blocks.move(T[None], self.stamp_s, self._rules)
 
     def settle(self) -> int:
         """Remove expired unstable surfels in memory, and return their number.
@@ -419,7 +413,7 @@ class SurfelMap:
         """Move surfels by the motion of their keyframes since the last call."""
         moves = None if self._follower is None else self._follower.moves()
         if moves is not None:
-            self.blocks.move(np.concatenate([moves, np.eye(4)[None]]), self.stamp_s, self._rules, self._rows.share)
+            self.blocks.move(np.concatenate([moves, np.eye(4)[None]]), self.stamp_s, self._rules)
 
     @property
     def _active_since_s(self) -> float:

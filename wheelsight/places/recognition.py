@@ -23,7 +23,6 @@ from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.core.settings import RecognitionSettings
 from wheelsight.core.settings.base import split_removed
-from wheelsight.core.threads import Rows
 from wheelsight.places.recognition_kernels import BLOCK, best, likeness_kernel
 from wheelsight.places.vocabulary import DESCRIPTORS, RULES, Descriptors, Vocabulary, packed, unpacked
 from wheelsight.vision.dense.alignment import Gridder, GridFrame, Level, coarser
@@ -269,23 +268,22 @@ class ViewMaker:
 
     def __init__(self, calibration: Calibration, settings: DenseSettings | None = None) -> None:
         self.settings = settings or DenseSettings()
-        self.rows = Rows(self.settings.threads)
-        self.gridder = Gridder(calibration, self.settings, self.rows)
+        self.gridder = Gridder(calibration, self.settings)
         self._keypoints = KeypointTracker(calibration, has_landmarks=False)
 
     def of_frame(self, frame: RgbdFrame, twist: FloatArray | None = None) -> SeenView:
         """Return the view of a frame, by a camera that moves at `twist` (6,) in its own frame, or is at rest."""
         twist = np.zeros(6) if twist is None else twist
-        raw = self._keypoints.start(frame).result()
+        raw = self._keypoints.extract(frame)
         features = self._keypoints.kept(self._keypoints.straightened(raw, twist))
         return SeenView(self.gridder.on_grid(frame, twist), features)
 
     def of_keyframe(self, keyframe: Keyframe) -> SeenView:
         """Return the view of a keyframe, halved to the grid's width: feature odometry stores full images."""
         finest = Level(keyframe.intrinsics, keyframe.depth_m, known_grey(keyframe))
-        levels = coarser(finest, self.rows)
+        levels = coarser(finest)
         while levels[0].depth_m.shape[1] > self.settings.finest_width_px:
-            levels = coarser(levels[1], self.rows)
+            levels = coarser(levels[1])
         return SeenView(GridFrame(keyframe.stamp_s, levels, np.zeros(6)), keyframe.features or NO_FEATURES)
 
     def of_one_size(self, first: SeenView, second: SeenView) -> tuple[SeenView, SeenView]:
@@ -300,7 +298,7 @@ class ViewMaker:
         return first, second
 
     def _halved(self, view: SeenView) -> SeenView:
-        levels = coarser(view.grid.levels[1], self.rows)
+        levels = coarser(view.grid.levels[1])
         return replace(view, grid=replace(view.grid, levels=levels))
 
 

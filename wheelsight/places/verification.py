@@ -158,8 +158,8 @@ class PlaceVerifier:
         self._of_registration = np.diag(np.square(sigmas))
         self._sigma_xy = float(np.hypot(_KEYPOINT_PX, calibration.color_sigma_px))
         self._sigma_xy *= np.sqrt(2) / calibration.cameras[0].fx
-        self._maker = ReferenceMaker(self._noise, self._views.rows)
-        self._aligner = Aligner(calibration, dense, self._views.rows, self._views.gridder, self._maker)
+        self._maker = ReferenceMaker(self._noise)
+        self._aligner = Aligner(calibration, dense, self._views.gridder, self._maker)
         self.refusals: Counter[Refusal] = Counter()
 
     def verify(

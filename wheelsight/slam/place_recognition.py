@@ -19,7 +19,6 @@ from wheelsight.core.settings import RecognitionSettings
 from wheelsight.places.recognition import Recognizer, ViewMaker
 from wheelsight.places.verification import PlaceVerifier, VerifiedPlace
 from wheelsight.slam.graph import Prior, RelativePose
-from wheelsight.vision.dense import DenseSettings
 
 # Largest number of candidates verified for each keyframe, and of further ones in the map while the pose in it is
 # unknown: docs/decisions/loops-and-graph.md. The latter are fewer than for a single view: each keyframe tries again.
@@ -73,7 +72,7 @@ class PlaceWatcher:
         detector: LoopDetector | None = None,
     ) -> None:
         self._store, self._apart_s = store, apart_s
-        self._views = ViewMaker(calibration, DenseSettings(threads=1))
+        self._views = ViewMaker(calibration)
         self.recognizer = recognizer or Recognizer(recognition)
         self._verifier = PlaceVerifier(calibration, recognition, self._views)
         self._known: list[KeyframeId] = []

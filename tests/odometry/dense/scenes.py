@@ -11,7 +11,6 @@ import numpy as np
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera, se3, so3
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.core.threads import Rows
 from wheelsight.vision.dense import DenseOdometry, DenseSettings, GridFrame
 from wheelsight.vision.dense.alignment import Aligner, DenseAlignment, Gridder, Reference, ReferenceMaker
 
@@ -88,16 +87,15 @@ EXACT = Calibration.registered_camera(SMALL, frame_sigma_m=0.0, frame_sigma_rad=
 def bench(calibration: Calibration | None = None, **settings: Any) -> Bench:
     """For the small camera unless another calibration is given."""
     calibration = calibration or EXACT
-    chosen = DenseSettings(**{"threads": 1, **settings})
-    rows = Rows(chosen.threads)
-    gridder = Gridder(calibration, chosen, rows)
-    maker = ReferenceMaker(calibration.depth_noise, rows)
-    return Bench(gridder, maker, Aligner(calibration, chosen, rows, gridder, maker))
+    chosen = DenseSettings(**settings)
+    gridder = Gridder(calibration, chosen)
+    maker = ReferenceMaker(calibration.depth_noise)
+    return Bench(gridder, maker, Aligner(calibration, chosen, gridder, maker))
 
 
 def dense(calibration: Calibration | None = None, **settings: Any) -> DenseOdometry:
     """Dense odometry of the small camera unless another calibration is given."""
-    chosen = DenseSettings(**{"threads": 1, **settings})
+    chosen = DenseSettings(**settings)
     return DenseOdometry(calibration or EXACT, chosen)
 
 

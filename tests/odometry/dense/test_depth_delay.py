@@ -11,7 +11,6 @@ from odometry.dense.scenes import SMALL, Plane, frame_of
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.geometry import se3
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.core.threads import Rows
 from wheelsight.vision.dense import DenseSettings
 from wheelsight.vision.dense.alignment import Gridder
 from wheelsight.vision.dense.odometry import DepthDelay
@@ -57,5 +56,5 @@ def test_depth_of_another_instant_is_brought_to_that_of_colour(late_s: float) ->
 
 
 def gridded(calibration: Calibration, frame: RgbdFrame, twist: np.ndarray) -> np.ndarray:
-    settings = DenseSettings(threads=1)
-    return Gridder(calibration, settings, Rows(1)).on_grid(frame, twist).levels[0].depth_m
+    settings = DenseSettings()
+    return Gridder(calibration, settings).on_grid(frame, twist).levels[0].depth_m

@@ -36,7 +36,7 @@ class Known:
         self.views: list[KnownView] = []
         for number in range(count):
             frame, T = frame_of(WALL, at(number), float(number)), at(number)
-            raw, grid = keypoints.start(frame).result(), BENCH.grid(frame)
+            raw, grid = keypoints.extract(frame), BENCH.grid(frame)
             finest = grid.levels[0]
             height, width = shape or finest.depth_m.shape
             images = finest.depth_m[:height, :width], finest.grey[:height, :width]

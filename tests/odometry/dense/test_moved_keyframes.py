@@ -116,7 +116,7 @@ class MovableRoom:
 
 def test_a_map_that_has_moved_with_its_keyframes_is_asked_anew(frames: list[RgbdFrame]) -> None:
     model = MovableRoom(np.array(TRUTH.T_frame_body[0]))
-    subject = DenseOdometry(Calibration.registered_camera(SMALL), DenseSettings(threads=1), model)
+    subject = DenseOdometry(Calibration.registered_camera(SMALL), DenseSettings(), model)
     run(subject, frames[:8])
     move_all(subject.store, MOVE)
     model.T_room_map = model.T_room_map @ se3.invert(MOVE)
@@ -127,7 +127,7 @@ def test_a_map_that_has_moved_with_its_keyframes_is_asked_anew(frames: list[Rgbd
 
 def test_each_answer_hangs_on_a_keyframe_of_the_store_that_is_given(frames: list[RgbdFrame]) -> None:
     store = KeyframeStore()
-    subject = DenseOdometry(Calibration.registered_camera(SMALL), DenseSettings(threads=1, **BUSY), store=store)
+    subject = DenseOdometry(Calibration.registered_camera(SMALL), DenseSettings(**BUSY), store=store)
     answers = run(subject, frames[:12])
     assert subject.store is store
     assert len(store) >= 3

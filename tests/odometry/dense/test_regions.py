@@ -81,7 +81,7 @@ def test_a_pose_that_the_room_contradicts_may_be_as_far_off_as_that_says(parts: 
 
 def test_a_misfit_enlarges_the_covariance_of_a_camera_alone(parts: Bench) -> None:
     """Beside wheels it does not, so that they contradict the camera."""
-    settings, watch = DenseSettings(threads=1), Stopwatch()
+    settings, watch = DenseSettings(), Stopwatch()
     views = ViewCache(settings, parts.gridder, parts.maker, watch)
     locator = Locator(EXACT, settings, parts.aligner, views, watch)
     first, second = seen(np.eye(4), 0.0, 1.0), seen(MOTION, 0.1, 0.8)

@@ -45,7 +45,7 @@ def test_settings_are_read_from_a_file_and_written_beside_the_results(tmp_path: 
     given.write_text("dense:\n  kept_keyframes: 40\n")
     config = load_config(given, {"dense.max_unseen_s": 0.2})
     assert (config.dense.kept_keyframes, config.dense.max_unseen_s) == (40, 0.2)
-    assert config.dense.threads == DenseSettings().threads
+    assert config.dense.lost_after == DenseSettings().lost_after
     save_config(config, tmp_path / "resolved.yaml")
     written = yaml.safe_load((tmp_path / "resolved.yaml").read_text())["dense"]
     assert (written["kept_keyframes"], written["max_unseen_s"]) == (40, 0.2)

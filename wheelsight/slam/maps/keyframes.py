@@ -24,7 +24,6 @@ from wheelsight.core.geometry import Float32Array, FloatArray, IntArray
 from wheelsight.core.geometry.arrays import UInt64Array
 from wheelsight.core.inputs import picture_within
 from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId, KeyframeStore
-from wheelsight.core.threads import Rows
 from wheelsight.mapping import columns
 from wheelsight.places.recognition import known_grey
 from wheelsight.slam.maps.journal import Record, RecordKind, read_record
@@ -101,7 +100,6 @@ WIDTH_PX = 320  # largest width of stored images; larger ones are halved, as in 
 # docs/decisions/maps-in-memory-and-on-disk.md.
 DEPTH_SIGMAS, GREY_STEP = 2.0, 8
 _LEAST_KEYPOINTS = 300  # stored even if images leave no room for them; as many as become words
-_ROWS = Rows(1)
 # Of maps from before 2026-11-29, whose width could be set.
 LARGEST_PX = 4096, 4096
 # Above 100, WebP is lossless: 22 to 27 % smaller than PNG (docs/decisions/maps-in-memory-and-on-disk.md).
@@ -238,7 +236,7 @@ def halved(keyframe: Keyframe) -> Level:
     """Return the keyframe's images, halved until they are at most `WIDTH_PX` wide."""
     level = Level(keyframe.intrinsics, keyframe.depth_m, known_grey(keyframe))
     while level.depth_m.shape[1] > WIDTH_PX:
-        level = coarser(level, _ROWS, 1)[1]
+        level = coarser(level, 1)[1]
     return level
 
 

@@ -14,7 +14,6 @@ from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import IntArray, se3, so3
 from wheelsight.core.keyframes import FrameSurface, KeyframeId, KeyframeStore
 from wheelsight.core.settings import RecognitionSettings
-from wheelsight.core.threads import Rows
 from wheelsight.mapping import SurfelMap, SurfelSettings
 from wheelsight.places.recognition import ViewMaker, known_grey
 from wheelsight.places.verification import shown_share
@@ -38,7 +37,6 @@ from wheelsight.slam.maps.folder import MapFolder, make_room, map_being_made
 from wheelsight.slam.maps.journal import MERGE, PRUNE, REBUILD
 from wheelsight.slam.place_recognition import PlaceWatcher
 from wheelsight.vision.dense.alignment import Level, ReferenceMaker
-from wheelsight.vision.dense.settings import DenseSettings
 
 # Pruning removes a keyframe if another one at most this far, metres and radians, shows this share of its surfaces. From
 # another direction, keypoints differ. Chosen; the share is from docs/decisions/recognition-and-sessions.md.
@@ -303,7 +301,7 @@ def _fused(
     if not numbers:
         raise MapError("has no keyframes", path=like.path, fix=_FIX_EMPTY)
     surfel_map = SurfelMap(settings, store, keeps_unstable=True)
-    maker = ReferenceMaker(noise, Rows(DenseSettings().threads))
+    maker = ReferenceMaker(noise)
     for done, number in enumerate(numbers, start=1):
         keyframe = store[number]
         how = (keyframe.stamp_s, noise, _REBUILD_FRAMES, number)

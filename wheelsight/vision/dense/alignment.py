@@ -20,7 +20,6 @@ from wheelsight.core.estimates import DEGENERATE_SCALE, Reason
 from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, IntArray, PinholeCamera, se3
 from wheelsight.core.keyframes import PredictedView
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.core.threads import Rows
 from wheelsight.vision.dense import alignment_kernels as kernels
 from wheelsight.vision.dense.alignment_kernels import (
     COLOR_SIGMA,
@@ -128,9 +127,9 @@ class Gridder:
     It removes lens distortion, rolling shutter, vignetting and the offset between colour and depth camera.
     """
 
-    def __init__(self, calibration: Calibration, settings: DenseSettings, rows: Rows) -> None:
+    def __init__(self, calibration: Calibration, settings: DenseSettings) -> None:
         self._color, self._depth = calibration.cameras
-        self._calibration, self._rows, self._is_registered = calibration, rows, calibration.is_registered
+        self._calibration, self._is_registered = calibration, calibration.is_registered
         self._is_straight = not self._depth.has_distortion and not calibration.rolling_shutter_s
         self.halvings = 0
         while self._depth.width >> self.halvings > settings.finest_width_px:
@@ -171,8 +170,7 @@ class Gridder:
             out = np.empty((1 + self._is_registered, *self.shape), np.float32)
             images = (depth_m, grey if self._is_registered else _NO_IMAGE)
             exposure = self._exposure(twist, behind_s if twist.any() else 0.0)
-            given = (*images, self._source_px, exposure, np.float32(DEPTH_JUMP))
-            self._rows.share(self.shape[0], lambda begin, end: straighten(*given, (begin, end), out))
+            straighten(*images, self._source_px, exposure, np.float32(DEPTH_JUMP), (0, self.shape[0]), out)
             depth_m, grey = out[0], out[1] if self._is_registered else grey
         if not self._is_registered:
             grey = self._sampled(grey, depth_m, twist)
@@ -180,7 +178,7 @@ class Gridder:
 
     def pyramid(self, depth_m: Float32Array, grey: Float32Array) -> tuple[Level, ...]:
         """The pyramid of images (h, w) that are on the ideal grid already."""
-        return coarser(Level(self.intrinsics, depth_m, grey), self._rows)
+        return coarser(Level(self.intrinsics, depth_m, grey))
 
     def color_on_grid(self, frame: RgbdFrame, grid: GridFrame) -> Float32Array:
         """Red, green and blue (h, w, 3) from 0 to 255 on the grid of `grid`, which was made from `frame`.
@@ -196,9 +194,8 @@ class Gridder:
             return image.astype(np.float32)
         has_moved = self._calibration.rolling_shutter_s and grid.twist.any()
         depth_m = self._small_depth(frame) if has_moved else _NO_IMAGE
-        given = (image, depth_m, self._source_px, self._exposure(grid.twist))
         out = np.empty((*self.shape, 3), np.float32)
-        self._rows.share(len(out), lambda begin, end: straighten_color(*given, (begin, end), out))
+        straighten_color(image, depth_m, self._source_px, self._exposure(grid.twist), (0, len(out)), out)
         return out
 
     def _halved(self, camera: PinholeCamera) -> FloatArray:
@@ -209,7 +206,7 @@ class Gridder:
         """Depth (h, w) as measured, halved."""
         depth_m = frame.depth_m
         for _ in range(self.halvings):
-            depth_m = halved_depth(depth_m, DEPTH_JUMP, self._rows)
+            depth_m = halved_depth(depth_m, DEPTH_JUMP)
         return depth_m
 
     def _small(self, image: ByteArray) -> ByteArray:
@@ -221,10 +218,9 @@ class Gridder:
         color = self._color
         lens = (*self._halved(color), *color.distortion)
         T_color_camera = _numbers(np.asarray(self._calibration.T_color_depth)[:3])
-        given = (image, depth_m, self._exposure(twist), T_color_camera, _numbers(lens))
         out = np.empty((*self.shape, *image.shape[2:]), np.float32)
         sample = sample_grey if image.ndim == 2 else sample_color
-        self._rows.share(len(out), lambda begin, end: sample(*given, (begin, end), out))
+        sample(image, depth_m, self._exposure(twist), T_color_camera, _numbers(lens), (0, len(out)), out)
         return out
 
     def _exposure(self, twist: FloatArray, depth_late_s: float = 0.0) -> Exposure:
@@ -237,29 +233,28 @@ class Gridder:
         return bool(np.count_nonzero(some > _DARK_GREY) < _DARK_SHARE * some.size)
 
 
-def coarser(finest: Level, rows: Rows, count: int = LEVELS) -> tuple[Level, ...]:
+def coarser(finest: Level, count: int = LEVELS) -> tuple[Level, ...]:
     """`count` pyramid levels that begin with `finest`, and one coarser level for rotation search."""
     levels = [finest]
     for number in range(count):
         last = levels[-1]
         # The same slope is twice the step from pixel to pixel.
-        depth_m = halved_depth(last.depth_m, DEPTH_JUMP * (1 << number), rows)
+        depth_m = halved_depth(last.depth_m, DEPTH_JUMP * (1 << number))
         grey = np.empty((last.grey.shape[0] // 2, last.grey.shape[1] // 2), np.float32)
-        rows.share(len(grey), halve_grey, last.grey, after=(grey,))
+        halve_grey(last.grey, 0, len(grey), grey)
         levels.append(Level(_scaled(last.intrinsics, 1), depth_m, grey))
     return tuple(levels)
 
 
-def halved_depth(depth_m: Float32Array, jump: float, rows: Rows) -> Float32Array:
+def halved_depth(depth_m: Float32Array, jump: float) -> Float32Array:
     """Depth (h, w) at half the size: the mean of the nearest surface in each 2×2 block, never across an edge.
 
     Args:
         depth_m: (H, W), 0 where unknown; an odd last row or column is ignored.
         jump: the largest difference within one surface, as a share of the nearest depth.
-        rows: the threads that share the work.
     """
     half = np.empty((depth_m.shape[0] // 2, depth_m.shape[1] // 2), np.float32)
-    rows.share(len(half), halve_depth, depth_m, jump, after=(half,))
+    halve_depth(depth_m, jump, 0, len(half), half)
     return half
 
 
@@ -361,12 +356,12 @@ class Reference:
 class ReferenceMaker:
     """Makes references of frames and of predicted views."""
 
-    def __init__(self, noise: DepthNoise, rows: Rows) -> None:
+    def __init__(self, noise: DepthNoise) -> None:
         self._noise = np.array([noise.constant_m, noise.quadratic_per_m], np.float32)
         # Coefficients of depth steps for kernels: a share of depth, and standard deviations of it.
         constant, quadratic = np.float32(_OCCLUSION_SIGMAS) * self._noise
         self._boundary = np.array([constant, _OCCLUSION_SHARE, quadratic], np.float32)
-        self._rows, self._jump = rows, np.float32(_DEPTH_JUMP_SIGMAS) * self._noise
+        self._jump = np.float32(_DEPTH_JUMP_SIGMAS) * self._noise
 
     def of_frame(self, frame: GridFrame, T_map_camera: FloatArray) -> Reference:
         """A frame with its pose as reference."""
@@ -382,7 +377,7 @@ class ReferenceMaker:
     def of_view(self, view: PredictedView, T_map_camera: FloatArray, intrinsics: FloatArray) -> Reference:
         """A predicted view as reference, with the pose (4, 4) of its prediction."""
         finest = Level(intrinsics, view.depth_m, view.grey)
-        levels = coarser(finest, self._rows)
+        levels = coarser(finest)
         fitted = (self._level(level, self.normals(level)) for level in levels[1:])
         pyramid = (self._level(finest, view.normal), *fitted)
         scales = Scales(pyramid, self._steep(levels))
@@ -404,8 +399,8 @@ class ReferenceMaker:
             np.array([self._jump[0], steepness * DEPTH_JUMP, self._jump[1]], np.float32),
             np.float32(bend) * self._noise,
         )
-        given = (level.depth_m, level.intrinsics.astype(np.float32), _NORMAL_RADIUS_PX, *limits)
-        self._rows.share(len(normal), normals, *given, after=(normal,))
+        intrinsics = level.intrinsics.astype(np.float32)
+        normals(level.depth_m, intrinsics, _NORMAL_RADIUS_PX, *limits, 0, len(normal), normal)
         return normal
 
     def _steep(self, levels: tuple[Level, ...]) -> ReferenceLevel:
@@ -415,8 +410,8 @@ class ReferenceMaker:
 
     def _level(self, level: Level, normal: Float32Array) -> ReferenceLevel:
         pixels = np.empty((*level.depth_m.shape, CHANNELS), np.float32)
-        given = (level.depth_m, normal, level.grey, level.intrinsics.astype(np.float32), self._boundary)
-        self._rows.share(len(pixels), pack, *given, after=(pixels,))
+        intrinsics = level.intrinsics.astype(np.float32)
+        pack(level.depth_m, normal, level.grey, intrinsics, self._boundary, 0, len(pixels), pixels)
         return ReferenceLevel(normal, pixels)
 
 
@@ -511,11 +506,11 @@ class Aligner:
     """Aligns frames with references by Gauss-Newton from coarse to fine, on depth and grey values together."""
 
     def __init__(
-        self, calibration: Calibration, settings: DenseSettings, rows: Rows, gridder: Gridder, maker: ReferenceMaker
+        self, calibration: Calibration, settings: DenseSettings, gridder: Gridder, maker: ReferenceMaker
     ) -> None:
         noise = calibration.depth_noise
         self._noise = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m, noise.far_m], np.float32)
-        self._color_weight, self._rows, self._late_s, self._maker = settings.color_weight, rows, gridder.late_s, maker
+        self._color_weight, self._late_s, self._maker = settings.color_weight, gridder.late_s, maker
         T_base_camera = calibration.T_base_camera
         self._T_base_camera = None if T_base_camera is None else se3.nearest(T_base_camera)
         self._Ad_base_camera = np.eye(6) if self._T_base_camera is None else se3.adjoint(self._T_base_camera)
@@ -557,8 +552,7 @@ class Aligner:
         sums, totals = np.empty((len(frame.levels[-1].depth_m), kernels.SUMS)), []
         for T in guesses:
             T_rows = np.ascontiguousarray(np.broadcast_to(T[:3].astype(np.float32), (len(sums), 3, 4)))
-            given = (images, T_rows, self._noise, how.astype(np.float32), 1)
-            self._rows.share(len(sums), kernels.accumulate, *given, after=(sums,))
+            kernels.accumulate(images, T_rows, self._noise, how.astype(np.float32), 1, 0, len(sums), sums)
             totals.append(sums.sum(axis=0)[kernels.PLANE_COUNT : kernels.PLANE_COUNT + 2])
         planes, off = np.transpose(totals)
         most = max(planes.max(), 1.0)
@@ -607,8 +601,7 @@ class Aligner:
             sums = np.empty((height // stride, kernels.SUMS))
             for _ in range(_ITERATIONS[number]):
                 place_rows(T, T_previous_reference, seconds, frame.twist, late_s, T_rows)
-                given = (images, T_rows, self._noise, how.astype(np.float32), stride)
-                self._rows.share(len(sums), kernels.accumulate, *given, after=(sums,))
+                kernels.accumulate(images, T_rows, self._noise, how.astype(np.float32), stride, 0, len(sums), sums)
                 if advance(sums, T, how, total, T_prior, information) < _SMALL_STEP * (1 << number):
                     break
                 if not np.abs(T).max() < _DIVERGED_M:
@@ -703,7 +696,7 @@ class Aligner:
         for show, (level, here, there) in ((show_planes, planes), (show_slopes, slopes)):
             sums = np.empty((len(level.depth_m), COMPARED))
             both = BothViews(level.depth_m, here, there, level.intrinsics)
-            self._rows.share(len(sums), show, both, *given, after=(sums,))
+            show(both, *given, 0, len(sums), sums)
             total = sums.sum(axis=0)
             share = float(pairs / max(total[POINTS], 1.0))
             here_shown = share * symmetric(total)

@@ -8,7 +8,6 @@ and `DepthDelay` how much later than colour the camera measures depth.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -33,7 +32,7 @@ from wheelsight.core.keyframes import (
     ReferenceModel,
 )
 from wheelsight.core.messages import RgbdFrame
-from wheelsight.core.threads import Rows, Stopwatch, one_at_a_time
+from wheelsight.core.threads import Stopwatch, one_at_a_time
 from wheelsight.vision.dense.alignment import (
     SECOND,
     Aligner,
@@ -85,7 +84,7 @@ class DenseOdometry(CameraOdometry[DenseEstimate]):
 
     Attributes:
         store: holds all keyframes and their poses.
-        watch: times of the last frame's "prepare", "predict", "align", "recognise" and "keyframe".
+        watch: times of the last frame's "extract", "prepare", "predict", "align", "recognise" and "keyframe".
     """
 
     def __init__(
@@ -99,16 +98,14 @@ class DenseOdometry(CameraOdometry[DenseEstimate]):
         self._settings = settings or DenseSettings()
         super().__init__(calibration, DenseEstimate, self._settings.lost_after, T_map_first, store)
         self._follower = self.store.follow()
-        rows = Rows(self._settings.threads)
-        self._gridder = Gridder(calibration, self._settings, rows)
+        self._gridder = Gridder(calibration, self._settings)
         self._delay = DepthDelay(calibration.depth_late_s)
-        self._maker = ReferenceMaker(calibration.depth_noise, rows)
-        aligner = Aligner(calibration, self._settings, rows, self._gridder, self._maker)
+        self._maker = ReferenceMaker(calibration.depth_noise)
+        aligner = Aligner(calibration, self._settings, self._gridder, self._maker)
         has_landmarks = model is not None or self._settings.reference == "keyframes"
         keypoints = KeypointTracker(
             calibration,
             has_landmarks=has_landmarks,
-            threads=self._settings.threads,
             fastest=(self._settings.max_speed_m_s, self._settings.max_turn_rad_s),
         )
         self._keypoints = keypoints
@@ -131,6 +128,11 @@ class DenseOdometry(CameraOdometry[DenseEstimate]):
         finest = tracked.levels[0]
         color = self._gridder.color_on_grid(frame, tracked) if with_color else None
         return FrameSurface(finest.depth_m, self._maker.normals(finest), finest.grey, color)
+
+    @one_at_a_time
+    def prepare(self, frame: RgbdFrame) -> None:
+        """See `CameraOdometry.prepare`."""
+        self._keypoints.begin(frame)
 
     @one_at_a_time
     def process(
@@ -160,7 +162,7 @@ class DenseOdometry(CameraOdometry[DenseEstimate]):
         if twist is not None:
             twist = need_twist(twist)
         self._start_frame()
-        last, features = self._last, self._keypoints.start(frame)
+        last, features = self._last, self._extracted(frame)
         if last is None:
             return self._begin(frame, features, self._T_map_first, START_VARIANCE * np.eye(6), is_first=True)
         prior = PriorMotion(T_previous_current_prior, T_previous_current_other, twist)
@@ -177,7 +179,7 @@ class DenseOdometry(CameraOdometry[DenseEstimate]):
         check_frame(frame, self._calibration, T_map_camera=T_map_camera, covariance=covariance)
         self._start_frame()
         self._verifier.faults.unseen_s = 0.0
-        return self._begin(frame, self._keypoints.start(frame), T_map_camera, covariance)
+        return self._begin(frame, self._extracted(frame), T_map_camera, covariance)
 
     @one_at_a_time
     def refer_to(self, model: ReferenceModel | None) -> None:
@@ -195,12 +197,16 @@ class DenseOdometry(CameraOdometry[DenseEstimate]):
         if self._last is not None:
             self._last = self._last.moved(T_new_old[self._last.keyframe])
 
+    def _extracted(self, frame: RgbdFrame) -> Features:
+        with self.watch.stage("extract"):
+            return self._keypoints.extract(frame)
+
     def _find(
-        self, frame: RgbdFrame, features: Future[Features], last: Tracked, prior: PriorMotion
+        self, frame: RgbdFrame, features: Features, last: Tracked, prior: PriorMotion
     ) -> Tracked | MotionEstimate:
         """The frame's pose, predicted from the prior or constant velocity, or the reason of the failure."""
         ahead, twist = predict(last, frame.stamp_s, prior)
-        ahead = self._verifier.ask(features.result(), twist, ahead, self._state)
+        ahead = self._verifier.ask(features, twist, ahead, self._state)
         pose, seen_twist = ahead.keypoint_pose, twist
         if pose is not None and pose.is_usable and 0 < ahead.seconds <= LONGEST_STEP_S:
             seen_twist = se3.twist_between(ahead.last.T_map_camera, pose.T_map_camera, ahead.seconds)
@@ -210,17 +216,17 @@ class DenseOdometry(CameraOdometry[DenseEstimate]):
         if grid.depth_share >= _MIN_DEPTH_SHARE:
             found = self._locator.locate(grid, ahead, self._state)
             if isinstance(found, Tracked) and self._first is not None:
-                found, ahead = self._begin_again(found, features.result(), ahead)
+                found, ahead = self._begin_again(found, features, ahead)
         found = self._verifier.verify(grid, found, ahead, self._state)
         if isinstance(found, Tracked):
             with self.watch.stage("keyframe"):
-                found = self._policy.update(frame, features.result(), found, ahead)
+                found = self._policy.update(frame, features, found, ahead)
         return found
 
     def _begin(
         self,
         frame: RgbdFrame,
-        features: Future[Features],
+        features: Features,
         T_map_camera: FloatArray,
         covariance: FloatArray,
         *,
@@ -231,9 +237,9 @@ class DenseOdometry(CameraOdometry[DenseEstimate]):
         if grid.depth_share < _MIN_DEPTH_SHARE:
             return self._fail(frame.stamp_s, MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH))
         with self.watch.stage("keyframe"):
-            start = self._policy.begin(features.result(), grid, T_map_camera, covariance)
+            start = self._policy.begin(features, grid, T_map_camera, covariance)
         begun = self._accept(start)
-        self._first = (frame, features.result()) if is_first else None
+        self._first = (frame, features) if is_first else None
         return begun
 
     def _begin_again(

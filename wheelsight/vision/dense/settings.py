@@ -48,4 +48,3 @@ class DenseSettings(Settings):
         gt=0,
         le=1_000_000,
     )
-    threads: int = setting(2, "that share a frame's rows", "two cores, the computer of a robot", gt=0, le=64)

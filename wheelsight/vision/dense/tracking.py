@@ -7,7 +7,6 @@ the predicted and the estimated state of a frame.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -234,7 +233,6 @@ class KeypointTracker:
     Args:
         calibration: of the cameras.
         has_landmarks: whether landmarks are used; else only the previous frame.
-        threads: with more than one, keypoints are extracted in the background.
         fastest: limits on speed and angular speed, m/s and rad/s.
     """
 
@@ -243,41 +241,32 @@ class KeypointTracker:
         calibration: Calibration,
         *,
         has_landmarks: bool = True,
-        threads: int = 1,
         fastest: tuple[float, float] = (np.inf, np.inf),
     ) -> None:
         # 500 keypoints save 3 ms a frame, but lose rotations of 18 degrees between frames (docs/decisions/features.md).
         features = FeatureSettings()
-        depth, self._straight = calibration.cameras[1], None
+        depth, straight = calibration.cameras[1], None
         if not calibration.is_registered and depth.has_distortion:  # images of a separate depth camera are undistorted
-            self._straight = maps_without_lens(depth)
+            straight = maps_without_lens(depth)
             calibration = replace(calibration, depth=replace(depth, distortion=(0.0,) * 5))
         self._T_color_camera = calibration.T_color_camera
         self._shutter_s, self._color_height = calibration.rolling_shutter_s, calibration.cameras[0].height
         self._noise, self._color_sigma_px = calibration.depth_noise, calibration.color_sigma_px
         self._has_landmarks, self._fastest = has_landmarks, fastest
-        self._extractor = FeatureExtractor(calibration, features)
+        self._extractor = FeatureExtractor(calibration, features, straight)
         self._by_view = ViewTracker(calibration, Stopwatch(), features.seed)
         self._by_landmarks = MapTracker(calibration, features.local_keyframes)
         self._features = features
         self._landmarks = LandmarkMap(features.kept_keyframes)
         self._last: KeypointView | None = None
         self._trials = 0
-        self._pool = ThreadPoolExecutor(1, "wheelsight-keypoints") if threads > 1 else None
 
-    def start(self, frame: RgbdFrame) -> Future[Features]:
-        """Start the extraction of a frame's keypoints, and return their future."""
-        if self._pool is not None:
-            return self._pool.submit(self._extract, frame)
-        found: Future[Features] = Future()
-        found.set_result(self._extract(frame))
-        return found
+    def begin(self, frame: RgbdFrame) -> None:
+        """Start to extract the keypoints of a frame in a thread, see `FeatureExtractor.begin`."""
+        self._extractor.begin(frame)
 
-    def _extract(self, frame: RgbdFrame) -> Features:
-        if self._straight is not None:
-            map_u, map_v = self._straight
-            depth_m = cv2.remap(frame.depth_m, map_u, map_v, cv2.INTER_NEAREST)
-            frame = replace(frame, depth_m=np.asarray(depth_m, np.float32))
+    def extract(self, frame: RgbdFrame) -> Features:
+        """The keypoints of a frame, not corrected for rolling shutter."""
         return self._extractor.extract(frame)
 
     def straightened(self, features: Features, twist: FloatArray) -> Features:
