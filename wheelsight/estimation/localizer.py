@@ -10,7 +10,6 @@ import os
 import re
 import tempfile
 import weakref
-from collections import deque
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, BinaryIO
@@ -137,17 +136,6 @@ class Localizer(Closing, OneCaller):
         self._clock = SessionClock(settings.clocks)
         self._stamps = StampCheck()
         self._log = _EstimateLog("+".join(settings.odometry))
-
-    @one_at_a_time
-    def prepare(self, frame: RgbdFrame) -> None:
-        """Start the work on a frame of a queue in a thread, before `process` gets the frames before it.
-
-        Results are the same to the last bit. Raises ArgumentError for images that `process` refuses.
-        """
-        check_event(frame)
-        if RgbdFrame in self.hears and isinstance(self.odometry, CameraOdometry):
-            check_images(frame, self._calibration, of_any_size=self._has_places)
-            self.odometry.prepare(self._images.frame(frame))
 
     @one_at_a_time
     def process(self, event: Event) -> Estimate | None:
@@ -342,7 +330,6 @@ class SmallerImages:
         self._color_halvings = _halvings(calibration.color, most_width_px)
         self._depth_halvings = _halvings(calibration.depth, most_width_px)
         self._jump = depth_jump
-        self._made: deque[tuple[RgbdFrame, RgbdFrame]] = deque(maxlen=2)  # `prepare` is a frame ahead
         self.calibration = calibration
         if calibration.color is not None and calibration.depth is not None:
             self.calibration = replace(
@@ -356,9 +343,6 @@ class SmallerImages:
         """Return the frame with smaller images."""
         if not (self._color_halvings or self._depth_halvings):
             return frame
-        for given, smaller in self._made:
-            if given.color is frame.color and given.depth_m is frame.depth_m:
-                return replace(smaller, stamp_s=frame.stamp_s)
         color, depth_m = frame.color, frame.depth_m
         if self._color_halvings:
             height, width = (size >> self._color_halvings for size in color.shape[:2])
@@ -367,8 +351,7 @@ class SmallerImages:
         for halving in range(self._depth_halvings):
             # At half the resolution the same slope has twice the step from pixel to pixel.
             depth_m = halved_depth(depth_m, self._jump * (1 << halving))
-        self._made.append((frame, replace(frame, color=color, depth_m=depth_m)))
-        return self._made[-1][1]
+        return replace(frame, color=color, depth_m=depth_m)
 
     def in_full(self, matches: MatchedPixels | None) -> MatchedPixels | None:
         """Return matched pixels of a smaller colour image as pixels of the original one."""

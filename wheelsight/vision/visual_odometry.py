@@ -74,13 +74,6 @@ class CameraOdometry(OneCaller, Generic[Answer]):
         self._T_map_first = need_motion("T_map_first", T_map_camera)
 
     @one_at_a_time
-    def prepare(self, frame: RgbdFrame) -> None:
-        """Start the work on a frame in a thread, where frames queue: `process` gets the one before it first.
-
-        Results are the same, to the last bit. Invalid frames are left to `process`.
-        """
-
-    @one_at_a_time
     def miss(self, stamp_s: float) -> Answer:
         """Count a frame that is unusable, and so never reached `process`, as a failed one."""
         self._start_frame()

@@ -427,7 +427,7 @@ def follow(
             _rehearse_all(source, config, places)
             give_back()
             started = time.perf_counter()
-        for event in _frames_prepared(_until(events, duration_s), source, tracks):
+        for event in _until(events, duration_s):
             yaw_rates += isinstance(event, YawRate)
             overtaken = 0  # frames dropped in real time since the last frame
             if isinstance(event, RgbdFrame | SkippedFrame) and isinstance(source, InRealTime):
@@ -465,26 +465,6 @@ def _rehearse_all(source: InRealTime, config: Config, places: Places | None) -> 
     config = config.model_copy(update={"odometry": names})
     for rehearsed in source.rehearsals():
         rehearse(rehearsed, [track.localizer for track in begin_all(rehearsed, config, places)])
-
-
-def _frames_prepared(events: Iterable[Event], source: EventSource, tracks: Sequence[RunTrack]) -> Iterator[Event]:
-    """Yield events; of a recording, localizers begin the next frame while they process the one before it."""
-    if isinstance(source, InRealTime) or not isinstance(source, Recording):
-        yield from events
-        return
-    waiting: list[Event] = []
-    try:
-        for event in events:
-            if isinstance(event, RgbdFrame):
-                for track in tracks:
-                    track.localizer.prepare(event)
-                yield from waiting
-                waiting.clear()
-            waiting.append(event)
-    except WheelsightError:
-        yield from waiting
-        raise
-    yield from waiting
 
 
 def _until(events: Iterable[Event], duration_s: float | None) -> Iterator[Event]:

@@ -130,11 +130,6 @@ class DenseOdometry(CameraOdometry[DenseEstimate]):
         return FrameSurface(finest.depth_m, self._maker.normals(finest), finest.grey, color)
 
     @one_at_a_time
-    def prepare(self, frame: RgbdFrame) -> None:
-        """See `CameraOdometry.prepare`."""
-        self._keypoints.begin(frame)
-
-    @one_at_a_time
     def process(
         self,
         frame: RgbdFrame,

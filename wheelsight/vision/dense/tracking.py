@@ -261,10 +261,6 @@ class KeypointTracker:
         self._last: KeypointView | None = None
         self._trials = 0
 
-    def begin(self, frame: RgbdFrame) -> None:
-        """Start to extract the keypoints of a frame in a thread, see `FeatureExtractor.begin`."""
-        self._extractor.begin(frame)
-
     def extract(self, frame: RgbdFrame) -> Features:
         """The keypoints of a frame, not corrected for rolling shutter."""
         return self._extractor.extract(frame)

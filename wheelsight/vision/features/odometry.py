@@ -81,11 +81,6 @@ class FeatureOdometry(CameraOdometry[FeatureEstimate]):
         self._frames = 0
 
     @one_at_a_time
-    def prepare(self, frame: RgbdFrame) -> None:
-        """See `CameraOdometry.prepare`."""
-        self._extractor.begin(frame)
-
-    @one_at_a_time
     def process(
         self,
         frame: RgbdFrame,

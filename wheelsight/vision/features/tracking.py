@@ -4,9 +4,7 @@ and refinement. `KeyframeMaker` turns a frame into a keyframe. `FeatureSettings`
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
@@ -64,8 +62,6 @@ class FeatureSettings(Settings):
     )
 
 
-# Frames whose features are extracted ahead: the next one, and the one that follows it.
-_FRAMES_BEGUN = 2
 # Over a longer gap in seconds the mean velocity says little about the velocity at the frame.
 LONGEST_STEP_S = 0.35
 # ORB: least grey difference of a corner's ring, and the same for an image with too few clear corners (Rublee et
@@ -160,23 +156,9 @@ class FeatureExtractor:
             cv2.ORB.create(settings.candidates, PYRAMID_SCALE, PYRAMID_LEVELS, fastThreshold=threshold)
             for threshold in (_FAST_THRESHOLD, _FAINT_THRESHOLD)
         )
-        self._thread: ThreadPoolExecutor | None = None
-        self._begun: deque[tuple[RgbdFrame, Future[Features]]] = deque(maxlen=_FRAMES_BEGUN)
-
-    def begin(self, frame: RgbdFrame) -> None:
-        """Start to extract the features of a frame in a thread, while the frame before it is tracked."""
-        self._thread = self._thread or ThreadPoolExecutor(1, "wheelsight-keypoints")
-        self._begun.append((frame, self._thread.submit(self._extract, frame)))
 
     def extract(self, frame: RgbdFrame) -> Features:
         """The features of a frame, before the rolling-shutter correction (see `straighten`)."""
-        while self._begun:
-            begun, features = self._begun.popleft()
-            if begun.color is frame.color and begun.depth_m is frame.depth_m:
-                return replace(features.result(), stamp_s=frame.stamp_s)
-        return self._extract(frame)
-
-    def _extract(self, frame: RgbdFrame) -> Features:
         if self._straight is not None:
             depth_m = cv2.remap(frame.depth_m, *self._straight, cv2.INTER_NEAREST)
             frame = replace(frame, depth_m=np.asarray(depth_m, np.float32))
