@@ -2,7 +2,7 @@
 
 Each fault begins at 15 s of a simulated drive and stays, or ends after some seconds. The worst errors are distances in
 the plane from the true pose, nothing aligned: of the pose in `odom`, which does not jump, and of the pose in `map`,
-which takes the correction of the past. A frame is sure and wrong if its pose in `odom` is `tracking`, not doubtful,
+which takes the correction of the past. A frame is sure and wrong if its pose in `odom` or `map` is `tracking`, not doubtful,
 over 0.5 m off, and outside 3σ. The limit of the error is 1.5 times that of the best single sensor, plus 0.15 m.
 """
 
@@ -293,12 +293,20 @@ def drive(recording: Recording, case: SensorFaultCase, odometry: str, **override
             run.odom_m, run.map_m = max(run.odom_m, odom_m), max(run.map_m, map_m)
             is_doubtful = isinstance(answer, FusedEstimate) and answer.doubtful
             run.doubtful += is_doubtful
-            if odom_m > FAR_M and answer.status is Status.TRACKING and not is_doubtful:
+            if answer.status is Status.TRACKING and not is_doubtful:
                 assert answer.covariance is not None
-                C = se3.position_covariance(answer.T_odom_body, answer.covariance)[:2, :2]
-                run.sure_wrong += odom_m > 3 * math.sqrt(max(np.linalg.eigvalsh(C)[-1], 0.0))
+                in_map = answer.T_map_odom @ answer.T_odom_body, answer.covariance_map
+                run.sure_wrong += _is_wrong(odom_m, answer.T_odom_body, answer.covariance) or _is_wrong(
+                    map_m, in_map[0], answer.covariance if in_map[1] is None else in_map[1]
+                )
         run.warnings = tuple(localizer.warnings)
     return run
+
+
+def _is_wrong(error_m: float, T: FloatArray, covariance: FloatArray) -> bool:
+    """Whether a pose (4, 4) with a covariance (6, 6) is far from the truth, and outside 3σ."""
+    C = se3.position_covariance(T, covariance)[:2, :2]
+    return error_m > max(FAR_M, 3 * math.sqrt(max(np.linalg.eigvalsh(C)[-1], 0.0)))
 
 
 def measure_case(

@@ -39,7 +39,7 @@ CEILINGS = {
     "lines of the simulator": Ceiling(11_000, 11_000),
     "share of private functions used in one place": Ceiling(0.39, 0.40),
     "class names with two or more meanings": Ceiling(0, 0),
-    "settings": Ceiling(183, 200),
+    "settings": Ceiling(181, 200),
     "decision pages": Ceiling(15, 15),
     "benchmark files in the root": Ceiling(1, 1),
     "words of the changelog": Ceiling(480, 500),

@@ -286,8 +286,9 @@ class ByFusion:
         self._check.add_tracked(frame, seen, shows_all=shows_all)
         if self._check.verdict.left_out is not None and self._switch_filter_without(RobotSensor.WHEELS):
             return self._begin(frame, seen)
-        if self._health is not None and self._update_health(self._health, frame.stamp_s, seen.T_odom_body, shows_all):
-            return self._begin(frame, seen)
+        begun = None if self._health is None else self._update_health(self._health, frame, seen, shows_all=shows_all)
+        if begun is not None:
+            return begun
         motion = anchor.motion_to(seen.T_odom_body, seen.motion)
         motion = with_stamp_noise(motion, twist, self._base.noise_s)
         motion = with_view_noise(motion, self._of_frame, _FRAME_WALK_PER_M)
@@ -295,27 +296,35 @@ class ByFusion:
             return self._lose(frame, replace(seen, reason=Reason.DEGENERATE), restarts=True)
         return self._measure(frame, seen, motion)
 
-    def _update_health(self, health: SensorHealth, stamp_s: float, T_map_camera: FloatArray, shows_all: bool) -> bool:
-        """Exclude sensors that are faulty by a frame, T_map_camera (4, 4); return whether the camera begins again."""
+    def _update_health(
+        self, health: SensorHealth, frame: RgbdFrame, seen: CameraEstimate, *, shows_all: bool
+    ) -> FusedEstimate | None:
+        """Exclude sensors that are faulty by a frame; return the estimate if the camera begins here, else None."""
+        assert seen.T_odom_body is not None
+        stamp_s = frame.stamp_s
         health.knows_turns = self._check.is_over
         health.is_armed = health.knows_turns or self._check.has_agreed_ahead
-        health.add_frame(stamp_s, T_map_camera, shows_all=shows_all)
+        health.add_frame(stamp_s, seen.T_odom_body, shows_all=shows_all)
         before, since_s = health.exclusions, health.update(stamp_s)
         if health.faults and not self._check.is_over:
             self._check.end()
         if since_s is None:
-            return False
+            return None
         now = health.exclusions
+        returns = any(one.sensor is RobotSensor.CAMERA and one.is_sure and one not in now for one in before)
         if self.filter.exclude(now, since_s):
-            is_camera_out = any(one.sensor is RobotSensor.CAMERA and one.end_s == math.inf for one in now)
+            is_camera_out = returns or any(one.sensor is RobotSensor.CAMERA and one.end_s == math.inf for one in now)
             self._map.correct(since_s, None if is_camera_out else self.filter.last_frame())
             self._odom.correct(since_s)
         scales = health.take_new_scales()
         if (scales != 1.0).any():
             self._base.rescale(*scales)
             self._replace_filter(self.filter.with_unknown_wheels())
-            return True
-        return any(one.sensor is RobotSensor.CAMERA and one.is_sure and one not in now for one in before)
+            return self._begin(frame, seen)
+        if returns:  # its own pose includes the motions for which it was excluded
+            nothing = MotionEstimate.failed(Reason.CONTRADICTION)
+            return self._restart_camera(frame, seen, self.filter.miss_frame(stamp_s, nothing))
+        return None
 
     def _apply_loops(self, loops: LoopClosureClient, stamp_s: float) -> None:
         """Move keyframes by the loops found so far. The pose in odom does not change."""
@@ -851,10 +860,8 @@ class CameraMap:
     def correct(self, since_s: float, T_filter_base: FloatArray | None) -> None:
         """Align the map after the filter corrected its poses since a stamp.
 
-        Args:
-            since_s: the stamp.
-            T_filter_base: (4, 4) corrected pose of the base at the last frame; None if the camera is left out, so that
-                its map stays where it was before.
+        `T_filter_base` (4, 4) is the corrected pose of the base at the last frame. None leaves the map where it was
+        before, for a camera whose poses since then are not used.
         """
         if T_filter_base is not None and self._T_tracked is not None:
             self._align(motions.times(T_filter_base, self._T_base_camera), self._T_tracked)
