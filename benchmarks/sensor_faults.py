@@ -2,8 +2,9 @@
 
 Each fault begins at 15 s of a simulated drive and stays, or ends after some seconds. The worst errors are distances in
 the plane from the true pose, nothing aligned: of the pose in `odom`, which does not jump, and of the pose in `map`,
-which takes the correction of the past. A frame is sure and wrong if its pose in `odom` or `map` is `tracking`, not doubtful,
-over 0.5 m off, and outside 3σ. The limit of the error is 1.5 times that of the best single sensor, plus 0.15 m.
+which takes the correction of the past. A frame is sure and wrong if its pose in `odom` or `map` is `tracking`, not
+doubtful, over 0.5 m off, and outside 3σ. The limit of the error is 1.5 times that of the best single sensor, plus
+0.15 m.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ _MADE = (
     "writes. It is localized by `wheels,dense`. The worst error is the largest distance in the plane from the true "
     f"pose of any frame of each drive, nothing aligned. The limit is {TIMES:g} times the worst error of the best "
     f"single sensor, plus {PLUS_M:g} m. A frame is sure and wrong if it is `tracking`, not doubtful, over {FAR_M:g} m "
-    "off and outside 3σ."
+    "off in `odom` or `map`, and outside 3σ."
 )
 _COVERED_S = 30.0, 36.0  # once a wheel is used with its new scale
 _COMPILED_S = 5.0  # after which kernels are compiled

@@ -367,3 +367,44 @@ def test_the_camera_restarts_after_frames_that_show_nothing_known(monkeypatch: p
         answers_to(subject, made.events())
         first.append(stamps_s.index(min(eye.restarts)))
     assert first[1] - first[0] == 3
+
+
+RELOCATED = se3.from_plane(0.1, 0.3, 0.05)
+
+
+class Relocating(Eye):
+    """An older keyframe ends its drift at 2 s: its poses in the map are others from there on."""
+
+    def process(self, frame: RgbdFrame, *given: FloatArray | None, twist: FloatArray | None = None) -> Estimate:
+        is_due = self._last is not None and self._last[0] < self._truth.stamps_s[0] + 2.0 <= frame.stamp_s
+        seen = super().process(frame, *given, twist=twist)
+        if not is_due:
+            return seen
+        assert self._key is not None
+        assert self._last is not None
+        self._key, self._last = ((stamp_s, RELOCATED @ T) for stamp_s, T in (self._key, self._last))
+        return replace(seen, T_odom_body=self._last[1], relocation=RELOCATED)
+
+
+def test_a_relocation_is_no_motion_and_moves_the_pose_in_the_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drive()
+    subject, _ = joined(monkeypatch, Relocating(made.truth))
+    answers = of_frames(answers_to(subject, made.events()))
+    assert not any(answer.reason for answer in answers[1:])
+    assert max(off_m(answer, made.truth) for answer in answers) < 0.03
+    for answer in answers[1:]:
+        moved = RELOCATED if answer.stamp_s >= made.begin_s + 2.0 else np.eye(4)
+        assert answer.T_filter_body is not None
+        np.testing.assert_allclose(answer.T_map_body, moved @ answer.T_filter_body, atol=0.02)
+
+
+def test_a_camera_that_returns_after_its_fault_is_where_it_was_in_the_map(ran: Callable[..., Run]) -> None:
+    weaving = ((3.0, 0.6, 0.5), (3.0, 0.6, -0.5)) * 8
+    run = ran(drive(weaving, only((12.0, 18.0), Sight(wrong=(0.0, 0.5, 0.0)))))
+    assert {a.status for a in between(run, 13.0, 18.0)} == {Status.COASTING}
+    back = between(run, 40.0, 99.0)
+    assert {a.status for a in back} == {Status.TRACKING}
+    for answer in back:  # its own poses are 3 m off
+        assert answer.T_map_body is not None
+        assert answer.T_filter_body is not None
+        assert np.linalg.norm((answer.T_map_body - answer.T_filter_body)[:3, 3]) < 0.5

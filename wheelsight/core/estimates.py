@@ -311,10 +311,13 @@ class CameraEstimate(Estimate):
     Attributes:
         motion: of this frame against its reference, or the reason of the failure.
         shows_all: whether the last frames constrained every direction of motion; else part of the pose is predicted.
+        relocation: (4, 4) from the left, the part of the change of the pose that is no motion: an older keyframe ended
+            the drift since then. None without.
     """
 
     motion: MotionEstimate = field(default=_NO_MOTION, kw_only=True)
     shows_all: bool = field(default=True, kw_only=True)
+    relocation: FloatArray | None = field(default=None, kw_only=True)
 
 
 # Name of the cloned pose at the begin of a step in `odom`. No measurement may refer to it.

@@ -277,6 +277,7 @@ class ByFusion:
         seen = self._camera.process(frame, expected, twist, ask_wheels=ask_wheels)
         if seen.T_odom_body is None:
             return self._lose(frame, seen)
+        self._move_map(seen.relocation)
         anchor = self._map.anchor
         if anchor is None:
             return self._begin(frame, seen)
@@ -301,11 +302,10 @@ class ByFusion:
     ) -> FusedEstimate | None:
         """Exclude sensors that are faulty by a frame; return the estimate if the camera begins here, else None."""
         assert seen.T_odom_body is not None
-        stamp_s = frame.stamp_s
         health.knows_turns = self._check.is_over
         health.is_armed = health.knows_turns or self._check.has_agreed_ahead
-        health.add_frame(stamp_s, seen.T_odom_body, shows_all=shows_all)
-        before, since_s = health.exclusions, health.update(stamp_s)
+        health.add_frame(frame.stamp_s, seen.T_odom_body, shows_all=shows_all)
+        before, since_s = health.exclusions, health.update(frame.stamp_s)
         if health.faults and not self._check.is_over:
             self._check.end()
         if since_s is None:
@@ -323,7 +323,7 @@ class ByFusion:
             return self._begin(frame, seen)
         if returns:  # its own pose includes the motions for which it was excluded
             nothing = MotionEstimate.failed(Reason.CONTRADICTION)
-            return self._restart_camera(frame, seen, self.filter.miss_frame(stamp_s, nothing))
+            return self._restart_camera(frame, seen, self.filter.miss_frame(frame.stamp_s, nothing))
         return None
 
     def _apply_loops(self, loops: LoopClosureClient, stamp_s: float) -> None:
@@ -335,7 +335,7 @@ class ByFusion:
             self._kidnap.relocalized()
 
     def _move_map(self, T_new_old: FloatArray | None) -> None:
-        """Apply a correction (4, 4), from the left, of the keyframe by which the camera has its pose in the map."""
+        """Apply a correction (4, 4), from the left, of the camera's pose in the map: the robot has not moved by it."""
         if T_new_old is not None:
             self._map.moved(T_new_old)
             self._camera.pace.moved(T_new_old)

@@ -271,6 +271,7 @@ class DenseOdometry(CameraOdometry[DenseEstimate]):
             motion=found.motion,
             shows_all=self._shows_all,
             frame=found.frame,
+            relocation=found.relocation,
         )
 
     def _fail(self, stamp_s: float, failure: MotionEstimate, **more: Any) -> DenseEstimate:
@@ -285,7 +286,7 @@ class DenseOdometry(CameraOdometry[DenseEstimate]):
 
 
 # Share of the covariance of a motion to the last keyframe relative to that to the one before, and their largest
-# difference: χ² of 6, 99.9 %.
+# difference: χ² of 6, 99.9 %. Within it, the difference between two keyframes is drift.
 _SHORT_MOTIONS, _JOINED_CHI2 = 2.0, 22.5
 # Error of rows in pixels above which the rolling shutter is corrected again, of keyframes and of other frames, where it
 # costs 2 ms; chosen.
@@ -391,7 +392,9 @@ class KeyframePolicy:
             seen = self._locator.by_view(found.frame, view, here, here.T_map_camera)
             if isinstance(seen, Tracked) and seen.overlap > self._settings.keyframe_overlap:
                 self._keep(view)
-                return seen
+                T = seen.T_map_camera @ se3.invert(found.T_map_camera)
+                chi2 = float(se3.log(T) @ np.linalg.solve(found.covariance + seen.covariance, se3.log(T)))
+                return replace(seen, relocation=T if chi2 < _JOINED_CHI2 else None)
         return None
 
     def _keep(self, view: KnownView) -> None:

@@ -453,6 +453,7 @@ class Tracked:
         turning_rad_s: (3,) angular velocity minus that at the reference, in the reference's frame.
         frame_error: (6, 6) covariance of the pose error by regions, in the frame's own axes: see `Locator.by_regions`.
             The combination of two references leaves it out.
+        relocation: see `CameraEstimate`.
     """
 
     frame: GridFrame
@@ -468,6 +469,7 @@ class Tracked:
     joint: Joint | None = None
     turning_rad_s: FloatArray = field(default_factory=lambda: np.zeros(3))
     frame_error: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+    relocation: FloatArray | None = None
 
     def with_pose_error(self) -> Tracked:
         """The same with `frame_error` added to its covariances."""
