@@ -25,7 +25,7 @@ from localizer.joined_drives import (
 )
 from narrowing import not_none
 
-from wheelsight.core.estimates import Estimate, Reason, Status
+from wheelsight.core.estimates import CameraEstimate, Estimate, Reason, Status
 from wheelsight.core.geometry import FloatArray, se3, so3
 from wheelsight.core.keyframes import KeyframeId
 from wheelsight.core.messages import Event, RgbdFrame, WheelTicks
@@ -383,6 +383,7 @@ class Relocating(Eye):
         assert self._key is not None
         assert self._last is not None
         self._key, self._last = ((stamp_s, RELOCATED @ T) for stamp_s, T in (self._key, self._last))
+        assert isinstance(seen, CameraEstimate)
         return replace(seen, T_odom_body=self._last[1], relocation=RELOCATED)
 
 
@@ -395,7 +396,7 @@ def test_a_relocation_is_no_motion_and_moves_the_pose_in_the_map(monkeypatch: py
     for answer in answers[1:]:
         moved = RELOCATED if answer.stamp_s >= made.begin_s + 2.0 else np.eye(4)
         assert answer.T_filter_body is not None
-        np.testing.assert_allclose(answer.T_map_body, moved @ answer.T_filter_body, atol=0.02)
+        np.testing.assert_allclose(not_none(answer.T_map_body), moved @ answer.T_filter_body, atol=0.02)
 
 
 def test_a_camera_that_returns_after_its_fault_is_where_it_was_in_the_map(ran: Callable[..., Run]) -> None:
