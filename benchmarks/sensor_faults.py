@@ -42,7 +42,8 @@ _MADE = (
     f"A drive is what `wheelsight simulate WORLD --rate 10 --duration 45 --laps {_LAPS} --size 320x240 --seed N` "
     "writes. It is localized by `wheels,dense`. The worst error is the largest distance in the plane from the true "
     f"pose of any frame of each drive, nothing aligned. The limit is {TIMES:g} times the worst error of the best "
-    f"single sensor, plus {PLUS_M:g} m. A frame is sure and wrong if it is `tracking`, not doubtful, over {FAR_M:g} m "
+    f"single sensor, plus {PLUS_M:g} m. Others are sound sensors that were named. A frame is sure and "
+    f"wrong if it is `tracking`, not doubtful, over {FAR_M:g} m "
     "off in `odom` or `map`, and outside 3σ."
 )
 _COVERED_S = 30.0, 36.0  # once a wheel is used with its new scale
@@ -343,6 +344,7 @@ def faults_sheet(figures: Sequence[FaultFigures], title: str) -> Sheet:
         worst = [one.odom_m for one in of_case], [one.map_m for one in of_case]
         found = [one.found_s for one in of_case if not math.isnan(one.found_s)]
         alarms = sum(bool(one.warnings) for one in of_case)
+        others = sum("left out" in text and case.named not in text for one in of_case for text in one.warnings)
         within = [sum(error <= one.limit_m for error, one in zip(errors, of_case, strict=True)) for errors in worst]
         rows.append(
             (
@@ -351,7 +353,9 @@ def faults_sheet(figures: Sequence[FaultFigures], title: str) -> Sheet:
                 f"{within[0]}, {within[1]} of {len(of_case)}",
                 str(sum(one.sure_wrong for one in of_case)),
                 f"{100 * sum(one.doubtful for one in of_case) / max(sum(one.frames for one in of_case), 1):.0f} %",
-                f"{len(found)} of {len(of_case)}" if case.named else f"{alarms} alarms",
+                f"{len(found)} of {len(of_case)}" + (f", {others} others" if others else "")
+                if case.named
+                else f"{alarms} alarms",
                 f"{np.median(found):.1f} ({max(found):.1f})" if found else "—",
                 f"{max(one.slowest_ms for one in of_case):.0f}",
             )

@@ -148,7 +148,7 @@ class ByFusion:
         """Return the estimate after a wheel reading or frame, None for any other event, and a note on the event."""
         self._camera.last_matches = None
         if isinstance(event, YawRate):  # it counts once the gyroscope agrees with the wheels
-            counts = self._base.add_yaw_rate(event)
+            counts = self._base.add_yaw_rate(event, is_watched=self._health is not None and self._health.is_armed)
             if self._health is not None and (counts or RobotSensor.GYRO in self._health.faults):
                 self._health.rates.append((event.stamp_s, event.yaw_rate_rad_s))
             if self._base.uses_gyro:
@@ -642,10 +642,10 @@ class BaseSensors:
             self._wheels.pause(paused_s)
             self._with_gyro.pause(paused_s)
 
-    def add_yaw_rate(self, rate: YawRate) -> bool:
-        """Add a yaw rate; return whether the filter may use it: the gyroscope is enabled and agrees with the wheels."""
+    def add_yaw_rate(self, rate: YawRate, *, is_watched: bool) -> bool:
+        """Add a yaw rate, which sensor health may watch, too; return whether the filter may use it."""
         if self.uses_gyro:
-            self.has_gyro = True
+            self.has_gyro, self._with_gyro.gyro_check.is_final = True, is_watched
             self._with_gyro.process(rate)
         return self.uses_gyro and self._with_gyro.trusts_gyro
 

@@ -30,6 +30,9 @@ class ByWheels:
         settings: of their odometry.
         in_odom: whether poses are in `odom`, which does not jump when the estimate of the past changes. Else they are
             in a frame of their own, as a filter needs them.
+
+    Attributes:
+        gyro_check: compares the gyroscope with the wheels.
     """
 
     body, frame, answers = "base", "odom", WHEEL_READINGS
@@ -49,7 +52,7 @@ class ByWheels:
         # Turn of the wheels minus that of the gyroscope since both agreed, and the position (3,) then.
         self._apart_rad = 0.0
         self._agreed: FloatArray = np.zeros(3)
-        self._check = GyroCheck()
+        self.gyro_check = GyroCheck()
         self._rates = YawRateMeter(settings.gyro_gap_s)
         assert calibration.any_wheels is not None  # odometry_of has refused it
         self._delay_s = calibration.any_wheels.delay_s
@@ -64,12 +67,12 @@ class ByWheels:
     @property
     def trusts_gyro(self) -> bool:
         """Whether the gyroscope agrees with the wheels, and has not contradicted them since."""
-        return self._check.is_trusted
+        return self.gyro_check.is_trusted
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Fault of the gyroscope, as a sentence."""
-        return self._check.warnings
+        return self.gyro_check.warnings
 
     @property
     def odometries(self) -> tuple[AnyWheelOdometry, ...]:
@@ -84,15 +87,15 @@ class ByWheels:
 
     def process(self, event: Event) -> tuple[WheelEstimate | None, str]:
         """Return the estimate at a wheel reading, None at any other event, and a note."""
-        if isinstance(event, YawRate) and self._uses_gyro and (not self._check.problem or self._check.is_open):
+        if isinstance(event, YawRate) and self._uses_gyro and (not self.gyro_check.problem or self.gyro_check.is_open):
             self._rates.add(event.stamp_s, event.yaw_rate_rad_s)
-            if not self._check.problem:
-                self._check.add_rate(event.stamp_s, event.yaw_rate_rad_s)
+            if not self.gyro_check.problem:
+                self.gyro_check.add_rate(event.stamp_s, event.yaw_rate_rad_s)
                 self._joined = self._joined or self._alone.copy()
         if not isinstance(event, WheelReading):
             return None, ""
         answer, note = self._dead_reckon(event)
-        if self._check.is_open:
+        if self.gyro_check.is_open:
             answer = self._covering_both(answer)
         self._moved = self.odometry.moved
         last, T, C = self._last, answer.T_odom_body, answer.covariance
@@ -139,23 +142,23 @@ class ByWheels:
         seconds = 0.0 if alone.before is None else alone.stamp_s - alone.before[0]
         if rate_rad_s is not None and alone.reason is None:
             self._apart_rad += self._alone.turned_rad - rate_rad_s * seconds
-        if self._check.agrees_now and alone.T_odom_body is not None:
+        if self.gyro_check.agrees_now and alone.T_odom_body is not None:
             self._apart_rad, self._agreed = 0.0, self.odometry.T_odom_base[:3, 3].copy()
-        self._check.add_turn(alone.stamp_s, self._alone.turned_rad, alone.reason is None)
+        self.gyro_check.add_turn(alone.stamp_s, self._alone.turned_rad, alone.reason is None)
         if self._joined is None:
             return alone, self._slip
         joined = self._joined.process(reading, rate_rad_s)
-        if self._check.problem:
+        if self.gyro_check.problem:
             self._joined = self._next = None
-            return alone, f"the gyroscope is left out: {self._check.problem}"
-        if not self._check.agrees_now:
+            return alone, f"the gyroscope is left out: {self.gyro_check.problem}"
+        if not self.gyro_check.agrees_now:
             self._next = None
         elif self._next is None or reading.stamp_s > self._next[0]:
             # A copy from when both sensors agreed, and still did later, for the case that the gyroscope fails.
             if self._next is not None:
                 self._alone = self._next[1]
             self._next = (reading.stamp_s + _REPLAYED_S, self._joined.copy())
-        return joined if self._check.is_trusted else alone, self._slip
+        return joined if self.gyro_check.is_trusted else alone, self._slip
 
     @property
     def _slip(self) -> str:

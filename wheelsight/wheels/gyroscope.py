@@ -131,12 +131,14 @@ class GyroCheck:
         agrees_now: whether it also agrees in the last second.
         problem: how it contradicts the wheels, without a full stop; empty if it does not. It stays once set.
         is_open: whether the problem may as well be that of the wheels.
+        is_final: whether a gyroscope that is trusted stays so, because another check watches all sensors. With a dead
+            wheel it would be accused, too.
         readings: number of readings of the gyroscope.
     """
 
     def __init__(self) -> None:
         self.is_trusted = self.agrees_now = False
-        self.problem, self.is_open = "", False
+        self.problem, self.is_open, self.is_final = "", False, False
         self.readings = 0
         self._gyro: deque[tuple[float, float]] = deque()  # stamps and angles
         self._rate = self._angle_rad = 0.0
@@ -259,7 +261,7 @@ class GyroCheck:
         self.agrees_now = self.is_trusted and bool((off < usual).all())
 
     def _accuse(self, problem: str, is_open: bool = False) -> None:
-        if problem:
+        if problem and not (self.is_final and self.is_trusted):
             self.problem, self.is_open, self.is_trusted, self.agrees_now = problem, is_open, False, False
 
 

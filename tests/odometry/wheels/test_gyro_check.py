@@ -101,6 +101,20 @@ def test_one_that_fails_on_the_way_is_left_out_from_then_on() -> None:
     assert not check.is_trusted
 
 
+@pytest.mark.parametrize("is_final", [False, True])
+def test_a_final_verdict_stays_when_the_wheels_fail(is_final: bool) -> None:
+    check, rng = GyroCheck(), np.random.default_rng(2)
+    for k in range(3000):
+        stamp_s = k * GYRO_S
+        check.add_rate(stamp_s, float(np.gradient(turning(stamp_s + np.array([-0.01, 0, 0.01])), 0.01)[1]))
+        turn = float(np.diff(turning(np.array([stamp_s - GYRO_S, stamp_s])))[0])
+        turn = turn + rng.normal(0, 1e-4) if stamp_s < 12 else 0.005 * np.cos(3 * stamp_s)
+        check.add_turn(stamp_s, float(turn))
+        check.is_final = is_final and stamp_s > 10
+    assert check.is_trusted is is_final
+    assert bool(check.warnings) is not is_final
+
+
 @pytest.mark.parametrize("slope", [0.6, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_wheels_that_slip_in_every_turn_do_not_condemn_it(slope: float) -> None:
     """As those of a skid-steered robot, whose track is given as it is measured: never twice alike."""
