@@ -706,7 +706,7 @@ class FusedOdom:
         if self._target is not None and self._last is not None:
             T_odom_body = self._move_to_target(T_current, T_odom_body, max(stamp_s - self._last[0], 0.0))
         if isinstance(event, RgbdFrame):
-            self._past.append((stamp_s, frame.T_odom_filter))
+            self._past.append((stamp_s, frame.T_odom_filter if self._target is None else self._target))
         self._last = stamp_s, T_odom_body
         self._remember(stamp_s, fusion, event)
         # While sensors are being checked, the estimate may not be that of the filter.
