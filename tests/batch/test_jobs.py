@@ -96,14 +96,13 @@ def test_seeds_are_of_what_is_random_alone() -> None:
     assert [(one.features.seed, one.recognition.seed) for one in seeded] == [(2**32 - 2, 0), (2**32 - 1, 1), (0, 2)]
 
 
-def test_each_seed_is_a_job_on_one_thread(room: Path, tmp_path: Path) -> None:
+def test_each_seed_is_a_job(room: Path, tmp_path: Path) -> None:
     by_features = tmp_path / "features.yaml"
     by_features.write_text("odometry: features\n")
     plan = plan_of([room], [by_features], 3)
     (case,) = plan.cases
     assert (case.recording, case.config, case.odometry, len(case.jobs)) == ("room", "features", "features", 3)
     assert {one.settings["features"]["seed"] for one in plan.jobs.values()} == {0, 1, 2}
-    assert {one.settings["dense"]["threads"] for one in plan.jobs.values()} == {1}
 
 
 def test_where_nothing_is_named_it_is_known_what_was_chosen(room: Path, drive: Path, by_wheels: Path) -> None:
