@@ -16,10 +16,10 @@ between two runs of the same code:
 
 Sentences are left out as well, so that a text can be improved; a reason counts by its place in the order of appearance.
 
-Sums of floats depend on how many threads share them: libraries have one thread here. OpenCV runs without IPP, whose exact distance transform gives one of two results by where
-memory lies, in about equal shares: on one thread, and for small images on any. A controller turns that difference of
-one unit in the last place into another drive. The processor and the versions of libraries matter too, and
-`golden.json` names them.
+Sums of floats depend on how many threads share them: libraries have one thread here. OpenCV runs without IPP, whose
+exact distance transform gives one of two results by where memory lies, in about equal shares: on one thread, and for
+small images on any. A controller turns that difference of one unit in the last place into another drive. The processor
+and the versions of libraries matter too, and `golden.json` names them.
 """
 
 from __future__ import annotations
