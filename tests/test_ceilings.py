@@ -44,7 +44,7 @@ CEILINGS = {
     "benchmark files in the root": Ceiling(1, 1),
     "words of the changelog": Ceiling(480, 500),
     "files of a joined frame": Ceiling(24, 24),
-    "calls of a joined frame": Ceiling(700, 700),
+    "calls of a joined frame": Ceiling(640, 700),
     "files of a wheel reading": Ceiling(12, 12),
     "calls of a wheel reading": Ceiling(103, 150),
     "files from go_to_pose through a control period": Ceiling(26, 28),

@@ -815,7 +815,7 @@ def misfits(frame: GridFrame, reference: Reference, T_reference_frame: FloatArra
     is_inside = is_ahead & (u >= 0) & (u < width) & (v >= 0) & (v < height)
     at = np.where(is_inside, v * width + u, 0).astype(np.int64)
     planes = seen.pixels.reshape(-1, CHANNELS)[at]
-    sigmas = np.hypot(*noise.sigma_m(np.stack([points[:, 2], depth])))
+    sigmas = np.hypot(*(noise.constant_m + noise.quadratic_per_m * np.stack([points[:, 2], depth]) ** 2))
     along = (planes[:, NX : NZ + 1] * there).sum(axis=1)
     off = np.abs(along - planes[:, OFFSET]) / sigmas
     elsewhere = np.abs(planes[:, DEPTH] - depth) > _MOST_SIGMAS * sigmas + _OTHER_SURFACE * depth

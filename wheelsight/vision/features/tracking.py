@@ -151,7 +151,19 @@ class FeatureExtractor:
                 "a distorted depth camera beside an unregistered colour camera is not supported",
                 fix="undistort the depth images, or register them to colour",
             )
-        self._calibration, self._settings, self._straight = calibration, settings, straight
+        self._settings, self._straight, self._noise = settings, straight, calibration.depth_noise
+        (self._color, depth), T_color_camera = calibration.cameras, calibration.T_color_camera
+        self._color_sigma_px = calibration.color_sigma_px
+        self._depth = DepthImage(
+            np.zeros((0, 0), np.float32),
+            np.ascontiguousarray(T_color_camera[:3, :3]),
+            T_color_camera[:3, 3].copy(),
+            np.array([depth.fx, depth.fy, depth.cx, depth.cy]),
+            calibration.is_registered,
+            float(self._noise.near_m),
+            float(self._noise.far_m),
+            _DEPTH_JUMP * max(1.0, _DEPTH_JUMP_FOCAL_PX / depth.fx),
+        )
         self._orb, self._faint = (
             cv2.ORB.create(settings.candidates, PYRAMID_SCALE, PYRAMID_LEVELS, fastThreshold=threshold)
             for threshold in (_FAST_THRESHOLD, _FAINT_THRESHOLD)
@@ -163,22 +175,10 @@ class FeatureExtractor:
             depth_m = cv2.remap(frame.depth_m, *self._straight, cv2.INTER_NEAREST)
             frame = replace(frame, depth_m=np.asarray(depth_m, np.float32))
         px, level, descriptors = self._keypoints(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY))
-        calibration = self._calibration
-        xy = calibration.cameras[0].normalise(px)
-        depth, T_color_camera = calibration.cameras[1], calibration.T_color_camera
-        image = DepthImage(
-            frame.depth_m,
-            np.ascontiguousarray(T_color_camera[:3, :3]),
-            T_color_camera[:3, 3].copy(),
-            np.array([depth.fx, depth.fy, depth.cx, depth.cy]),
-            calibration.is_registered,
-            float(calibration.depth_noise.near_m),
-            float(calibration.depth_noise.far_m),
-            _DEPTH_JUMP * max(1.0, _DEPTH_JUMP_FOCAL_PX / depth.fx),
-        )
-        depth_m = depth_at_keypoints(image, px, xy)
-        sigma_px = np.hypot(keypoint_sigma_px(level), calibration.color_sigma_px)
-        sigma_m = calibration.depth_noise.sigma_m(depth_m)
+        xy = self._color.normalise(px)
+        depth_m = depth_at_keypoints(self._depth._replace(depth_m=frame.depth_m), px, xy)
+        sigma_px = np.hypot(keypoint_sigma_px(level), self._color_sigma_px)
+        sigma_m = self._noise.constant_m + self._noise.quadratic_per_m * depth_m**2
         return Features(frame.stamp_s, px, level, descriptors, xy, depth_m, sigma_px, sigma_m)
 
     def _keypoints(self, grey: np.ndarray) -> tuple[FloatArray, IntArray, UInt64Array]:
@@ -187,10 +187,10 @@ class FeatureExtractor:
         if len(candidates) < self._settings.keypoints // 2:
             candidates = self._faint.detect(grey, None)
         px = _pixels_of(candidates)
-        strength = np.fromiter((k.response for k in candidates), float, len(candidates))
+        strength = np.array([keypoint.response for keypoint in candidates], float)
         chosen = spread(px, strength, _SPREAD_CELL_PX, self._settings.keypoints)
         kept, descriptors = self._orb.compute(grey, [candidates[i] for i in chosen])
-        level = np.fromiter((k.octave for k in kept), np.int64, len(kept))
+        level = np.array([keypoint.octave for keypoint in kept], np.int64)
         words = np.zeros((0, 4), np.uint64) if len(kept) == 0 else np.ascontiguousarray(descriptors).view(np.uint64)
         # OpenCV scales pixel indices of a level by the scale factor. The exact scale follows from the whole number of
         # pixels of a level, and the centre of pixel 0 moves too: 1.4 px at the far edge of 640.
