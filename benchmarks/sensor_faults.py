@@ -297,9 +297,9 @@ def drive(recording: Recording, case: SensorFaultCase, odometry: str, **override
             run.doubtful += is_doubtful
             if answer.status is Status.TRACKING and not is_doubtful:
                 assert answer.covariance is not None
-                in_map = answer.T_map_odom @ answer.T_odom_body, answer.covariance_map
+                C_map = answer.covariance if answer.covariance_map is None else answer.covariance_map
                 run.sure_wrong += _is_wrong(odom_m, answer.T_odom_body, answer.covariance) or _is_wrong(
-                    map_m, in_map[0], answer.covariance if in_map[1] is None else in_map[1]
+                    map_m, answer.T_map_odom @ answer.T_odom_body, C_map
                 )
         run.warnings = tuple(localizer.warnings)
     return run
@@ -307,8 +307,10 @@ def drive(recording: Recording, case: SensorFaultCase, odometry: str, **override
 
 def _is_wrong(error_m: float, T: FloatArray, covariance: FloatArray) -> bool:
     """Whether a pose (4, 4) with a covariance (6, 6) is far from the truth, and outside 3σ."""
+    if error_m <= FAR_M:
+        return False
     C = se3.position_covariance(T, covariance)[:2, :2]
-    return error_m > max(FAR_M, 3 * math.sqrt(max(np.linalg.eigvalsh(C)[-1], 0.0)))
+    return error_m > 3 * math.sqrt(max(np.linalg.eigvalsh(C)[-1], 0.0))
 
 
 def measure_case(

@@ -96,7 +96,7 @@ def test_odom_does_not_jump_where_the_map_does(
         np.testing.assert_allclose(not_none(answer.covariance), not_none(as_before.covariance), rtol=0.2, atol=1e-5)
         T_map = not_none(answer.T_map_body)
         has_moved = answer.stamp_s >= middle_s
-        # Where the filter's corrections go: into the map, of both.
+        # The filter's corrections move the map in both runs.
         T_map_before = not_none(as_before.T_map_body)
         np.testing.assert_allclose(T_map, (FAR if has_moved else np.eye(4)) @ T_map_before, atol=5e-3)
         # Who was where is remembered by keyframes, which all have moved by now.

@@ -323,8 +323,8 @@ def apart(geometry: Any, slot: Any, others: Any, other: Any) -> Any:
 # Fusion: readings of pixels, updates of surfels, and new surfels.
 #
 # After Keller et al. 2013, "Real-time 3D reconstruction in dynamic scenes using point-based fusion", section 4. Each
-# pass visits pages of surfels in view or rows of the image, each by one thread. It reads only what earlier passes
-# wrote, and visits surfels in order, so that results do not depend on the number of threads.
+# pass visits pages of surfels in view or rows of the image. It reads only what earlier passes wrote, and visits surfels
+# in order, so that results do not depend on how pages and rows are split.
 
 _ONE = np.float32(1.0)
 _LEAST_VARIANCE = np.float32(1e-8)

@@ -9,8 +9,8 @@ import numpy as np
 from wheelsight.core.compiled import kernel
 from wheelsight.mapping.block_kernels import CONFIDENCE, PAGE, RADIUS, InView, SurfelArrays
 
-# Rendering: oriented disks, with those of the nearest surface blended. Rows are shared among threads. Each thread
-# visits the disks in order, so that no pixel depends on the number of threads.
+# Rendering: oriented disks, with those of the nearest surface blended. Disks are visited in order, so that no pixel
+# depends on how rows are split.
 
 _ZERO, _QUARTER, _ONE = np.float32(0.0), np.float32(0.25), np.float32(1.0)
 # Unstable surfels are shown only where no stable one is: they rank as if this far away.

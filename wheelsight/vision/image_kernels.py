@@ -21,7 +21,7 @@ CHANNELS = 8
 # Where a row's pixels were seen is worked out for the whole row at once, then the images are read there: loops of
 # plain arithmetic are done eight pixels at a time. Cameras, poses and twists come as tuples, and helpers that read
 # images do so without branches, for numba counts references to an array that an inlined helper takes, pixel by pixel,
-# unless it sees that nothing happens in between; and threads that count the same reference wait for each other.
+# unless it sees that nothing happens in between.
 
 
 NO_GREY = np.float32(-1.0)

@@ -50,10 +50,10 @@ def test_keypoints_tell_where_a_frame_is_and_nothing_of_another_place(frames: li
     keypoints = keypoint_tracker()
     features = keypoints.straightened(keypoints.extract(frames[0]), np.zeros(6))
     keyframes = [KnownView(KeyframeId(0), bench().reference(frames[0]), 1e-12 * np.eye(6), features)]
-    told = keypoints.recognise(keypoints.extract(frames[6]), keyframes, np.zeros(6))
-    assert told is not None
-    assert apart(IN_WORLD[6], told.T_map_camera)[0] < 0.02
-    assert 20 < told.inliers <= told.matches
+    found = keypoints.recognise(keypoints.extract(frames[6]), keyframes, np.zeros(6))
+    assert found is not None
+    assert apart(IN_WORLD[6], found.T_map_camera)[0] < 0.02
+    assert 20 < found.inliers <= found.matches
     elsewhere = frame_of(CORNER, np.eye(4), 1.0, noise_seed=1)
     assert keypoints.recognise(keypoints.extract(elsewhere), keyframes, np.zeros(6)) is None
 

@@ -73,7 +73,7 @@ def accumulate(images: Images, T_rows: Any, noise: Any, how: Any, stride: int, b
         noise: depth's constant and quadratic σ, near and far limit in metres.
         how: see above.
         begin, end: of the rows' numbers; number k is row k · stride.
-        sums: (h // stride, SUMS) of float64, written row by row, so that the total does not depend on who did which.
+        sums: (h // stride, SUMS) of float64, written row by row: the total does not depend on how rows are split.
     """
     depth_m, grey, reference, grid = images.depth_m, images.grey, images.reference, images.grid
     width = depth_m.shape[1]

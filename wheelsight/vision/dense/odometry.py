@@ -393,8 +393,8 @@ class KeyframePolicy:
             if isinstance(seen, Tracked) and seen.overlap > self._settings.keyframe_overlap:
                 self._keep(view)
                 T = seen.T_map_camera @ se3.invert(found.T_map_camera)
-                chi2 = float(se3.log(T) @ np.linalg.solve(found.covariance + seen.covariance, se3.log(T)))
-                return replace(seen, relocation=T if chi2 < _JOINED_CHI2 else None)
+                is_drift = _innovation(se3.log(T), found.covariance + seen.covariance) is not None
+                return replace(seen, relocation=T if is_drift else None)
         return None
 
     def _keep(self, view: KnownView) -> None:
@@ -453,14 +453,19 @@ def joined(
     if not (short.shows_all and long.shows_all):
         return T_map_short
     C_short, C_long = _SHORT_MOTIONS * (_right_covariance(short) - shared), _right_covariance(long) - shared
-    off = se3.log(se3.invert(T_map_short) @ T_map_long)
-    C = np.ascontiguousarray(C_short + C_long)
-    if not (np.isfinite(C).all() and motions.is_definite(C)):  # singular up to rounding
-        return T_map_short
-    innovation = np.linalg.solve(C, off)
-    if not off @ innovation < _JOINED_CHI2:
+    innovation = _innovation(se3.log(se3.invert(T_map_short) @ T_map_long), C_short + C_long)
+    if innovation is None:
         return T_map_short
     return np.asarray(se3.nearest(T_map_short @ se3.exp(C_short @ innovation)))
+
+
+def _innovation(off: FloatArray, covariance: FloatArray) -> FloatArray | None:
+    """C⁻¹ off (6,) of the difference of two poses; None where they contradict each other, or where C is singular."""
+    C = np.ascontiguousarray(covariance)
+    if not (np.isfinite(C).all() and motions.is_definite(C)):  # singular up to rounding
+        return None
+    innovation = np.asarray(np.linalg.solve(C, off), float)
+    return innovation if off @ innovation < _JOINED_CHI2 else None
 
 
 def _right_covariance(motion: MotionEstimate) -> FloatArray:
