@@ -399,6 +399,26 @@ def test_a_relocation_is_no_motion_and_moves_the_pose_in_the_map(monkeypatch: py
         np.testing.assert_allclose(not_none(answer.T_map_body), moved @ answer.T_filter_body, atol=0.02)
 
 
+class Correcting(Eye):
+    """An older keyframe corrects a frame that was aligned wrongly, at 2 s: its pose is right by that keyframe."""
+
+    def process(self, frame: RgbdFrame, *given: FloatArray | None, twist: FloatArray | None = None) -> Estimate:
+        is_due = self._last is not None and self._last[0] < self._truth.stamps_s[0] + 2.0 <= frame.stamp_s
+        seen = super().process(frame, *given, twist=twist)
+        assert isinstance(seen, CameraEstimate)
+        return replace(seen, relocation=RELOCATED) if is_due else seen
+
+
+def test_a_relocation_that_corrects_the_last_frame_leaves_the_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drive()
+    subject, _ = joined(monkeypatch, Correcting(made.truth))
+    answers = of_frames(answers_to(subject, made.events()))
+    assert not any(answer.reason for answer in answers[1:])
+    assert max(off_m(answer, made.truth) for answer in answers) < 0.03
+    for answer in answers[1:]:
+        np.testing.assert_allclose(not_none(answer.T_map_body), not_none(answer.T_filter_body), atol=0.02)
+
+
 def test_a_camera_that_returns_after_its_fault_is_where_it_was_in_the_map(ran: Callable[..., Run]) -> None:
     weaving = ((3.0, 0.6, 0.5), (3.0, 0.6, -0.5)) * 8
     run = ran(drive(weaving, only((12.0, 18.0), Sight(wrong=(0.0, 0.5, 0.0)))))

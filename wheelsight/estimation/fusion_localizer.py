@@ -55,7 +55,7 @@ from wheelsight.estimation.consistency_check import (
     UncertainRestart,
 )
 from wheelsight.estimation.fault_detection import SensorHealth
-from wheelsight.estimation.filter import ErrorStateFilter, StepBegin
+from wheelsight.estimation.filter import REFERENCE, ErrorStateFilter, StepBegin
 from wheelsight.estimation.loop_updates import LoopClosureClient, SubmapState, begin_in, loop_closure_client
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
 from wheelsight.estimation.pose_belief import COAST_AFTER_S, FilterParameters
@@ -277,8 +277,12 @@ class ByFusion:
         seen = self._camera.process(frame, expected, twist, ask_wheels=ask_wheels)
         if seen.T_odom_body is None:
             return self._lose(frame, seen)
-        self._move_map(seen.relocation)
         anchor = self._map.anchor
+        if seen.relocation is not None and (
+            anchor is None or cameras.is_drift(seen, anchor.T_map_camera, self.filter.expect(frame.stamp_s, REFERENCE))
+        ):
+            self._move_map(seen.relocation)
+            anchor = self._map.anchor
         if anchor is None:
             return self._begin(frame, seen)
         if self.loops is not None and self.loops.confirmation.is_refuted:
@@ -770,10 +774,7 @@ class Anchor:
         return cls(T_map_camera, motions.carried(motions.inverse(motion.T_reference_current), motion.covariance))
 
     def motion_to(self, T_map_camera: FloatArray, motion: MotionEstimate) -> MotionEstimate:
-        """Return the motion from here to a pose that was aligned by `motion` against another reference.
-
-        Its covariance and its degenerate directions are those of that alignment.
-        """
+        """Return the motion to a pose that `motion` aligned against another reference; its covariance is that one's."""
         assert motion.T_reference_current is not None
         assert motion.covariance is not None
         T_anchor_camera = motions.renormalized(motions.times(motions.inverse(self.T_map_camera), T_map_camera))
@@ -836,9 +837,8 @@ class CameraMap:
         """
         if T_filter_base is None:
             return False
-        T_filter_camera = motions.times(T_filter_base, self._T_base_camera)
-        by_map = motions.times(self.T_filter_map, T_map_camera)
-        return bool(motions.view_shift_m(motions.times(motions.inverse(by_map), T_filter_camera)) > _JUMPED_M)
+        T_map_filter_camera = motions.times(self.T_map_filter, motions.times(T_filter_base, self._T_base_camera))
+        return bool(motions.view_shift_m(motions.times(motions.inverse(T_map_camera), T_map_filter_camera)) > _JUMPED_M)
 
     def accept(self, stamp_s: float, seen: Estimate, T_filter_base: FloatArray | None) -> None:
         """Accept the camera's pose in the map at a frame; `T_filter_base` is the base's when its image was taken."""
