@@ -33,10 +33,12 @@ from wheelsight.core.estimates import FusedEstimate
 from wheelsight.core.files import write_text
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.messages import Event, YawRate
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.recordings import Recording
 from wheelsight_sim import SimulationSettings
 
 BEGIN_S, FAR_M, TIMES, PLUS_M = 15.0, 0.5, 1.5, 0.15
+SOON_S, SOON_M = 3.0, 1.0
 _LAPS = 8  # of a small world, which is driven through in less than the duration
 _MADE = (
     f"A drive is what `wheelsight simulate WORLD --rate 10 --duration 45 --laps {_LAPS} --size 320x240 --seed N` "
@@ -206,7 +208,7 @@ class FaultFigures:
         frames: with a pose.
         sure_wrong: number of frames that are sure and wrong.
         doubtful: number of doubtful frames.
-        found_s: from the fault's begin to the first warning that names the sensor; nan without one.
+        found_s, found_m: time and way from the fault to the first warning that names the sensor; nan without one.
         warnings: all of them.
         slowest_ms: longest time for one event.
     """
@@ -223,6 +225,7 @@ class FaultFigures:
     found_s: float
     warnings: tuple[str, ...]
     slowest_ms: float
+    found_m: float = math.nan
 
     @property
     def limit_m(self) -> float:
@@ -257,6 +260,7 @@ class _Run:
     sure_wrong: int = 0
     doubtful: int = 0
     found_s: float = math.nan
+    found_m: float = math.nan
     warnings: tuple[str, ...] = ()
     slowest_s: float = 0.0
 
@@ -278,6 +282,7 @@ def drive(recording: Recording, case: SensorFaultCase, odometry: str, **override
             named = [one for one in localizer.warnings if case.named and f"{case.named} w" in one and "left out" in one]
             if math.isnan(run.found_s) and named:
                 run.found_s = event.stamp_s - begin_s - case.begin_s
+                run.found_m = _way_m(truth, begin_s + case.begin_s, event.stamp_s)
             is_judged = isinstance(event, RgbdFrame) or odometry == "wheels"
             if answer is None or answer.T_odom_body is None or not is_judged:
                 continue
@@ -303,6 +308,13 @@ def drive(recording: Recording, case: SensorFaultCase, odometry: str, **override
                 )
         run.warnings = tuple(localizer.warnings)
     return run
+
+
+def _way_m(truth: Trajectory, since_s: float, until_s: float) -> float:
+    """Return the length of the way between two stamps."""
+    stamps_s = truth.stamps_s
+    T = truth.T_frame_body[(since_s <= stamps_s) & (stamps_s <= until_s)]
+    return float(np.linalg.norm(np.diff(T[:, :2, 3], axis=0), axis=1).sum())
 
 
 def _is_wrong(error_m: float, T: FloatArray, covariance: FloatArray) -> bool:
@@ -333,6 +345,7 @@ def measure_case(
         run.found_s,
         run.warnings,
         1000 * run.slowest_s,
+        run.found_m,
     )
 
 
@@ -344,7 +357,8 @@ def faults_sheet(figures: Sequence[FaultFigures], title: str) -> Sheet:
         case = next(one for one in CASES if one.name == name)
         of_case = [one for one in figures if one.case == name]
         worst = [one.odom_m for one in of_case], [one.map_m for one in of_case]
-        found = [one.found_s for one in of_case if not math.isnan(one.found_s)]
+        found = [(one.found_s, one.found_m) for one in of_case if not math.isnan(one.found_s)]
+        soon = sum(found_s <= SOON_S or found_m <= SOON_M for found_s, found_m in found)
         alarms = sum(bool(one.warnings) for one in of_case)
         others = sum("left out" in text and case.named not in text for one in of_case for text in one.warnings)
         within = [sum(error <= one.limit_m for error, one in zip(errors, of_case, strict=True)) for errors in worst]
@@ -358,7 +372,8 @@ def faults_sheet(figures: Sequence[FaultFigures], title: str) -> Sheet:
                 f"{len(found)} of {len(of_case)}" + (f", {others} others" if others else "")
                 if case.named
                 else f"{alarms} alarms",
-                f"{np.median(found):.1f} ({max(found):.1f})" if found else "—",
+                str(soon) if case.named else "—",
+                f"{np.median(found, axis=0)[0]:.1f} ({max(found)[0]:.1f})" if found else "—",
                 f"{max(one.slowest_ms for one in of_case):.0f}",
             )
         )
@@ -370,6 +385,7 @@ def faults_sheet(figures: Sequence[FaultFigures], title: str) -> Sheet:
         "sure and wrong",
         "doubtful",
         "named",
+        f"in {SOON_S:g} s or {SOON_M:g} m",
         "after s (worst)",
         "slowest event ms",
     )

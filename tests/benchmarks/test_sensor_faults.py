@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,12 +63,14 @@ def test_a_gyroscope_changes_alone() -> None:
 
 def test_the_table_has_the_worst_and_what_was_named() -> None:
     one = FaultFigures(
-        "left encoder dies", "flat", 3, 0.4, 0.1, 0.1, 400, 0, 4, 1.5, ("the left wheel was left out",), 90.0
+        "left encoder dies", "flat", 3, 0.4, 0.1, 0.1, 400, 0, 4, 1.5, ("the left wheel was left out",), 90.0, 0.7
     )
     other = FaultFigures("left encoder dies", "flat", 4, 0.2, 0.9, 0.1, 400, 2, 0, math.nan, (), 70.0)
     clean = FaultFigures("clean", "flat", 3, 0.1, 0.1, 0.1, 400, 0, 0, math.nan, (), 60.0)
-    (row, sound) = faults_sheet([one, other, clean], "Faults").rows
-    assert row == ("left encoder dies", "0.40 0.20", "0.10 0.90", "1, 1 of 2", "2", "0 %", "1 of 2", "1.5 (1.5)", "90")
+    late = replace(other, warnings=one.warnings, found_s=3.5, found_m=1.2)
+    (row, sound) = faults_sheet([one, other, late, clean], "Faults").rows
+    assert row[:5] == ("left encoder dies", "0.40 0.20 0.20", "0.10 0.90 0.90", "2, 1 of 3", "4")
+    assert row[5:] == ("0 %", "2 of 3", "1", "2.5 (3.5)", "90")
     assert sound[6] == "0 alarms"
     assert case_of("left encoder dies").begin_s == BEGIN_S
 
@@ -90,3 +93,4 @@ def test_a_sensor_that_fails_is_named_and_its_harm_undone(world: str, faults: di
         assert [warning for warning in run.warnings if "left out" in warning and named not in warning] == []
         assert len(run.warnings) == bool(named)
         assert not named or run.found_s < 2.5
+        assert math.isnan(run.found_m) if not named else 0.1 < run.found_m < 1.5
