@@ -10,6 +10,7 @@ import tempfile
 import time
 import tty
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Protocol
 
@@ -112,11 +113,15 @@ def _decode_mb_s(decoder: _Decoder) -> float:
 def _latencies_ms(master: int, pipe: Path, frames: int) -> FloatArray:
     _wait_for(pipe)
     reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
-    latencies_s, answers = [], select.poll()
+    latencies_s: list[float] = []
+    answers = select.poll()
     answers.register(reader, select.POLLIN)
     next_s = began_s = time.perf_counter()
     try:
-        for n in range(_FIRST_FRAMES + frames):
+        for n in count():
+            is_late = time.perf_counter() > began_s + _PATIENCE_S + n * _PERIOD_S
+            if is_late or len(latencies_s) >= _FIRST_FRAMES + frames:
+                break
             time.sleep(max(0.0, next_s - time.perf_counter()))
             next_s = time.perf_counter() + _PERIOD_S  # never two at once: no wheel makes the pulses of both in no time
             clock_us = int(1e6 * (time.perf_counter() - began_s))
@@ -124,7 +129,7 @@ def _latencies_ms(master: int, pipe: Path, frames: int) -> FloatArray:
             os.write(master, frame[:-1])
             written_s = time.perf_counter()
             os.write(master, frame[-1:])
-            if _read_line(reader, answers, patient=n >= _FIRST_FRAMES):
+            if _read_line(reader, answers, patient=bool(latencies_s)):
                 latencies_s.append(time.perf_counter() - written_s)
     finally:
         os.close(reader)
@@ -132,7 +137,7 @@ def _latencies_ms(master: int, pipe: Path, frames: int) -> FloatArray:
 
 
 def _read_line(reader: int, answers: select.poll, patient: bool) -> bool:
-    """Whether a line came; the first frames may go by before the daemon listens."""
+    """Whether a line came; frames may go by before the daemon listens."""
     if not answers.poll(1e3 * (_PATIENCE_S if patient else _PERIOD_S)):
         return False
     return os.read(reader, _READ_BYTES).endswith(b"\n")

@@ -14,6 +14,14 @@ WALLS_M = ((0, 0, 12, 0.2), (0, 8, 12, 8.2), (0, 0, 0.2, 8.2), (11.8, 0, 12, 8.2
 DOORWAYS_M = ((2.5, 2.2, 3.5, 2.4), (8.5, 2.2, 9.5, 2.4))
 
 
+def one_room(width_m: float, depth_m: float) -> np.ndarray:
+    """(H, W) uint8 of a room between walls of 0.2 m, its sides measured outside; a metre of unknown is round about."""
+    image = np.full((round((depth_m + 2) / CELL_M), round((width_m + 2) / CELL_M)), UNKNOWN, np.uint8)
+    _fill(image, (0, 0, width_m, depth_m), WALL)
+    _fill(image, (0.2, 0.2, width_m - 0.2, depth_m - 0.2), FREE)
+    return image
+
+
 def two_rooms(specks: np.random.Generator | None = None) -> np.ndarray:
     """(H, W) uint8 of a corridor, 2 m wide, along x, and two rooms that open to it by doorways of 1 m.
 

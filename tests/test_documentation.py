@@ -161,7 +161,12 @@ def write_recordings(folder: Path) -> None:
     (folder / "legs.csv").write_text("\n".join(["stamp_s,v_m_s,yaw_rate_rad_s", *rows]) + "\n")
     for name, duration_s in (("RECORDING", None), ("short", 6.0)):
         settings = SimulationSettings(
-            world="square", rate_hz=4, seed=5, velocities=folder / "legs.csv", duration_s=duration_s
+            world="square",
+            rate_hz=4,
+            size=(320, 240),
+            seed=5,
+            velocities=folder / "legs.csv",
+            duration_s=duration_s,
         )
         write_simulation(simulate(settings), folder / name)
     write_drive(folder / "rooms", with_labels=True)

@@ -148,9 +148,8 @@ def test_a_board_tells_what_depth_and_registration_are_off_by() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 5])
-def test_by_a_unit_that_a_board_has_calibrated_mount_and_wheels_come_out(seed: int, tmp_path: Path) -> None:
-    settings = replace(REAL, seed=seed, size=(320, 240))
+def test_by_a_unit_that_a_board_has_calibrated_mount_and_wheels_come_out(tmp_path: Path) -> None:
+    settings = replace(REAL, seed=5, size=(320, 240))
     drive = simulate(replace(calibrating_drive(settings), rate_hz=5.0))
     owned = of_size(drive.calibration, (640, 480))
     save_layer(FORMAT | camera_fields(by_board(views_of(settings, 30), REAL.camera), owned), tmp_path / "board.yaml")
@@ -166,7 +165,7 @@ def test_by_a_unit_that_a_board_has_calibrated_mount_and_wheels_come_out(seed: i
     way, by_truth = by_way(base.sightings, found), fit_wheels(wheels, base.sightings.drive, drive.ground_truth)
     names = ("left_radius_m", "right_radius_m", "track_width_m")
     sizes = [getattr(way, name) / getattr(by_truth.wheels, name) - 1 for name in names]
-    # Taken for straight, the depth lens put seed 5's x 26 mm off by 11, and radii 0.7 % by 0.3.
+    # Taken for straight, the depth lens put x 26 mm off by 11, and radii 0.7 % by 0.3.
     for name, limit in {"yaw": np.radians(0.5), "x": 0.02, "y": 0.01}.items():
         assert abs(off[name][0]) < min(limit, 3 * off[name][1]), off
     # What the floor tells was up to 0.23° and 5 mm off while σ, 0.02° and 1 mm, knew nothing of the camera.

@@ -93,9 +93,9 @@ def test_what_is_worse_than_the_baseline_is_named_with_code_1(wheelsight: Comman
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ended_by", [signal.SIGKILL, *ENDING])
+@pytest.mark.parametrize("ended_by", [signal.SIGKILL, signal.SIGTERM])
 def test_a_batch_that_was_ended_goes_on(ended_by: signal.Signals, wheelsight: Command, data: Path) -> None:
-    for number in range(9):
+    for number in range(4):
         write_wheels(data / f"drive{number}", 3000 + number)  # some tenths of a second each
     words, done = arguments(data, "arc"), data.parent / "out" / "jobs"
 
@@ -111,12 +111,12 @@ def test_a_batch_that_was_ended_goes_on(ended_by: signal.Signals, wheelsight: Co
     assert process.returncode == (128 + ended_by if ended_by in ENDING else -signal.SIGKILL)
     assert ("interrupted; what is done is kept" in told) is (ended_by in ENDING)
     kept = {path: path.stat().st_mtime_ns for path in done.glob("*.json")}
-    assert 0 < len(kept) < 11
+    assert 0 < len(kept) < 6
     assert not (data.parent / "out" / "table.csv").exists()
     until(lambda: not list((data.parent / "out").glob(".scratch*")))
-    assert "11 of 12 rows are whole" in wheelsight(*words).stdout
+    assert "6 of 7 rows are whole" in wheelsight(*words).stdout
     after = {path: path.stat().st_mtime_ns for path in done.glob("*.json")}
-    assert len(after) == 11
+    assert len(after) == 6
     assert kept.items() <= after.items()
 
 

@@ -215,6 +215,7 @@ def test_a_robot_whose_firmware_stops_too_late_is_refused(
     assert camera.is_closed
 
 
+SMALL = ("--rate", "5", "--size", "320x240")
 # Back, so that the camera sees the floor that is driven over next; then ahead, and round.
 LEGS = """stamp_s,v_m_s,yaw_rate_rad_s
 0,0,0
@@ -233,7 +234,7 @@ def flat(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray, np
     """The map of a short drive; where that ended, in the map and in the world."""
     folder = tmp_path_factory.mktemp("flat")
     (folder / "legs.csv").write_text(LEGS)
-    how = ("--drive", folder / "legs.csv", "--rate", "5", "--seed", "5")
+    how = ("--drive", folder / "legs.csv", *SMALL, "--seed", "5")
     for words in (
         ("simulate", "flat", *how, "--out", folder / "day"),
         ("run", folder / "day", "--map", "surfels", "--out", folder / "map"),
@@ -262,7 +263,7 @@ def words_of(pose: np.ndarray) -> str:
 def begun(flat: tuple[Path, np.ndarray, np.ndarray]) -> list[str]:
     folder, known, true = flat
     where = ["--start", words_of(true), "--known-start", words_of(known)]
-    return ["drive", "--sim", "flat", "--seed", "5", "--rate", "5", "--map", str(folder), *where]
+    return ["drive", "--sim", "flat", "--seed", "5", *SMALL, "--map", str(folder), *where]
 
 
 @pytest.mark.slow

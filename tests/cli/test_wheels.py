@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 
 import pytest
@@ -76,8 +76,12 @@ def served(controller: SimulatedController, calibration: Path, tmp_path: Path) -
 
 
 def read_lines(pipe: Path, count: int) -> list[dict[str, float]]:
-    with pipe.open() as stream:
-        return [json.loads(stream.readline()) for _ in range(count)]
+    """Of a pipe that is opened again where it ends at once: a writer may not have noticed yet that a reader left."""
+    lines: list[dict[str, float]] = []
+    while len(lines) < count:
+        with pipe.open() as stream:
+            lines += [json.loads(line) for line in islice(stream, count - len(lines))]
+    return lines
 
 
 @pytest.mark.parametrize("by", [signal.SIGTERM, signal.SIGINT])

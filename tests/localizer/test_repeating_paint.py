@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import cycle
 
 import numpy as np
 import pytest
@@ -77,7 +78,10 @@ def _seen(T_map_camera: FloatArray, paint: Paint, stamp_s: float, index: int, rn
 
 @pytest.mark.parametrize(
     ("paint", "way"),
-    mostly_slow([(p, w) for p in _PAINTS for w in _SPEEDS], [("waves", "straight"), ("checker", "turning")]),
+    mostly_slow(
+        [*zip(_PAINTS, cycle(_SPEEDS), strict=False), ("checker", "turning")],
+        [("waves", "straight"), ("checker", "turning")],
+    ),
 )
 def test_paint_that_repeats_moves_no_map(paint: str, way: str) -> None:
     wheels = Wheels(_RADIUS_M, _RADIUS_M, _TRACK_M, _TICKS)

@@ -216,7 +216,7 @@ print(*(loaded() - before), sep="\\n")
 def test_a_drive_with_mishaps_needs_nothing_more(tmp_path: Path) -> None:
     """Covered for three seconds, a wheel lifted for two: no frame of it waits for a compiler."""
     mishaps: dict[str, Any] = {"covered_s": ((3, 6),), "faults": WheelFaults(lifted_s=((8, 10),))}
-    settings = SimulationSettings(world="square", rate_hz=3, duration_s=12, **mishaps)
+    settings = SimulationSettings(world="square", size=(320, 240), rate_hz=3, duration_s=12, **mishaps)
     write_simulation(simulate(settings), tmp_path / "drive")
     told = subprocess.run(
         [sys.executable, "-c", COUNT, str(tmp_path)], capture_output=True, text=True, check=False, timeout=280

@@ -163,7 +163,7 @@ RECEIPTS: dict[str, Received] = {
 }
 
 
-@pytest.mark.parametrize("camera_hz", [2.0, *FAST])
+@pytest.mark.parametrize("camera_hz", [2.0, *FAST[:1]])
 @pytest.mark.parametrize("received", RECEIPTS.values(), ids=RECEIPTS.keys())
 def test_with_clean_headers_receipt_does_not_matter(opened, received: Received, camera_hz: float) -> None:
     recording = opened(timed_drive(camera_hz, received=received))
@@ -172,7 +172,7 @@ def test_with_clean_headers_receipt_does_not_matter(opened, received: Received, 
 
 
 @pytest.mark.parametrize("apart_s", [-30, -3, -1, 1, 3, 30])
-@pytest.mark.parametrize("camera_hz", [2.0, *FAST])
+@pytest.mark.parametrize("camera_hz", [2.0, *FAST[:1]])
 def test_a_cameras_clock_that_is_apart_is_taken_out_and_named(opened, apart_s: int, camera_hz: float) -> None:
     recording = opened(timed_drive(camera_hz, headers=lambda s, t: s + (apart_s if t in (COLOR, DEPTH) else 0)))
     # To within what an image takes to be received.

@@ -238,7 +238,7 @@ def test_extending_a_map_goes_on_with_its_numbers(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_kill_at_any_moment_costs_the_last_seconds_alone(tmp_path: Path, seed: int) -> None:
     path = tmp_path / "map"
     program = Path(__file__).with_name("killed_drive.py")
