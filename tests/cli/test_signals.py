@@ -208,9 +208,7 @@ def check_run(out: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("words", "number"), list(zip(LONG_WORDS.values(), cycle(ENDING), strict=False)), ids=LONG_WORDS
-)
+@pytest.mark.parametrize(("name", "number"), list(zip(LONG_WORDS, cycle(ENDING), strict=False)))
 def test_what_only_computes_says_that_it_was_interrupted(name: str, number: signal.Signals) -> None:
     with begun(["-c", LONG_COMMAND, *LONG_WORDS[name]]) as process:
         assert process.stdout is not None
