@@ -1,4 +1,4 @@
-"""Compiles all kernels before the tests of a fresh clone, in two processes: else all workers compile most of them.
+"""Compiles all kernels before the tests of a fresh clone, in three processes: else all workers compile most of them.
 
 python tests/warm_up.py
 """
@@ -10,16 +10,15 @@ import sys
 
 from wheelsight.app.run.kernels import missing_parts, usable_parts
 
-# The parts of a run share kernels, and go one after the other; the others share none with them.
-OF_RUNS = ("wheels", "dense", "joined", "loops", "features")
+# The parts of a group share kernels, and go one after the other. Of kernels that two groups need, one process compiles
+# each, and the other waits for it.
+GROUPS = (("dense", "loops", "joined"), ("features", "wheels"))
 
 
 def main() -> None:
     missing = missing_parts(usable_parts())
-    groups = [
-        [part for part in OF_RUNS if part in missing],
-        [part for part in missing if part not in OF_RUNS],
-    ]
+    groups = [[part for part in group if part in missing] for group in GROUPS]
+    groups.append([part for part in missing if not any(part in group for group in GROUPS)])
     # One process for each group, not for each part as before a run: memory is no matter here, and each costs seconds.
     command = [sys.executable, "-m", "wheelsight.app.run.kernel_process"]
     processes = [subprocess.Popen([*command, *group], stdout=subprocess.DEVNULL) for group in groups if group]
