@@ -33,7 +33,6 @@ from wheelsight.core.estimates import FusedEstimate
 from wheelsight.core.files import write_text
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.messages import Event, YawRate
-from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.recordings import Recording
 from wheelsight_sim import SimulationSettings
 
@@ -282,7 +281,8 @@ def drive(recording: Recording, case: SensorFaultCase, odometry: str, **override
             named = [one for one in localizer.warnings if case.named and f"{case.named} w" in one and "left out" in one]
             if math.isnan(run.found_s) and named:
                 run.found_s = event.stamp_s - begin_s - case.begin_s
-                run.found_m = _way_m(truth, begin_s + case.begin_s, event.stamp_s)
+                since_s = truth.stamps_s - begin_s - case.begin_s
+                run.found_m = truth.select((since_s >= 0) & (since_s <= run.found_s)).length_m
             is_judged = isinstance(event, RgbdFrame) or odometry == "wheels"
             if answer is None or answer.T_odom_body is None or not is_judged:
                 continue
@@ -308,13 +308,6 @@ def drive(recording: Recording, case: SensorFaultCase, odometry: str, **override
                 )
         run.warnings = tuple(localizer.warnings)
     return run
-
-
-def _way_m(truth: Trajectory, since_s: float, until_s: float) -> float:
-    """Return the length of the way between two stamps."""
-    stamps_s = truth.stamps_s
-    T = truth.T_frame_body[(since_s <= stamps_s) & (stamps_s <= until_s)]
-    return float(np.linalg.norm(np.diff(T[:, :2, 3], axis=0), axis=1).sum())
 
 
 def _is_wrong(error_m: float, T: FloatArray, covariance: FloatArray) -> bool:

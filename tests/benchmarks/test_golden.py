@@ -81,7 +81,7 @@ def test_what_a_command_says_is_said_where_it_fails() -> None:
 def test_the_same_tree_gives_the_same_results_and_a_change_is_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One drive of 3 s, simulated and followed twice, the second time by a file in which one number was changed."""
+    """One drive of 3 s, simulated and followed twice; then by a file in which one number was changed."""
     monkeypatch.setattr(golden, "QUICK", Length("quick", 3.0, 0.5, (46, 52)))
     monkeypatch.setattr(golden, "DRIVES", {"flat": golden.DRIVES["flat"]})
     file, kept = tmp_path / "golden.json", tmp_path / "kept"
@@ -95,6 +95,8 @@ def test_the_same_tree_gives_the_same_results_and_a_change_is_found(
     assert {"poses", "status", "figures", "surfels", "occupancy"} <= set(
         written["quick"]["drives/flat/joined"]["sha256"]
     )
+    assert golden.main(asked) == 0
+    assert "5 of 5 results are the same, 0 differ" in capsys.readouterr().out
 
     path = kept / "quick/drives/flat/dense/poses.txt"
     rows = path.read_text(encoding="utf-8").split("\n")

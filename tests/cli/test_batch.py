@@ -93,7 +93,7 @@ def test_what_is_worse_than_the_baseline_is_named_with_code_1(wheelsight: Comman
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ended_by", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("ended_by", [signal.SIGKILL, signal.SIGINT])
 def test_a_batch_that_was_ended_goes_on(ended_by: signal.Signals, wheelsight: Command, data: Path) -> None:
     for number in range(4):
         write_wheels(data / f"drive{number}", 3000 + number)  # some tenths of a second each
