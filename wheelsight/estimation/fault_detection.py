@@ -851,10 +851,10 @@ class SensorHealth:
     def _end_faults(self, piece: Piece, is_first: bool) -> None:
         """End each fault whose sensor has agreed with the others for long enough, over pieces of all lengths."""
         for sensor in list(self.faults):
-            if self._agrees(piece, sensor, self._usual, self._sound[sensor], is_first):
-                if (self._sound[sensor] >= self._again[sensor]).all():
-                    self._end_fault(sensor, piece.end_s, self._found[sensor][3])
-            elif sensor in self._rescaled:
+            agrees = self._agrees(piece, sensor, self._usual, self._sound[sensor], is_first)
+            if agrees and (self._sound[sensor] >= self._again[sensor]).all():
+                self._end_fault(sensor, piece.end_s, self._found[sensor][3])
+            elif sensor in self._rescaled:  # a slow piece agrees with both scales
                 self._use_new_scale(piece, sensor, is_first)
 
     def _use_new_scale(self, piece: Piece, sensor: RobotSensor, is_first: bool) -> None:

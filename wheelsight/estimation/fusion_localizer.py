@@ -81,9 +81,9 @@ _ANCHOR_WAY_M = 0.3
 # (freiburg1_desk against motion capture: docs/decisions/filter.md).
 _FRAME_WALK_PER_M = 25.0
 _LONGEST_READING_GAP = 256  # stamps kept: frames are hardly ever delayed by more readings
-# Distance between the filter's pose and the camera's in its map, metres, from which on the camera has jumped. A
-# turn by a radian counts as 1.5 m. The wheels err by less in the second or two of a contradiction.
-_JUMPED_M = 0.15
+# Distance between the filter's pose and the camera's in its map, m, from which on the camera has jumped; a radian counts
+# as 1.5 m. The wheels err by less in the second of a contradiction; mirrored images jump by 0.1 in a corridor (simulator).
+_JUMPED_M = 0.05
 # Speed at which the pose in odom moves to the corrected one: slow enough for a controller.
 _CORRECTION_M_S, _CORRECTION_RAD_S = 0.1, math.radians(10.0)
 _REMEMBERED_POSES = 600  # of the map in odom, one a frame: as long as the filter remembers, at 30 frames a second

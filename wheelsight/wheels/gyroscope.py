@@ -195,7 +195,9 @@ class GyroCheck:
         if not self.readings or self._rates or "wheels" not in self._spans_s:
             return ()
         (first_s, last_s), (begin_s, end_s) = self._spans_s["gyroscope"], self._spans_s["wheels"]
-        if last_s >= begin_s and first_s <= end_s:
+        # At the begin of a drive one sensor starts before the other.
+        is_early = min(last_s - first_s, end_s - begin_s) < _GYRO_WAIT_S
+        if is_early or (last_s >= begin_s and first_s <= end_s):
             return ()
         return (
             f"The gyroscope is left out: its stamps, {first_s:.10g} to {last_s:.10g} s, do not overlap those of the "
