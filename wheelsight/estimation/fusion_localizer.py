@@ -81,8 +81,8 @@ _ANCHOR_WAY_M = 0.3
 # (freiburg1_desk against motion capture: docs/decisions/filter.md).
 _FRAME_WALK_PER_M = 25.0
 _LONGEST_READING_GAP = 256  # stamps kept: frames are hardly ever delayed by more readings
-# Distance between the filter's pose and the camera's in its map, m, from which on the camera has jumped; a radian counts
-# as 1.5 m. The wheels err by less in the second of a contradiction; mirrored images jump by 0.1 in a corridor (simulator).
+# Distance between the filter's pose and the camera's in its map, m, from which on the camera has jumped; a radian is
+# 1.5 m. Wheels err by less in the second of a contradiction; images mirrored in a corridor jump by 0.1 (simulator).
 _JUMPED_M = 0.05
 # Speed at which the pose in odom moves to the corrected one: slow enough for a controller.
 _CORRECTION_M_S, _CORRECTION_RAD_S = 0.1, math.radians(10.0)
