@@ -13,6 +13,7 @@ from wheelsight.core.errors import CalibrationError
 from wheelsight.core.estimates import (
     CameraEstimate,
     Estimate,
+    MotionEstimate,
     PoseDecision,
     PoseEvidence,
     PoseFinding,
@@ -190,18 +191,21 @@ def framed(seen: CameraEstimate, T_odom_map: FloatArray) -> CameraEstimate:
     return replace(seen, T_odom_body=T_odom_camera, covariance=Ad @ seen.covariance @ Ad.T, T_map_odom=T_map_odom)
 
 
-def is_drift(seen: CameraEstimate, T_map_anchor: FloatArray, expected: tuple[FloatArray, FloatArray] | None) -> bool:
+def is_drift(
+    seen: CameraEstimate, motion: MotionEstimate | None, expected: tuple[FloatArray, FloatArray] | None
+) -> bool:
     """Return whether `seen.relocation` is drift of the map that ends, rather than an error of the last frames.
 
     It is drift if the pose before the relocation contradicts the expected motion since an anchor less than the pose
-    after it: `expected` is (4, 4) with its covariance (6, 6); without it, nothing contradicts drift. `T_map_anchor`
-    (4, 4) is the anchor's pose before the relocation.
+    after it: `motion` since the anchor, and `expected` (4, 4) with its covariance (6, 6). Without one of both, nothing
+    contradicts drift.
     """
-    if expected is None or seen.relocation is None or seen.T_odom_body is None:
+    if expected is None or motion is None or seen.relocation is None or seen.T_odom_body is None:
         return True
-    W = np.linalg.pinv(expected[1] + (0.0 if seen.motion.covariance is None else seen.motion.covariance))
-    T_anchor_after = se3.invert(T_map_anchor) @ seen.T_odom_body
-    T_anchor_before = se3.invert(seen.relocation @ T_map_anchor) @ seen.T_odom_body
+    T_anchor_after = motion.T_reference_current
+    assert T_anchor_after is not None
+    W = np.linalg.pinv(expected[1] + (0.0 if motion.covariance is None else motion.covariance))
+    T_anchor_before = T_anchor_after @ se3.invert(seen.relocation @ seen.T_odom_body) @ seen.T_odom_body
     after, before = (se3.log(T @ se3.invert(expected[0])) for T in (T_anchor_after, T_anchor_before))
     return bool(before @ W @ before <= after @ W @ after)
 

@@ -278,8 +278,10 @@ class ByFusion:
         if seen.T_odom_body is None:
             return self._lose(frame, seen)
         anchor = self._map.anchor
-        if seen.relocation is not None and (
-            anchor is None or cameras.is_drift(seen, anchor.T_map_camera, self.filter.expect(frame.stamp_s, REFERENCE))
+        if seen.relocation is not None and cameras.is_drift(
+            seen,
+            None if anchor is None else anchor.motion_to(seen.T_odom_body, seen.motion),
+            self.filter.expect(frame.stamp_s, REFERENCE),
         ):
             self._move_map(seen.relocation)
             anchor = self._map.anchor
@@ -870,8 +872,7 @@ class CameraMap:
             while len(self._past) > 1 and self._past[-1][0] >= since_s:
                 self._past.pop()
             if self._past:
-                self.T_filter_map = self._past[-1][1]
-                self.T_map_filter = motions.inverse(self.T_filter_map)
+                self._align(self._past[-1][1], np.eye(4))
 
     def _align(self, T_filter_camera: FloatArray, T_map_camera: FloatArray) -> None:
         self.T_filter_map = motions.renormalized(motions.times(T_filter_camera, motions.inverse(T_map_camera)))
@@ -880,8 +881,7 @@ class CameraMap:
     def moved(self, T_new_old: FloatArray) -> None:
         """Apply a correction (4, 4) of the map by loops, from the left. The camera stays in the filter's frame."""
         T_old_new = motions.inverse(T_new_old)
-        self.T_filter_map = motions.renormalized(motions.times(self.T_filter_map, T_old_new))
-        self.T_map_filter = motions.inverse(self.T_filter_map)
+        self._align(self.T_filter_map, T_new_old)
         if self.anchor is not None:
             self.anchor = replace(self.anchor, T_map_camera=motions.times(T_new_old, self.anchor.T_map_camera))
         if self.T_map_camera is not None:
