@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wheelsight.core.geometry import FloatArray, se3
-from wheelsight.estimation.agreement import Piece, RobotSensor, Usual, cause_of
+from wheelsight.estimation.agreement import Piece, RobotSensor, Usual, begin_of_scale, cause_of, wheel_ways
 from wheelsight.estimation.fault_detection import SensorHealth, log_ratios, of_sensors
 
 HALF_M, FAULT_S = 0.25, 10.0
@@ -133,6 +133,23 @@ def test_a_fault_is_found_named_and_dated(
     (exclusion,) = [one for one in health.exclusions if one.is_sure]
     assert exclusion.sensor is sensor
     assert -2 * 1.3 < exclusion.begin_s - 100.0 - FAULT_S < 0.05  # before the fault, by up to two pieces
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("factor", "wrong_from"), [(1.1, 12), (0.85, 17), (0.0, 20), (-1.0, 20), (1.1, 30)])
+def test_a_scale_that_slow_pieces_did_not_show_began_with_them(factor: float, wrong_from: int, seed: int) -> None:
+    # The wheel rolls fast, hardly, and fast again; the sum of the last pieces shows its scale.
+    rng, after = np.random.default_rng(seed), 20
+    true_m = np.repeat([0.15, 0.07, 0.15], [12, 8, 10]) + rng.normal(0.0, 0.001, 30)
+    factors = np.where(np.arange(30) < min(wrong_from, after), 1.0, factor)
+    ways_m = true_m * factors + rng.normal(0.0, 0.001, 30)
+    pieces = [
+        Piece(0.3 * i, 0.3 * (i + 1), np.array([true, *5 * [0.0]]), np.array([way, true]), None)
+        for i, (true, way) in enumerate(zip(true_m, ways_m, strict=True))
+    ]
+    ways = wheel_ways(pieces, 0, 1.0, HALF_M)
+    np.testing.assert_allclose(ways, (ways_m, true_m))
+    assert begin_of_scale(pieces, 0.3 * after, *ways) == pytest.approx(0.3 * min(wrong_from, after))
 
 
 @pytest.mark.parametrize("with_gyro", [True, False])

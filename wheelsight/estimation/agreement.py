@@ -15,6 +15,7 @@ depth and large wheels are equivalent. The height over the floor and a gyroscope
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple
@@ -394,6 +395,33 @@ OF_SENSOR = {sensor: [n for n, one in enumerate(HYPOTHESES) if one.sensor is sen
 def ways_by_camera(camera: FloatArray, half_m: float) -> FloatArray:
     """Return the ways (N, 2) of both wheels, m, by motions (N, 6) of the base by the camera; `half_m` of the track."""
     return np.asarray(camera[:, :1] + half_m * camera[:, 5:] * (-1, 1))
+
+
+def wheel_ways(pieces: Sequence[Piece], side: int, ratio: float, half_m: float) -> tuple[FloatArray, FloatArray]:
+    """Return the ways (N,) of a wheel over pieces, m, as measured and by the camera.
+
+    Args:
+        pieces: of a drive.
+        side: 0 for the left wheel, 1 for the right one.
+        ratio: usual one of the wheel to the camera.
+        half_m: half of the track.
+    """
+    camera = np.array([one.camera for one in pieces]).reshape(-1, 6)
+    return np.array([one.ways_m[side] for one in pieces]), ratio * ways_by_camera(camera, half_m)[:, side]
+
+
+def begin_of_scale(pieces: Sequence[Piece], zero_s: float, measured_m: FloatArray, true_m: FloatArray) -> float:
+    """Return the stamp at which the wrong scale of a wheel most likely began, `zero_s` or earlier.
+
+    While a robot hardly moves, each piece agrees with the usual scale and with the wrong one, and a sum of `Sums` stays
+    zero. The scale is that of the pieces since `zero_s`. Back from there, the begin is where the squared residuals by
+    that scale are less than those by the usual one by most.
+    """
+    after = sum(one.end_s <= zero_s for one in pieces)
+    factor, _ = factor_of(measured_m[after:], true_m[after:])
+    gains = (measured_m - true_m) ** 2 - (measured_m - factor * true_m) ** 2
+    gains = np.cumsum(gains[:after][::-1])
+    return pieces[after - 1 - int(gains.argmax())].begin_s if gains.max(initial=0.0) > 0.0 else zero_s
 
 
 def factor_of(measured: FloatArray, true: FloatArray) -> tuple[float, float]:

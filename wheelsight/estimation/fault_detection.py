@@ -62,9 +62,11 @@ from wheelsight.estimation.agreement import (
     Piece,
     RobotSensor,
     Usual,
+    begin_of_scale,
     cause_of,
     factor_of,
     ways_by_camera,
+    wheel_ways,
 )
 from wheelsight.estimation.filter_kernels import leap_kernel, speed_kernel
 from wheelsight.estimation.pose_belief import (
@@ -806,10 +808,13 @@ class SensorHealth:
         if sensor is None:
             return
         begin_s = scale.zero_s[sensor]
-        self.faults[sensor] = begin_s
         self._sound[sensor][:] = 0.0
         if sensor in self._rescaled:
             self._rescaled[sensor][:] = 0.0
+            side = 0 if sensor is LEFT else 1
+            ways = wheel_ways(self._pieces, side, self._usual.ratios[side], self._half_m)
+            begin_s = begin_of_scale(self._pieces, begin_s, *ways)
+        self.faults[sensor] = begin_s
         shows_in_turns = sensor is GYRO or scale.places[sensor] == MIRRORED
         self._again[sensor] = (_AGAIN_WAY_M, _AGAIN_S, _AGAIN_RAD if shows_in_turns else 0.0)
         if sensor is CAMERA:
@@ -861,9 +866,7 @@ class SensorHealth:
         """End the fault of a wheel that has agreed with the others by a new scale for long enough."""
         side, agreed = 0 if sensor is LEFT else 1, self._rescaled[sensor]
         pieces = [one for one in self._pieces if one.begin_s > self.faults[sensor]]
-        measured_m = np.array([one.ways_m[side] for one in pieces])
-        camera = np.array([one.camera for one in pieces]).reshape(-1, 6)
-        true_m = self._usual.ratios[side] * ways_by_camera(camera, self._half_m)[:, side]
+        measured_m, true_m = wheel_ways(pieces, side, self._usual.ratios[side], self._half_m)
         _, sigma = factor_of(measured_m, true_m)
         # Of the whole way, in which the errors of the camera at the ends of its pieces cancel.
         factor = float(measured_m @ np.sign(true_m) / max(np.abs(true_m).sum(), 1e-9))
