@@ -168,13 +168,18 @@ class WheelOdometry(OneCaller):
 
     @property
     def gyro_bias_rad_s(self) -> float:
-        """Current estimate of the gyroscope's bias."""
-        return float(self._state[at.BIAS])
+        """Current estimate of the gyroscope's bias, by wheels whose own errors are unknown."""
+        return float(self._of_bias[at.BIAS])
 
     @property
     def gyro_bias_sigma_rad_s(self) -> float:
         """Standard deviation of the bias."""
-        return math.sqrt(self._state[at.BIAS_VARIANCE])
+        return math.sqrt(self._of_bias[at.BIAS_VARIANCE])
+
+    @property
+    def _of_bias(self) -> FloatArray:
+        """The state whose bias is honest: that of exact wheels takes the turn that unequal wheels miss for bias."""
+        return np.asarray(self._states[at.OFF if self._states[at.OFF, at.BEGUN] > 0 else at.EXACT])
 
     @one_at_a_time
     def pause(self, seconds: float) -> None:

@@ -141,6 +141,17 @@ def curves(
     return dt * np.arange(2001), np.floor(ticks), rates, np.concatenate([[0.0], np.cumsum(turn)])
 
 
+def test_unequal_wheels_leave_the_bias_uncertain() -> None:
+    """Radii 0.3 % apart turn each metre by 3 mrad, as a bias does that a short drive does not tell from it."""
+    right = replace(WHEELS, right_radius_m=1.003 * WHEELS.right_radius_m)
+    stamps, ticks, rates, _ = curves(WHEELS, 0.0005, 0.01, 3)
+    odometry = WheelOdometry(right)
+    for stamp, (left, right_), rate in zip(stamps[:400], ticks.astype(int), rates, strict=False):
+        odometry.process(WheelTicks(stamp, left, right_), None if np.isnan(rate) else rate)
+    off_rad_s = abs(odometry.gyro_bias_rad_s - 0.01)
+    assert off_rad_s < 3 * odometry.gyro_bias_sigma_rad_s < 0.05
+
+
 @pytest.mark.parametrize("bias_rad_s", [0.0, -0.05, 0.2])
 def test_the_bias_is_learnt_while_driving(bias_rad_s: float) -> None:
     """Against wheels that grip much better than stated; however far it is off of what was to be expected."""
@@ -152,8 +163,8 @@ def test_the_bias_is_learnt_while_driving(bias_rad_s: float) -> None:
         odometry = WheelOdometry(WHEELS)
         for stamp, (left, right), rate in zip(stamps, ticks.astype(int), rates, strict=True):
             odometry.process(WheelTicks(stamp, left, right), None if np.isnan(rate) else rate)
-        assert odometry.gyro_bias_rad_s == pytest.approx(bias_rad_s, abs=1.5e-3)
-        assert odometry.gyro_bias_sigma_rad_s < 5e-4
+        assert odometry.gyro_bias_rad_s == pytest.approx(bias_rad_s, abs=3 * odometry.gyro_bias_sigma_rad_s)
+        assert odometry.gyro_bias_sigma_rad_s < 1.5e-3
 
 
 def test_wheels_that_differ_from_their_calibration_do_not_turn_the_bias() -> None:
