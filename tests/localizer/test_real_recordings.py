@@ -125,3 +125,16 @@ def test_real_images_repeat_where_files_do_and_nowhere_else(data_folder: Path, n
     assert len(lasting_s) > 200
     assert np.count_nonzero(lasting_s) == repeated
     assert max(lasting_s) < 0.04
+
+
+def test_of_wheels_that_slip_and_a_wrong_gyroscope_neither_is_believed(data_folder: Path) -> None:
+    """A robot that is held while it turns: its wheels count -717°, its gyroscope 225°, and tags on it show -515°."""
+    recording = open_recording(data_folder / "bags" / "lifted_robot.bag")
+    with Localizer(recording.calibration, load_config(overrides={"odometry": "wheels"})) as localizer:
+        poses = [answer for answer in answers_to(localizer, recording.events()) if answer.T_odom_body is not None]
+        assert any("gyroscope" in warning and "wheels" in warning for warning in localizer.warnings)
+    yaw_rad = np.unwrap([np.arctan2(*pose.T_odom_body[1::-1, 0]) for pose in poses if pose.T_odom_body is not None])
+    assert poses[-1].covariance is not None
+    sigma_rad = np.sqrt(poses[-1].covariance[5, 5])
+    assert abs(yaw_rad[-1] - yaw_rad[0] - np.radians(-515)) < 3 * sigma_rad < 3 * np.radians(300)
+    assert np.mean([pose.status is Status.COASTING for pose in poses]) > 0.7
