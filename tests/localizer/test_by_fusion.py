@@ -424,3 +424,19 @@ def test_a_camera_that_returns_after_its_fault_is_where_it_was_in_the_map(ran: C
         assert np.linalg.norm((answer.T_map_body - answer.T_filter_body)[:3, 3]) < 0.5
     # The return does not end the correction of odom, which was 1.6 m off.
     assert np.linalg.norm((not_none(back[-1].T_odom_body) - not_none(back[-1].T_filter_body))[:2, 3]) < 0.9
+
+
+def test_a_camera_that_returns_when_the_filter_is_lost_begins_with_it(ran: Callable[..., Run]) -> None:
+    """A wheel is dead, then the camera is left out, too: for seconds nothing gives a pose."""
+    weaving = ((3.0, 0.6, 0.5), (3.0, 0.6, -0.5)) * 8
+    made = drive(weaving, only((14.0, 20.0), Sight(wrong=(0.0, 0.5, 0.0))))
+    left, dead = made.readings.left.copy(), np.searchsorted(made.readings.stamps_s, made.begin_s + 8.0)
+    left[dead:] = left[dead]
+    run = ran(replace(made, readings=replace(made.readings, left=left)))
+    assert Status.LOST in {a.status for a in between(run, 14.0, 30.0)}
+    back = between(run, 30.0, 99.0)
+    assert all(a.T_odom_body is not None and a.covariance is not None for a in back)
+    # It moves on from there, and says that it does not know where that is.
+    assert {a.status for a in back} <= {Status.TRACKING, Status.COASTING}
+    for answer in back:
+        assert 3 * np.sqrt(np.linalg.eigvalsh(not_none(answer.covariance)[:2, :2])[-1]) > off_m(answer, made.truth)

@@ -47,14 +47,9 @@ def kernel(
 
 
 def kernel(function: Any = None, **options: Any) -> Any:
-    """Compile a function at its first call, without Python's lock, and cache it on disk.
+    """Compile a function at its first call, without Python's lock, and cache it on disk; `options` are of `numba.njit`.
 
-    Args:
-        function: written for numba; its arguments are arrays, scalars and NamedTuples of them.
-        options: of `numba.njit`.
-
-    Returns:
-        The compiled function, or the function itself with NUMBA_DISABLE_JIT.
+    Its arguments are arrays, scalars and NamedTuples of them. With NUMBA_DISABLE_JIT it stays as it is.
     """
     if function is None:
         return lambda given: kernel(given, **options)

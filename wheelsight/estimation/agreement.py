@@ -398,14 +398,7 @@ def ways_by_camera(camera: FloatArray, half_m: float) -> FloatArray:
 
 
 def wheel_ways(pieces: Sequence[Piece], side: int, ratio: float, half_m: float) -> tuple[FloatArray, FloatArray]:
-    """Return the ways (N,) of a wheel over pieces, m, as measured and by the camera.
-
-    Args:
-        pieces: of a drive.
-        side: 0 for the left wheel, 1 for the right one.
-        ratio: usual one of the wheel to the camera.
-        half_m: half of the track.
-    """
+    """Return the ways (N,) of a wheel over pieces, m, as measured and by the camera; `side` 0 is the left wheel."""
     camera = np.array([one.camera for one in pieces]).reshape(-1, 6)
     return np.array([one.ways_m[side] for one in pieces]), ratio * ways_by_camera(camera, half_m)[:, side]
 
@@ -413,9 +406,8 @@ def wheel_ways(pieces: Sequence[Piece], side: int, ratio: float, half_m: float) 
 def begin_of_scale(pieces: Sequence[Piece], zero_s: float, measured_m: FloatArray, true_m: FloatArray) -> float:
     """Return the stamp at which the wrong scale of a wheel most likely began, `zero_s` or earlier.
 
-    While a robot hardly moves, each piece agrees with the usual scale and with the wrong one, and a sum of `Sums` stays
-    zero. The scale is that of the pieces since `zero_s`. Back from there, the begin is where the squared residuals by
-    that scale are less than those by the usual one by most.
+    A slow piece agrees with both scales, and a sum of `Sums` stays zero. The scale is that of pieces since `zero_s`;
+    before, the begin is where squared residuals by it are less than those by the usual scale by most.
     """
     after = sum(one.end_s <= zero_s for one in pieces)
     factor, _ = factor_of(measured_m[after:], true_m[after:])

@@ -676,9 +676,8 @@ class SensorHealth:
     def update(self, stamp_s: float) -> float | None:
         """Update the exclusions at a frame; return the stamp since which they changed, or None.
 
-        A sensor is left out since its fault began, and a piece before: the fault may begin in one, or while the robot
-        hardly moves. So is one that leads before that is certain. One that turns out to be sound counts as if nothing
-        had happened.
+        A sensor is left out since a piece before its fault, which may begin in one. So is one that leads before that is
+        certain. One that turns out to be sound counts as if nothing had happened.
         """
         if not self._has_news:
             return None

@@ -400,9 +400,8 @@ class ByFusion:
         return replace(update.answer, reason=reason, matches=seen.matches, inliers=seen.inliers)
 
     def _lose(self, frame: RgbdFrame, seen: CameraEstimate, *, restarts: bool = False) -> FusedEstimate:
-        """Return the wheels' pose at a frame that was not tracked.
-
-        The camera restarts there with `restarts`, or after several frames that show nothing known.
+        """Return the wheels' pose at a frame that was not tracked; with `restarts` the camera restarts there, or after
+        several frames that show nothing known.
         """
         nothing = MotionEstimate.failed(seen.reason or Reason.INVALID, seen.matches, seen.inliers)
         answer = self.filter.miss_frame(frame.stamp_s, nothing)
@@ -421,7 +420,8 @@ class ByFusion:
         After a kidnapping, or at a wrong place in a known map, the pose is unknown: the camera begins a submap
         that loops have to join to the rest.
         """
-        assert wheels.covariance is not None
+        if wheels.covariance is None:  # the filter is lost, too, and begins with the camera
+            return wheels if seen.T_odom_body is None else self._begin(frame, seen)
         T_filter_base = self.filter.when_imaged(frame.stamp_s)
         spread_m = self.filter.spread_since_frame_m(frame.stamp_s)
         if self._kidnap.is_kidnapped:
@@ -834,8 +834,8 @@ class CameraMap:
     def has_camera_jumped(self, T_map_camera: FloatArray, T_filter_base: FloatArray | None) -> bool:
         """Whether a camera at a pose (4, 4) in its map is elsewhere by the filter's pose of the base.
 
-        If the filter rejected consecutive frames and accepts the next ones, the camera has jumped, for instance by the
-        period of a repeating pattern. Aligning the map with the camera's pose would make the map jump as well.
+        If the filter accepts it after rejected frames, it has jumped, for instance by the period of a pattern. The map,
+        aligned with the camera's pose, would jump as well.
         """
         if T_filter_base is None:
             return False

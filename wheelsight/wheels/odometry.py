@@ -177,8 +177,7 @@ class WheelOdometry(OneCaller):
         return math.sqrt(self._of_bias[at.BIAS_VARIANCE])
 
     @property
-    def _of_bias(self) -> FloatArray:
-        """The state whose bias is honest: that of exact wheels takes the turn that unequal wheels miss for bias."""
+    def _of_bias(self) -> FloatArray:  # the state of exact wheels takes what unequal wheels turn for bias
         return np.asarray(self._states[at.OFF if self._states[at.OFF, at.BEGUN] > 0 else at.EXACT])
 
     @one_at_a_time
