@@ -46,8 +46,8 @@ def test_a_room_is_explored_to_its_end_and_driven_in_by_the_map_of_that(wheelsig
     folder.close()
     plan = read_ros_map(home / "map" / "occupancy.yaml")
     free_m2 = (plan.occupancy == FREE).sum() * plan.resolution_m**2
-    # What a robot 1.2 m high sees of the floor ends short of walls: about half of the room.
-    assert math.prod(SIDES_M) / 3 < free_m2 < math.prod(SIDES_M)
+    # Half of the room, in two runs 7.8 and 8.3 m²: how far an exploration comes depends on the time of its planner.
+    assert 0.45 * math.prod(SIDES_M) < free_m2 < math.prod(SIDES_M)
     assert (plan.occupancy == OCCUPIED).any()
     # By small images of a unit without calibration, the pose is known to 0.1 or 0.2 m, with 95 %.
     settings = tmp_path / "settings.yaml"

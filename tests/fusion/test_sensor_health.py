@@ -147,7 +147,7 @@ def test_a_scale_that_slow_pieces_did_not_show_began_with_them(factor: float, wr
         Piece(0.3 * i, 0.3 * (i + 1), np.array([true, *5 * [0.0]]), np.array([way, true]), None)
         for i, (true, way) in enumerate(zip(true_m, ways_m, strict=True))
     ]
-    ways = wheel_ways(pieces, 0, 1.0, HALF_M)
+    ways = wheel_ways(pieces, RobotSensor.LEFT, USUAL, HALF_M)
     np.testing.assert_allclose(ways, (ways_m, true_m))
     assert begin_of_scale(pieces, 0.3 * after, *ways) == pytest.approx(0.3 * min(wrong_from, after))
 

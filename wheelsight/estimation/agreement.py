@@ -397,10 +397,11 @@ def ways_by_camera(camera: FloatArray, half_m: float) -> FloatArray:
     return np.asarray(camera[:, :1] + half_m * camera[:, 5:] * (-1, 1))
 
 
-def wheel_ways(pieces: Sequence[Piece], side: int, ratio: float, half_m: float) -> tuple[FloatArray, FloatArray]:
-    """Return the ways (N,) of a wheel over pieces, m, as measured and by the camera; `side` 0 is the left wheel."""
+def wheel_ways(pieces: Sequence[Piece], wheel: RobotSensor, usual: Usual, half_m: float) -> tuple[FloatArray, ...]:
+    """Return the ways (N,) of the left or right wheel over pieces, m: measured, and by the camera."""
+    side = 0 if wheel is LEFT else 1
     camera = np.array([one.camera for one in pieces]).reshape(-1, 6)
-    return np.array([one.ways_m[side] for one in pieces]), ratio * ways_by_camera(camera, half_m)[:, side]
+    return np.array([one.ways_m[side] for one in pieces]), usual.ratios[side] * ways_by_camera(camera, half_m)[:, side]
 
 
 def begin_of_scale(pieces: Sequence[Piece], zero_s: float, measured_m: FloatArray, true_m: FloatArray) -> float:
@@ -411,8 +412,7 @@ def begin_of_scale(pieces: Sequence[Piece], zero_s: float, measured_m: FloatArra
     """
     after = sum(one.end_s <= zero_s for one in pieces)
     factor, _ = factor_of(measured_m[after:], true_m[after:])
-    gains = (measured_m - true_m) ** 2 - (measured_m - factor * true_m) ** 2
-    gains = np.cumsum(gains[:after][::-1])
+    gains = np.cumsum(((measured_m - true_m) ** 2 - (measured_m - factor * true_m) ** 2)[:after][::-1])
     return pieces[after - 1 - int(gains.argmax())].begin_s if gains.max(initial=0.0) > 0.0 else zero_s
 
 

@@ -202,9 +202,10 @@ def is_drift(
     """
     if expected is None or motion is None or seen.relocation is None or seen.T_odom_body is None:
         return True
-    T_anchor_after = motion.T_reference_current
+    T_anchor_after, covariance = motion.T_reference_current, motion.covariance
     assert T_anchor_after is not None
-    W = np.linalg.pinv(expected[1] + (0.0 if motion.covariance is None else motion.covariance))
+    assert covariance is not None
+    W = np.linalg.pinv(expected[1] + covariance)
     T_anchor_before = T_anchor_after @ se3.invert(seen.relocation @ seen.T_odom_body) @ seen.T_odom_body
     after, before = (se3.log(T @ se3.invert(expected[0])) for T in (T_anchor_after, T_anchor_before))
     return bool(before @ W @ before <= after @ W @ after)

@@ -810,8 +810,7 @@ class SensorHealth:
         self._sound[sensor][:] = 0.0
         if sensor in self._rescaled:
             self._rescaled[sensor][:] = 0.0
-            side = 0 if sensor is LEFT else 1
-            ways = wheel_ways(self._pieces, side, self._usual.ratios[side], self._half_m)
+            ways = wheel_ways(self._pieces, sensor, self._usual, self._half_m)
             begin_s = begin_of_scale(self._pieces, begin_s, *ways)
         self.faults[sensor] = begin_s
         shows_in_turns = sensor is GYRO or scale.places[sensor] == MIRRORED
@@ -865,7 +864,7 @@ class SensorHealth:
         """End the fault of a wheel that has agreed with the others by a new scale for long enough."""
         side, agreed = 0 if sensor is LEFT else 1, self._rescaled[sensor]
         pieces = [one for one in self._pieces if one.begin_s > self.faults[sensor]]
-        measured_m, true_m = wheel_ways(pieces, side, self._usual.ratios[side], self._half_m)
+        measured_m, true_m = wheel_ways(pieces, sensor, self._usual, self._half_m)
         _, sigma = factor_of(measured_m, true_m)
         # Of the whole way, in which the errors of the camera at the ends of its pieces cancel.
         factor = float(measured_m @ np.sign(true_m) / max(np.abs(true_m).sum(), 1e-9))

@@ -84,7 +84,7 @@ _LONGEST_READING_GAP = 256  # stamps kept: frames are hardly ever delayed by mor
 # Distance between the filter's pose and the camera's in its map, m, from which on the camera has jumped; a radian is
 # 1.5 m. Wheels err by less in the second of a contradiction; images mirrored in a corridor jump by 0.1 (simulator).
 _JUMPED_M = 0.05
-# Speeds of the pose in odom to a corrected one, slow enough for a controller. A wrong heading lets the error grow.
+# Speeds of the pose in odom to a corrected one, slow enough for a controller; a wrong heading adds to the other error.
 _CORRECTION_M_S, _CORRECTION_RAD_S = 0.1, math.radians(10.0)
 _REMEMBERED_POSES = 600  # of the map in odom, one a frame: as long as the filter remembers, at 30 frames a second
 _SUSPICION, _SLIP = PoseEvidence(PoseFinding.SENSOR_SUSPECTED), PoseEvidence(PoseFinding.SLIP)
@@ -733,7 +733,7 @@ class FusedOdom:
         error = motions.log(motions.renormalized(T_here_there))
         takes_s = np.array([np.linalg.norm(error[:2]) / _CORRECTION_M_S, abs(error[5]) / _CORRECTION_RAD_S])
         shares = np.minimum(1.0, seconds / np.maximum(takes_s, 1e-9))
-        T_odom_body = motions.times(T_odom_body, se3.exp(shares.repeat(3) * error))  # rare: no kernel
+        T_odom_body = motions.times(T_odom_body, se3.exp(shares.repeat(3) * error))  # rare: no kernel compiled
         self._frame.align(T_filter_body, T_odom_body)
         if shares.min() == 1.0:
             self._target = None
