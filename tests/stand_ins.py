@@ -116,5 +116,5 @@ class TrueOdometry:
 
 def leave_pages_bare(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let runs write a page without figures: drawing them takes most of a short run's time, and has its own tests."""
-    for name in ("wheelsight.app.report.page.write_report", "wheelsight.app.report.comparison.write_comparison"):
+    for name in ("wheelsight_report.page.write_report", "wheelsight_report.comparison.write_comparison"):
         monkeypatch.setattr(name, lambda records, path: write_text(path, "<html></html>"))

@@ -68,9 +68,9 @@ def test_private_things_stay_within_their_package() -> None:
 @pytest.mark.parametrize(
     ("line", "package", "found"),
     [
-        ("from wheelsight.places._layout import x", "wheelsight.app.report", "wheelsight.places._layout"),
+        ("from wheelsight.places._layout import x", "wheelsight_report", "wheelsight.places._layout"),
         ("from wheelsight.places import _layout as l", "wheelsight", "wheelsight.places._layout"),
-        ("from wheelsight.places.describers import _x", "wheelsight.app.report", "wheelsight.places.describers._x"),
+        ("from wheelsight.places.describers import _x", "wheelsight_report", "wheelsight.places.describers._x"),
         ("from wheelsight.places.describers import _x", "wheelsight.places", None),
         ("import wheelsight.vision.dense._a.b", "wheelsight.vision", "wheelsight.vision.dense._a"),
         ("from wheelsight.vision.visual_odometry import x", "wheelsight.vision.dense", None),

@@ -9,10 +9,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from wheelsight.app.report import drawing, html
-from wheelsight.app.report import plotly as go
-from wheelsight.app.report.drawing import BLUE, GREY, ORANGE, PURPLE, VERMILLION
-from wheelsight.app.report.plotly import make_subplots
 from wheelsight.app.run import words
 from wheelsight.core.depth_errors import DepthError
 from wheelsight.core.files import StrPath
@@ -22,6 +18,10 @@ from wheelsight_calibration.cameras import CameraCalibration, DepthResiduals
 from wheelsight_calibration.residuals import ResidualPanel, residual_panels
 from wheelsight_calibration.wheel_drive import drive_path
 from wheelsight_calibration.wheel_page import HEAD as MOUNT_HEAD
+from wheelsight_report import drawing, html
+from wheelsight_report import plotly as go
+from wheelsight_report.drawing import BLUE, GREY, ORANGE, PURPLE, VERMILLION
+from wheelsight_report.plotly import make_subplots
 
 _GOOD_PX, _FAIR_PX = 0.3, 0.6
 _FOOTER = "Lengths are in metres, angles in degrees, σ is one standard deviation. This page needs no network."

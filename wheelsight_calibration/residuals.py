@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from wheelsight.app.report import drawing
-from wheelsight.app.report import plotly as go
-from wheelsight.app.report.drawing import BLUE, VERMILLION
-from wheelsight.app.report.plotly import make_subplots
 from wheelsight.core.geometry import BoolArray, FloatArray
+from wheelsight_report import drawing
+from wheelsight_report import plotly as go
+from wheelsight_report.drawing import BLUE, VERMILLION
+from wheelsight_report.plotly import make_subplots
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,9 +6,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from wheelsight.app.report import drawing, html
-from wheelsight.app.report import plotly as go
-from wheelsight.app.report.drawing import BLUE, GREY, ORANGE, SKY, VERMILLION, keep_shape
 from wheelsight.app.run import words
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.files import StrPath
@@ -16,6 +13,9 @@ from wheelsight.core.geometry import FloatArray
 from wheelsight_calibration.residuals import ResidualPanel, residual_panels
 from wheelsight_calibration.squares import Umbmark
 from wheelsight_calibration.wheels import WheelFit, WheelTrial
+from wheelsight_report import drawing, html
+from wheelsight_report import plotly as go
+from wheelsight_report.drawing import BLUE, GREY, ORANGE, SKY, VERMILLION, keep_shape
 
 _BETTER, _WORSE = 0.9, 1.1
 _FOOTER = "Lengths are in metres, stamps in seconds, σ is one standard deviation. This page needs no network."

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 
 from wheelsight import __version__
-from wheelsight.app.report import drawing, html
-from wheelsight.app.report import plotly as go
-from wheelsight.app.report.drawing import AREA_COLOURS, BLUE, GREY, VERMILLION
-from wheelsight.app.report.pictures import jpeg_uri
 from wheelsight.app.run import words
 from wheelsight.core.files import StrPath
 from wheelsight.places import PlaceModel
 from wheelsight_papers.dataset import ContactSheet, LabelledDrive
 from wheelsight_papers.training import CalibrationCurve, PlaceTrial
+from wheelsight_report import drawing, html
+from wheelsight_report import plotly as go
+from wheelsight_report.drawing import AREA_COLOURS, BLUE, GREY, VERMILLION
+from wheelsight_report.pictures import jpeg_uri
 
 # Shares of frames; with one wrong in ten, areas still rectify wheels.
 _GOOD, _FAIR = 0.9, 0.7

@@ -10,10 +10,10 @@ import typer
 from rehearsed_drive import recorded, rehearsed_drive
 
 from wheelsight.app.cli.drive import print_results
-from wheelsight.app.report.drive_page import verdict
 from wheelsight.app.run.drive_record import drive_dict
 from wheelsight.app.run.drives import NamedGoal
 from wheelsight.core.errors import MapError
+from wheelsight_report.drive_page import verdict
 
 
 def test_periods_that_came_late_are_told_where_they_are_many(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,13 +8,13 @@ from narrowing import of_type
 from pipeline.made import OF_JOINED, metrics_in, names_in, status_in
 from room_drive import make_room_drive
 
-from wheelsight.app.report import summarise
 from wheelsight.app.run import RunRecord, best_alone_of, facts_of
 from wheelsight.app.runs import run_each
 from wheelsight.config import load_config
 from wheelsight.core.trajectory import read_tum
 from wheelsight.io.recordings import open_recording
 from wheelsight.io.recordings.image_recording import ImageRecording
+from wheelsight_report import summarise
 
 
 @pytest.fixture(scope="module")

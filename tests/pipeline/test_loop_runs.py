@@ -10,12 +10,12 @@ import pytest
 from pipeline.made import FILES, metrics_in, names_in, wheel_recording
 from room_drive import make_room_drive
 
-from wheelsight.app.report import sections as loop_figures
 from wheelsight.app.runs import run
 from wheelsight.config import load_config
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.trajectory import read_tum
 from wheelsight.io.recordings import OpenOptions, open_recording
+from wheelsight_report import sections as loop_figures
 
 BY_MATCHES = load_config(overrides={"odometry": "wheels", "loops.source": "matches"})
 

@@ -21,7 +21,6 @@ from pipeline.made import (
 from stand_ins import MemoryRecording, TrueOdometry
 from synthetic import make_tum_recording
 
-from wheelsight.app.report import summarise
 from wheelsight.app.run.track import DEPTH_MISPLACED, DEPTH_MISSING, DEPTH_SCARCE, RunTrack
 from wheelsight.app.runs import run
 from wheelsight.config import Config, load_config
@@ -31,6 +30,7 @@ from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelTicks
 from wheelsight.core.trajectory import Trajectory, read_tum
 from wheelsight.io.recordings import open_recording
 from wheelsight.io.recordings.recording import LeftOut
+from wheelsight_report import summarise
 
 
 def test_a_run_leaves_every_file_and_a_true_trajectory(tmp_path: Path, truth: Trajectory) -> None:

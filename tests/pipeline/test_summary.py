@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from run_example import empty_run, example_run
 
-from wheelsight.app.report import summarise
 from wheelsight.app.run import FrameRecord, RunRecord
 from wheelsight.core.estimates import Reason, Status
+from wheelsight_report import summarise
 
 
 def _with_statuses(*statuses: str) -> RunRecord:

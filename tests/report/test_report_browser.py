@@ -10,9 +10,9 @@ from html_page import Page, Plot
 from joined_example import joined_runs
 from run_example import empty_run, example_map, example_picture, example_run, wheel_run
 
-from wheelsight.app.report import write_report
-from wheelsight.app.report.comparison import write_comparison
 from wheelsight.app.run import RunRecord
+from wheelsight_report import write_report
+from wheelsight_report.comparison import write_comparison
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 

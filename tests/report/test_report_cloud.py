@@ -18,13 +18,13 @@ from browser import WITH_WEBGL, WITHOUT_WEBGL, open_page
 from html_page import Page
 from run_example import example_cloud, example_map, example_run
 
-from wheelsight.app.report import write_report
-from wheelsight.app.report.pictures import OrbitView, draw_cloud
 from wheelsight.app.run import RunRecord
 from wheelsight.core.geometry import FloatArray
 from wheelsight.mapping.plan import MapCloud
+from wheelsight_report import write_report
+from wheelsight_report.pictures import OrbitView, draw_cloud
 
-SCRIPTS = Path(__file__).resolve().parents[2] / "wheelsight" / "app" / "report"
+SCRIPTS = Path(__file__).resolve().parents[2] / "wheelsight_report"
 NO_LINES = np.zeros((0, 2, 3))
 
 

@@ -9,15 +9,15 @@ from html_page import Page
 from narrowing import not_none
 from run_example import empty_run, example_picture, example_run, wheel_run
 
-from wheelsight.app.report.comparison import comparison_rows, render_comparison
-from wheelsight.app.report.comparison_figures import bands_figure, errors_figure, overlay_figure, overlay_of
-from wheelsight.app.report.drawing import ODOMETRY_COLOURS
-from wheelsight.app.report.figures import STATUS_COLOURS
 from wheelsight.app.run import RunRecord
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import se3
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import evaluate
+from wheelsight_report.comparison import comparison_rows, render_comparison
+from wheelsight_report.comparison_figures import bands_figure, errors_figure, overlay_figure, overlay_of
+from wheelsight_report.drawing import ODOMETRY_COLOURS
+from wheelsight_report.figures import STATUS_COLOURS
 
 
 def both_runs(with_truth: bool = True) -> tuple[RunRecord, RunRecord]:

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 from rehearsed_drive import recorded, rehearsed_drive
 
-from wheelsight.app.report.drive_page import (
+from wheelsight.app.run.drive_record import DriveRecord, StopRecord, drive_dict
+from wheelsight.app.run.drives import NamedGoal
+from wheelsight.mapping import CellKind
+from wheelsight_report.drive_page import (
     apart,
     drive_picture,
     plan_figure,
@@ -18,9 +21,6 @@ from wheelsight.app.report.drive_page import (
     verdict,
     walked,
 )
-from wheelsight.app.run.drive_record import DriveRecord, StopRecord, drive_dict
-from wheelsight.app.run.drives import NamedGoal
-from wheelsight.mapping import CellKind
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,11 @@ import pytest
 from narrowing import not_none
 from run_example import START_S, empty_run, example_run, wheel_run
 
-from wheelsight.app.report import (
+from wheelsight.core.errors import EvaluationError
+from wheelsight.core.estimates import Reason
+from wheelsight.core.geometry import se3
+from wheelsight.core.trajectory import Trajectory
+from wheelsight_report import (
     certainty_figure,
     error_figure,
     matches_figure,
@@ -18,11 +22,7 @@ from wheelsight.app.report import (
     time_histogram_figure,
     trajectory_figure,
 )
-from wheelsight.app.report.figures import STATUS_COLOURS, VIEWS, standard_deviations
-from wheelsight.core.errors import EvaluationError
-from wheelsight.core.estimates import Reason
-from wheelsight.core.geometry import se3
-from wheelsight.core.trajectory import Trajectory
+from wheelsight_report.figures import STATUS_COLOURS, VIEWS, standard_deviations
 
 
 def _trace(figure, name: str):

@@ -14,10 +14,10 @@ from html_page import Page, Plot
 from joined_example import joined_runs
 from run_example import example_map, example_run, wheel_run
 
-from wheelsight.app.report import time_figure, time_histogram_figure, write_report
-from wheelsight.app.report.comparison import write_comparison
+from wheelsight_report import time_figure, time_histogram_figure, write_report
+from wheelsight_report.comparison import write_comparison
 
-SCRIPTS = Path(__file__).resolve().parents[2] / "wheelsight" / "app" / "report"
+SCRIPTS = Path(__file__).resolve().parents[2] / "wheelsight_report"
 # Of plotly.js-cartesian-dist-min 4.1.1 on npm.
 SHA256 = "79542150855a52c567260e3137095dbe2b744e6d702a5cabe67da246942fba7a"
 

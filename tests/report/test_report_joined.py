@@ -9,15 +9,15 @@ from joined_example import joined_run, joined_runs
 from narrowing import not_none
 from run_example import empty_run, example_map
 
-from wheelsight.app.report import summarise
-from wheelsight.app.report.comparison import render_comparison
-from wheelsight.app.report.comparison_figures import ellipses_m, overlay_figure, overlay_of, trust_figure
-from wheelsight.app.report.figures import STATUS_COLOURS
 from wheelsight.app.run import best_alone_of, facts_of, verdict_of, words
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import se3
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.evaluation import THREE_SIGMA_RADIUS, consistency, position_covariances_m2
+from wheelsight_report import summarise
+from wheelsight_report.comparison import render_comparison
+from wheelsight_report.comparison_figures import ellipses_m, overlay_figure, overlay_of, trust_figure
+from wheelsight_report.figures import STATUS_COLOURS
 
 
 def trace(figure, name: str):

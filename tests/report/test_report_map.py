@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from run_example import empty_run, example_map, example_run, wheel_run
 
-from wheelsight.app.report import plan_figure, write_report
-from wheelsight.app.report.comparison import write_comparison
-from wheelsight.app.report.sections import bar_length_m, draw_view
 from wheelsight.app.run import MapPicture
+from wheelsight_report import plan_figure, write_report
+from wheelsight_report.comparison import write_comparison
+from wheelsight_report.sections import bar_length_m, draw_view
 
 
 def _page(folder: Path) -> Page:

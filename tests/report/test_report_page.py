@@ -11,11 +11,11 @@ from narrowing import not_none
 from run_example import empty_run, example_picture, example_run, wheel_run
 
 from wheelsight import __version__
-from wheelsight.app.report import write_report
 from wheelsight.app.run import RunRecord
 from wheelsight.app.run.run_record import KnownMapRecord
 from wheelsight.core.errors import OutputError
 from wheelsight.evaluation import AbsoluteError, RelativeError
+from wheelsight_report import write_report
 
 ALL_PLOTS = {
     f"plot-{name}"

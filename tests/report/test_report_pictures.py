@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from run_example import example_picture
 
-from wheelsight.app.report import draw_matches
-from wheelsight.app.report.pictures import INLIER_RGB, OUTLIER_RGB, webp_uri
+from wheelsight_report import draw_matches
+from wheelsight_report.pictures import INLIER_RGB, OUTLIER_RGB, webp_uri
 
 BLACK = np.zeros((240, 320, 3), np.uint8)
 

@@ -13,10 +13,10 @@ from browser import open_page
 from html_page import Page
 from places_example import NAMES, example_model, example_sheet, example_trial
 
-from wheelsight.app.report.drawing import area_colour
 from wheelsight.core.errors import OutputError
 from wheelsight_papers import ContactSheet, PlaceTrial, read_labels
 from wheelsight_papers.places_page import render_sheet, write_places_page, write_sheet
+from wheelsight_report.drawing import area_colour
 
 
 def trial_page(trial: PlaceTrial, tmp_path: Path) -> Page:

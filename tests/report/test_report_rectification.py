@@ -14,11 +14,11 @@ from html_page import Page
 from narrowing import not_none
 from run_example import example_run
 
-from wheelsight.app.report.comparison import error_rows, render_comparison, write_comparison
-from wheelsight.app.report.comparison_figures import area_map_figure, area_time_figure, map_error_figure
-from wheelsight.app.report.drawing import area_colour
 from wheelsight.app.run import words
 from wheelsight.core.areas import Area, AreaMap
+from wheelsight_report.comparison import error_rows, render_comparison, write_comparison
+from wheelsight_report.comparison_figures import area_map_figure, area_time_figure, map_error_figure
+from wheelsight_report.drawing import area_colour
 
 
 def traces(figure: go.Figure, name: str) -> list:

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from run_example import START_S, empty_run, example_run
 
-from wheelsight.app.report import drawing as series
 from wheelsight.core.estimates import Status
+from wheelsight_report import drawing as series
 
 lines = arrays(float, st.integers(1, 400), elements=st.one_of(st.floats(-1e6, 1e6), st.just(np.nan)))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from wheelsight.app import run as pipeline
-from wheelsight.app.report import why_no_page, write_page
 from wheelsight.app.run import FrameRecord, RunRecord
 from wheelsight.app.run.track import Watcher
 from wheelsight.config import Config
@@ -15,6 +14,7 @@ from wheelsight.core.robots import EventSource
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
 from wheelsight.slam.place_recognition import LoopDetector
 from wheelsight.vision.visual_odometry import VisualOdometry
+from wheelsight_report import why_no_page, write_page
 
 
 def run(

@@ -197,7 +197,7 @@ Rerun = Annotated[
 def can_draw() -> bool:
     """Whether a page can be drawn; else it warns that all but the page is written."""
     from wheelsight.app.cli.console import print_warning
-    from wheelsight.app.report import why_no_page
+    from wheelsight_report import why_no_page
 
     why = why_no_page()
     if why is not None:

@@ -327,8 +327,8 @@ def print_summary(records: Sequence[RunRecord], out: Path) -> None:
     from rich.text import Text
 
     from wheelsight.app.cli.console import console, print_warning
-    from wheelsight.app.report import why_no_page
     from wheelsight.app.run import Tone, verdict_of_run
+    from wheelsight_report import why_no_page
 
     stdout, verdict = console(), verdict_of_run(records)
     for result in _results(records):
@@ -357,7 +357,7 @@ def _results(records: Sequence[RunRecord]) -> Iterator[Group | Table | str]:
     """Recognition in a known map, figures, and results of loop closing."""
     from wheelsight.app.cli.console import facts_table, rows_table
     from wheelsight.app.cli.evaluate import evaluation_table
-    from wheelsight.app.report.comparison import error_rows
+    from wheelsight_report.comparison import error_rows
 
     for known in (record.known_map for record in records if record.known_map is not None):
         yield f"{known.sentence}."
@@ -392,7 +392,7 @@ def _joint_table(records: Sequence[RunRecord]) -> Table:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from wheelsight.app.report.comparison import comparison_rows
+    from wheelsight_report.comparison import comparison_rows
 
     head, rows = comparison_rows(records)
     missing = [f"{r.odometry} not evaluated: {r.evaluation_problem}" for r in records if r.evaluation is None]
@@ -408,8 +408,8 @@ def _joint_table(records: Sequence[RunRecord]) -> Table:
 
 def _facts(record: RunRecord) -> Iterator[tuple[str, str]]:
     from wheelsight.app.cli.console import percent
-    from wheelsight.app.report import summarise
     from wheelsight.app.run.words import times
+    from wheelsight_report import summarise
 
     summary = summarise(record)
     digits = ".1f" if summary.unit == "frame" else ".4f"

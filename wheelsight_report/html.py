@@ -11,10 +11,10 @@ from pathlib import Path
 from string import Template
 
 from wheelsight._version import __version__
-from wheelsight.app.report import plotly as go
-from wheelsight.app.report.pictures import lean_json, packed
 from wheelsight.app.run.verdict import Finding, Tone
 from wheelsight.core.files import StrPath, write_text
+from wheelsight_report import plotly as go
+from wheelsight_report.pictures import lean_json, packed
 
 # As `section` writes it.
 _HEADING = re.compile('<h2 id="([^"]+)">([^<]*)</h2>')
@@ -86,7 +86,7 @@ def save(page: str, path: StrPath) -> None:
 
 def asset(name: str) -> str:
     """The text of a template, style or script that lies beside the pages."""
-    return (resources.files("wheelsight.app.report") / name).read_text(encoding="utf-8")
+    return (resources.files("wheelsight_report") / name).read_text(encoding="utf-8")
 
 
 def section(key: str, title: str, intro: str, *parts: str) -> str:

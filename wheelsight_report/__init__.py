@@ -1,8 +1,9 @@
 """The report of a run: figures of its records, and the page that shows them."""
 
-from wheelsight.app.report.comparison import write_page
-from wheelsight.app.report.drive_page import write_drive_page, write_drive_picture
-from wheelsight.app.report.figures import (
+from wheelsight.app.run.verdict import summarise
+from wheelsight_report.comparison import write_page
+from wheelsight_report.drive_page import write_drive_page, write_drive_picture
+from wheelsight_report.figures import (
     certainty_figure,
     error_figure,
     matches_figure,
@@ -12,10 +13,9 @@ from wheelsight.app.report.figures import (
     time_histogram_figure,
     trajectory_figure,
 )
-from wheelsight.app.report.page import why_no_page, write_report
-from wheelsight.app.report.pictures import draw_matches
-from wheelsight.app.report.sections import plan_figure
-from wheelsight.app.run.verdict import summarise
+from wheelsight_report.page import why_no_page, write_report
+from wheelsight_report.pictures import draw_matches
+from wheelsight_report.sections import plan_figure
 
 __all__ = [
     "certainty_figure",

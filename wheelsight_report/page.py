@@ -6,13 +6,13 @@ import json
 from pathlib import Path
 
 from wheelsight._version import __version__
-from wheelsight.app.report import html, sections
-from wheelsight.app.report.sections import files_section, loop_section, map_section, map_tile
 from wheelsight.app.run import words
 from wheelsight.app.run.run_record import RunRecord
 from wheelsight.app.run.verdict import Finding, RunVerdict, notes, summarise, verdict_of_run
 from wheelsight.core.files import StrPath, settings_text
 from wheelsight.core.runtime import why_missing
+from wheelsight_report import html, sections
+from wheelsight_report.sections import files_section, loop_section, map_section, map_tile
 
 _BODIES = {
     "camera": "poses of the camera's optical frame (x right, y down, z forward)",

@@ -8,9 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from wheelsight.app.report import drawing
-from wheelsight.app.report import plotly as go
-from wheelsight.app.report.drawing import (
+from wheelsight.app.run import words
+from wheelsight.app.run.run_record import RunRecord
+from wheelsight.app.run.verdict import SKIPPED, runs, summarise
+from wheelsight.core.errors import EvaluationError
+from wheelsight.core.estimates import Status
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.trajectory import Trajectory
+from wheelsight.evaluation import position_covariances_m2
+from wheelsight_report import drawing
+from wheelsight_report import plotly as go
+from wheelsight_report.drawing import (
     BLUE,
     GREEN,
     GREY,
@@ -23,15 +31,7 @@ from wheelsight.app.report.drawing import (
     poseless_stamps_s,
     with_gaps,
 )
-from wheelsight.app.report.plotly import make_subplots
-from wheelsight.app.run import words
-from wheelsight.app.run.run_record import RunRecord
-from wheelsight.app.run.verdict import SKIPPED, runs, summarise
-from wheelsight.core.errors import EvaluationError
-from wheelsight.core.estimates import Status
-from wheelsight.core.geometry import FloatArray
-from wheelsight.core.trajectory import Trajectory
-from wheelsight.evaluation import position_covariances_m2
+from wheelsight_report.plotly import make_subplots
 
 STATUS_COLOURS = {
     Status.TRACKING.value: GREEN,

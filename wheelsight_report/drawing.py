@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from wheelsight.app.report import plotly as go
 from wheelsight.app.run.run_record import FrameRecord, RunRecord
 from wheelsight.app.run.verdict import cold_frames
 from wheelsight.core.geometry import BoolArray, FloatArray, IntArray
+from wheelsight_report import plotly as go
 
 # Okabe and Ito's colours; these four also stand out from white and from near black.
 BLUE, GREEN, VERMILLION, GREY = "#0072B2", "#009E73", "#D55E00", "#808080"

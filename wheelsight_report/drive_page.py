@@ -7,11 +7,6 @@ import math
 import numpy as np
 
 from wheelsight._version import __version__
-from wheelsight.app.report import drawing, html
-from wheelsight.app.report import plotly as go
-from wheelsight.app.report.drawing import BLUE, GREEN, GREY, LAVENDER, ORANGE, PURPLE, SKY, VERMILLION, keep_shape
-from wheelsight.app.report.pictures import jpeg_uri, png_uri
-from wheelsight.app.report.plotly import make_subplots
 from wheelsight.app.run import words
 from wheelsight.app.run.drive_record import DriveRecord
 from wheelsight.app.run.verdict import runs
@@ -19,6 +14,11 @@ from wheelsight.core.files import StrPath, settings_text
 from wheelsight.core.geometry import ByteArray, FloatArray
 from wheelsight.mapping import CellKind
 from wheelsight.mapping.occupancy import COLOURS, PlanLine, PlanMark, picture_of, save_picture
+from wheelsight_report import drawing, html
+from wheelsight_report import plotly as go
+from wheelsight_report.drawing import BLUE, GREEN, GREY, LAVENDER, ORANGE, PURPLE, SKY, VERMILLION, keep_shape
+from wheelsight_report.pictures import jpeg_uri, png_uri
+from wheelsight_report.plotly import make_subplots
 
 _PLANNED, _DRIVEN, _STOPPED, _GOAL, _START = (230, 159, 0), (0, 114, 178), (213, 94, 0), (204, 121, 167), (0, 158, 115)
 _WALKED = (86, 180, 233)

@@ -11,11 +11,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from wheelsight.app.report import drawing
-from wheelsight.app.report import plotly as go
-from wheelsight.app.report.drawing import GREY, INK, VERMILLION, area_colour, keep_shape, poseless_stamps_s, with_gaps
-from wheelsight.app.report.figures import STATUS_COLOURS, add_band, estimated_path_m, status_labels, truth_path_m
-from wheelsight.app.report.plotly import make_subplots
 from wheelsight.app.run.run_record import RectificationRecord, RunRecord
 from wheelsight.app.run.verdict import FLAGS, JOINED, joined_of, runs
 from wheelsight.core.errors import EvaluationError
@@ -29,6 +24,11 @@ from wheelsight.evaluation import (
     position_covariances_m2,
     start_alignment,
 )
+from wheelsight_report import drawing
+from wheelsight_report import plotly as go
+from wheelsight_report.drawing import GREY, INK, VERMILLION, area_colour, keep_shape, poseless_stamps_s, with_gaps
+from wheelsight_report.figures import STATUS_COLOURS, add_band, estimated_path_m, status_labels, truth_path_m
+from wheelsight_report.plotly import make_subplots
 
 _TIME = "seconds since the first event"
 

@@ -11,19 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from wheelsight._version import __version__
-from wheelsight.app.report import comparison_figures as figures
-from wheelsight.app.report import figures as joined_figures
-from wheelsight.app.report import html, sections
-from wheelsight.app.report.comparison_figures import (
-    Overlay,
-    area_map_figure,
-    area_time_figure,
-    map_error_figure,
-    overlay_of,
-    trust_figure,
-)
-from wheelsight.app.report.page import finished, settings, shown_findings, write_report
-from wheelsight.app.report.sections import files_section, loop_section, map_section, map_tile
 from wheelsight.app.run import words
 from wheelsight.app.run.run_record import RectificationRecord, RunRecord
 from wheelsight.app.run.verdict import (
@@ -44,6 +31,19 @@ from wheelsight.app.run.verdict import (
 )
 from wheelsight.core.estimates import Status
 from wheelsight.core.files import StrPath
+from wheelsight_report import comparison_figures as figures
+from wheelsight_report import figures as joined_figures
+from wheelsight_report import html, sections
+from wheelsight_report.comparison_figures import (
+    Overlay,
+    area_map_figure,
+    area_time_figure,
+    map_error_figure,
+    overlay_of,
+    trust_figure,
+)
+from wheelsight_report.page import finished, settings, shown_findings, write_report
+from wheelsight_report.sections import files_section, loop_section, map_section, map_tile
 
 _MOST_OF_THE_TIME = 0.95
 _STEPS = ("second", "metre")

@@ -14,9 +14,15 @@ from urllib.parse import quote
 import cv2
 import numpy as np
 
-from wheelsight.app.report import drawing, figures, html
-from wheelsight.app.report import plotly as go
-from wheelsight.app.report.drawing import (
+from wheelsight.app.run import words
+from wheelsight.app.run.run_record import MapPicture, MapRecord, RunRecord
+from wheelsight.app.run.verdict import Summary, cold_frames
+from wheelsight.core.files import StrPath
+from wheelsight.core.geometry import ByteArray, FloatArray, se3
+from wheelsight.evaluation import Statistics
+from wheelsight_report import drawing, figures, html
+from wheelsight_report import plotly as go
+from wheelsight_report.drawing import (
     BLUE,
     GREEN,
     GREY,
@@ -26,14 +32,8 @@ from wheelsight.app.report.drawing import (
     poseless_stamps_s,
     with_gaps,
 )
-from wheelsight.app.report.figures import truth_path_m
-from wheelsight.app.report.pictures import OrbitView, draw_cloud, draw_matches, packed, webp_uri
-from wheelsight.app.run import words
-from wheelsight.app.run.run_record import MapPicture, MapRecord, RunRecord
-from wheelsight.app.run.verdict import Summary, cold_frames
-from wheelsight.core.files import StrPath
-from wheelsight.core.geometry import ByteArray, FloatArray, se3
-from wheelsight.evaluation import Statistics
+from wheelsight_report.figures import truth_path_m
+from wheelsight_report.pictures import OrbitView, draw_cloud, draw_matches, packed, webp_uri
 
 # Sections of every run. With `of` a section stands on a page of several odometries, under that name and in its colour.
 
