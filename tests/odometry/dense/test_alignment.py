@@ -101,8 +101,9 @@ def test_what_stands_out_before_a_wall_does_not_carry_the_camera_along() -> None
 
 @pytest.fixture
 def noise_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Grey counts on a plain wall too, where noise makes its gradient."""
+    """Grey counts on a plain wall too, where noise makes its gradient, and an alignment follows it by small steps."""
     monkeypatch.setattr("wheelsight.vision.dense.alignment.MIN_GRADIENT", 0.5)
+    monkeypatch.setattr("wheelsight.vision.dense.alignment._SMALL_STEP", 1e-4)
 
 
 @pytest.mark.usefixtures("noise_counts")

@@ -68,7 +68,7 @@ def test_a_wrong_prior_costs_no_frame_and_no_accuracy(frames, reference, wrong):
     assert worst(answers) < 0.06
 
 
-def test_a_prior_bounds_the_search(frames, monkeypatch):
+def test_a_prior_or_a_known_velocity_bounds_the_search(frames, monkeypatch):
     called: list[str] = []
 
     def spy(search: Callable[..., Any], *given: object) -> Any:
@@ -79,9 +79,16 @@ def test_a_prior_bounds_the_search(frames, monkeypatch):
         monkeypatch.setattr(f"wheelsight.vision.features.tracking.{search.__name__}", partial(spy, search))
     subject = odometry(reference="previous")
     subject.process(frames[0])
+    subject.process(frames[1])
+    assert called == ["match_all"]  # no velocity yet
+    called.clear()
+    subject.process(frames[2])
+    assert called == ["match_near"]
+    called.clear()
+    subject.process(frames[3], se3.exp(WRONG["2 m aside"]))
+    assert called == ["match_near", "match_all"]
+    subject = odometry(reference="previous")
+    subject.process(frames[0])
+    called.clear()
     subject.process(frames[1], STEPS[0])
     assert called == ["match_near"]
-    subject.process(frames[2])
-    assert called == ["match_near", "match_all"]
-    subject.process(frames[3], se3.exp(WRONG["2 m aside"]))
-    assert called == ["match_near", "match_all", "match_near", "match_all"]

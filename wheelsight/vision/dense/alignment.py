@@ -421,11 +421,14 @@ _NOT_ROLLED = [1, 2, 3, 4]
 _FREE = (np.inf, np.inf)
 _UPPER = np.triu_indices(6)
 _DIVERGED_M = 1e3
-_SMALL_STEP = 1e-4
+# A change of the motion, in metres and radians, below which the finest level has converged: a tenth of a frame's error
+# (real recordings: docs/decisions/dense-alignment.md). At each coarser level it is twice as large.
+_SMALL_STEP = 1e-3
 # Initial spread of grey residuals, in grey levels; the first iteration replaces it.
 _GREY_SIGMA = 8.0
 
-# Most iterations, from the finest level to the coarsest, and the stride of the rows aligned at the finest; chosen.
+# Most iterations, from the finest level to the coarsest, and the stride of rows: of those aligned at the finest level,
+# and of those whose slopes of grey give information; chosen.
 _ITERATIONS = (4, 6, 8)
 _ROW_STRIDE = 2
 # Points farther apart are no pair, in metres and in metres per metre of depth; chosen.
@@ -691,10 +694,10 @@ class Aligner:
         rules = how[[kernels.GATE, PLANE_SCALE, GREY_SIGMA, GAIN, HUBER, GREY_WEIGHT]]
         given = (T, self._noise.astype(float), np.append(rules, how[COLOR_SIGMA]))
         scales, information, compared = reference.scales, np.zeros((6, 6)), np.zeros((6, 6))
-        planes = (frame.levels[LEVELS - 1], own.planes.pixels, scales.steep.pixels)
-        slopes = (frame.levels[SECOND], own.slopes.pixels, scales.levels[SECOND].pixels)
-        for show, (level, here, there) in ((show_planes, planes), (show_slopes, slopes)):
-            sums = np.empty((len(level.depth_m), COMPARED))
+        planes = (frame.levels[LEVELS - 1], own.planes.pixels, scales.steep.pixels, 1)
+        slopes = (frame.levels[SECOND], own.slopes.pixels, scales.levels[SECOND].pixels, _ROW_STRIDE)
+        for show, (level, here, there, stride) in ((show_planes, planes), (show_slopes, slopes)):
+            sums = np.empty((len(level.depth_m) // stride, COMPARED))
             both = BothViews(level.depth_m, here, there, level.intrinsics)
             show(both, *given, 0, len(sums), sums)
             total = sums.sum(axis=0)

@@ -634,18 +634,24 @@ def show_planes(both: BothViews, T: Any, noise: Any, how: Any, begin: int, end: 
 
 @kernel(error_model="numpy")
 def show_slopes(both: BothViews, T: Any, noise: Any, how: Any, begin: int, end: int, sums: Any) -> None:
-    """What slopes of grey tell in both views; arguments as of `show_planes`, but for `sums` (h, COMPARED)."""
+    """What slopes of grey tell in both views, of every n-th row.
+
+    Args: as of `show_planes`, but for
+        begin, end: of the rows' numbers; number k is row k · n.
+        sums: (h // n, COMPARED) float64, written row by row.
+    """
     depth_m, own, reference, grid = both.depth_m, both.own, both.reference, both.grid
     here, there = np.empty(6), np.empty(6)
-    fx, fy, gain = grid[0], grid[1], how[_GAIN]
-    for r in range(begin, end):
-        sums[r] = 0.0
+    fx, fy, gain, stride = grid[0], grid[1], how[_GAIN], depth_m.shape[0] // len(sums)
+    for k in range(begin, end):
+        r, row = k * stride, sums[k]
+        row[:] = 0.0
         y = (r - grid[3]) / fy
         for c in range(depth_m.shape[1]):
             is_seen, px, py, pz, z, u, v = _moved(depth_m, r, c, reference, grid, T, noise)
             if not is_seen:
                 continue
-            sums[r, POINTS] += 1
+            row[POINTS] += 1
             qz = _between(reference, u, v, DEPTH)
             du, dv = _between(reference, u, v, ALONG_U), _between(reference, u, v, ALONG_V)
             eu, ev = own[r, c, ALONG_U], own[r, c, ALONG_V]
@@ -658,8 +664,8 @@ def show_slopes(both: BothViews, T: Any, noise: Any, how: Any, begin: int, end: 
             _jacobian(px, py, pz, gx, gy, -(gx * px + gy * py) / pz, there)
             hx, hy = eu * fx / z, ev * fy / z
             _shown_turn(T, hx, hy, -(hx * x + hy * y), px, py, pz, here)
-            _shown_add(here, there, weight, sums[r])
-            _shown_add(there, there, weight, sums[r, SHOWN:])
+            _shown_add(here, there, weight, row)
+            _shown_add(there, there, weight, row[SHOWN:])
 
 
 @kernel(error_model="numpy", inline="always")
@@ -710,3 +716,49 @@ def _shown_add(here: Any, there: Any, weight: Any, row: Any) -> None:
         for j in range(i, 6):
             row[at] += half * (here[i] * there[j] + here[j] * there[i])
             at += 1
+
+
+# The largest distance of one point from a plane, in standard deviations of depth; a point is on another surface beyond
+# this distance per metre of depth. Chosen.
+MOST_SIGMAS, _OTHER_SURFACE = 8.0, 0.03
+
+
+@kernel(error_model="numpy")
+def add_regions(depth_m: Any, reference: Any, grid: Any, T: Any, noise: Any, sums: Any) -> None:
+    """Add up the distances of points from the reference's planes, by regions of the frame.
+
+    Args:
+        depth_m: (h, w) float32 of the frame, 0 where unknown.
+        reference: (h, w, CHANNELS) float32.
+        grid: (4,) fx, fy, cx, cy of both.
+        T: (4, 4) T_reference_frame.
+        noise: depth's constant and quadratic σ, and its near limit in metres.
+        sums: (3, rows, columns) number of compared points, sum of their distances in σ, and in metres.
+    """
+    height, width = depth_m.shape
+    rows, columns = sums.shape[1], sums.shape[2]
+    for r in range(height):
+        for c in range(width):
+            z = float(depth_m[r, c])
+            x, y = z * (c - grid[2]) / grid[0], z * (r - grid[3]) / grid[1]
+            px = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+            py = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+            pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+            if z == 0 or pz <= noise[2]:
+                continue
+            u, v = np.rint(grid[0] * px / pz + grid[2]), np.rint(grid[1] * py / pz + grid[3])
+            if not (0 <= u < width and 0 <= v < height):
+                continue
+            plane = reference[int(v), int(u)]
+            here, there = noise[0] + noise[1] * z * z, noise[0] + noise[1] * pz * pz
+            sigma = np.sqrt(here * here + there * there)
+            off = abs(plane[NX] * px + plane[NY] * py + plane[NZ] * pz - plane[OFFSET]) / sigma
+            if abs(plane[DEPTH] - pz) > MOST_SIGMAS * sigma + _OTHER_SURFACE * pz:
+                off = MOST_SIGMAS
+            if np.isnan(off):
+                continue
+            off = min(off, MOST_SIGMAS)
+            row, column = r * rows // height, c * columns // width
+            sums[0, row, column] += 1
+            sums[1, row, column] += off
+            sums[2, row, column] += off * sigma

@@ -44,6 +44,7 @@ from wheelsight.vision.dense.alignment import (
     SurfaceWeight,
     judge,
 )
+from wheelsight.vision.dense.alignment_kernels import add_regions
 from wheelsight.vision.dense.settings import DenseSettings
 from wheelsight.vision.features.tracking import (
     LONGEST_STEP_S,
@@ -60,7 +61,6 @@ from wheelsight.vision.features.tracking import (
     maps_without_lens,
     straighten,
 )
-from wheelsight.vision.image_kernels import CHANNELS, DEPTH, NX, NZ, OFFSET
 
 # Number of keyframes, the most recently used, with pyramids in memory. A pyramid is recomputed in 5 ms.
 _IN_MEMORY = 6
@@ -742,9 +742,6 @@ REGION_ROWS, REGION_COLUMNS = 6, 8  # regions of a view; chosen
 # A region moves if it lies this many times as far from known surfaces as the median region, and at least this many
 # standard deviations of depth; chosen.
 _ODD_FACTOR, _ODD_SIGMAS = 2.5, 3.0
-_MOST_SIGMAS = 8.0  # limit of one point's distance
-# A point is on another surface beyond this distance per metre of depth; chosen.
-_OTHER_SURFACE = 0.03
 _MOST_MOVING = 0.4  # share of the regions; if more would be excluded, the pose is wrong
 _MIN_POINTS, _MIN_REGIONS = 20, 12  # points that a region needs at the coarsest level, and regions to judge any
 
@@ -801,29 +798,12 @@ def without(frame: GridFrame, regions: BoolArray) -> GridFrame:
 def misfits(frame: GridFrame, reference: Reference, T_reference_frame: FloatArray, noise: DepthNoise) -> Misfits:
     """The distance of regions from known planes for a frame at T_reference_frame (4, 4), at the coarsest level.
 
-    A point whose depth differs from the known surface counts as `_MOST_SIGMAS` away. A point without a known surface
+    A point whose depth differs from the known surface counts as `MOST_SIGMAS` away. A point without a known surface
     does not count.
     """
     level, seen = frame.levels[LEVELS - 1], reference.scales.levels[LEVELS - 1]
-    fx, fy, cx, cy = level.intrinsics
-    points, rows, columns = level.points()
-    there = points @ T_reference_frame[:3, :3].T + T_reference_frame[:3, 3]
-    is_ahead = there[:, 2] > noise.near_m
-    depth = np.where(is_ahead, there[:, 2], 1.0)
-    u, v = np.rint(fx * there[:, 0] / depth + cx), np.rint(fy * there[:, 1] / depth + cy)
-    height, width = level.depth_m.shape
-    is_inside = is_ahead & (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    at = np.where(is_inside, v * width + u, 0).astype(np.int64)
-    planes = seen.pixels.reshape(-1, CHANNELS)[at]
-    sigmas = np.hypot(*(noise.constant_m + noise.quadratic_per_m * np.stack([points[:, 2], depth]) ** 2))
-    along = (planes[:, NX : NZ + 1] * there).sum(axis=1)
-    off = np.abs(along - planes[:, OFFSET]) / sigmas
-    elsewhere = np.abs(planes[:, DEPTH] - depth) > _MOST_SIGMAS * sigmas + _OTHER_SURFACE * depth
-    off = np.minimum(np.where(elsewhere, _MOST_SIGMAS, off), _MOST_SIGMAS)
-    is_known = is_inside & np.isfinite(off)
-    region = (rows * REGION_ROWS // height) * REGION_COLUMNS + columns * REGION_COLUMNS // width
-    shape, size, region = (REGION_ROWS, REGION_COLUMNS), REGION_ROWS * REGION_COLUMNS, region[is_known]
-    count = np.bincount(region, minlength=size)
-    mean_sigmas = np.bincount(region, off[is_known], minlength=size) / np.maximum(count, 1)
-    mean_m = np.bincount(region, (off * sigmas)[is_known], minlength=size) / np.maximum(count, 1)
-    return Misfits(mean_sigmas.reshape(shape), mean_m.reshape(shape), count.reshape(shape) >= _MIN_POINTS)
+    sums = np.zeros((3, REGION_ROWS, REGION_COLUMNS))
+    limits = np.array([noise.constant_m, noise.quadratic_per_m, noise.near_m])
+    add_regions(level.depth_m, seen.pixels, level.intrinsics, np.ascontiguousarray(T_reference_frame), limits, sums)
+    points = np.maximum(sums[0], 1)
+    return Misfits(sums[1] / points, sums[2] / points, sums[0] >= _MIN_POINTS)

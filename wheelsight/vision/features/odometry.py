@@ -189,12 +189,11 @@ class FeatureOdometry(CameraOdometry[FeatureEstimate]):
             references.append(keyframes[-1])
         if self._state.is_lost and len(keyframes) > 1:  # older ones in turn
             references.append(keyframes[-1 - self._state.failures % len(keyframes)])
+        expected = None if prior is None else self._T_color_camera @ prior @ se3.invert(self._T_color_camera)
         attempts: list[tuple[KeypointView, FloatArray | None]] = []
         for view in references:
             if all(view.features is not earlier.features for earlier, _ in attempts):
-                attempts.append((view, None))
-        if prior is not None:
-            attempts.insert(0, (last, self._T_color_camera @ prior @ se3.invert(self._T_color_camera)))
+                attempts.append((view, expected if view is last else None))
         failure = MotionEstimate.failed(Reason.TOO_FEW_MATCHES)
         for reference, expected in attempts:
             found = self._view_tracker.track(raw, reference, self._velocity, expected, self._frames)

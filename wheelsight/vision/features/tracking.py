@@ -513,13 +513,26 @@ class ViewTracker(_Tracker):
     ) -> Fix | MotionEstimate:
         """The frame located by its motion against `reference`, or the reason of the failure.
 
+        Keypoints are searched around the pixels that the predicted motion gives, then, if that fails, everywhere.
+
         Args:
             raw: the frame's features, not corrected for rolling shutter.
             reference: a view with a pose.
             velocity: (6,) predicted velocity of the colour camera at the frame.
-            expected: (4, 4) predicted T_reference_current of the colour camera, or None.
+            expected: (4, 4) predicted T_reference_current of the colour camera; default by the velocity.
             trial: changes RANSAC's seed from frame to frame.
         """
+        seconds = raw.stamp_s - reference.features.stamp_s
+        if expected is None and velocity.any() and 0 < seconds <= LONGEST_STEP_S:
+            expected = se3.exp(velocity * seconds)
+        found = self._located(raw, reference, velocity, expected, trial)
+        if expected is None or isinstance(found, Fix):
+            return found
+        return self._located(raw, reference, velocity, None, trial)
+
+    def _located(
+        self, raw: Features, reference: KeypointView, velocity: FloatArray, expected: FloatArray | None, trial: int
+    ) -> Fix | MotionEstimate:
         features = straighten(raw, velocity, self._shutter_s, self._color.height)
         with self._watch.stage("match"):
             matches = self._match(features, reference.features, expected)
