@@ -68,6 +68,7 @@ def run(options: RunOptions) -> None:
     wheelsight run --live --camera any --wheels /dev/ttyUSB0 --calibration robot.yaml --map surfels --out now
     wheelsight run monday --map surfels --loops keyframes --out monday_map
     wheelsight run my_drive --map surfels --rerun run.rrd --out results
+    wheelsight run my_drive --trace trace.json --out results
     wheelsight run tuesday --map-from monday_map --out found_again
     """
     from wheelsight.app.run import default_odometry
@@ -79,24 +80,30 @@ def run(options: RunOptions) -> None:
         if not settings.odometry:
             choice = default_odometry(source, settings)
             settings, chosen = settings.with_odometry(choice.odometry), choice.sentence
-        records = track(source, settings, options.out, options.force, options.rerun, chosen)
+        records = track(source, settings, options.out, options.force, options.rerun, chosen, options.trace)
     print_summary(records, options.out)
 
 
 def track(
-    source: EventSource, settings: Config, out: Path, force: bool, rerun: str | None = None, note: str = ""
+    source: EventSource,
+    settings: Config,
+    out: Path,
+    force: bool,
+    rerun: str | None = None,
+    note: str = "",
+    trace: Path | None = None,
 ) -> Sequence[RunRecord]:
     """Run with progress on stderr. Ctrl-C ends it with the exit code of an interruption.
 
-    `rerun` is a file or "spawn", or None. `note` is printed once the inputs are accepted.
+    `rerun` is a file or "spawn", or None. `note` is printed once the inputs are accepted. `trace` is a file.
     """
     from wheelsight.app import runs
     from wheelsight.app.cli.compiling import compile_missing
     from wheelsight.app.cli.console import print_note
-    from wheelsight.app.cli.options import can_draw, check_rerun
+    from wheelsight.app.cli.options import can_draw, check_out, check_rerun
     from wheelsight.app.cli.progress import FrameProgress
     from wheelsight.app.run.kernels import parts_of
-    from wheelsight_export import open_rerun
+    from wheelsight_export import open_rerun, trace_to
 
     count, unit = expected(source, settings)
     status, progress = RunStatus(), FrameProgress("tracking", count, unit=unit)
@@ -113,6 +120,9 @@ def track(
     try:
         with ExitStack() as shown:
             watcher = None
+            if trace is not None:
+                check_out(trace, force, "--trace")
+                shown.enter_context(trace_to(trace))
             if rerun is not None:
                 check_rerun(rerun, force)
                 log = open_rerun(rerun, source.calibration, settings.tracks, settings.viewer)
