@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
-from functools import partial, wraps
+from functools import cache, partial, wraps
 from typing import Any, Concatenate, Generic, ParamSpec, Protocol, Self, TypeVar
 
 from wheelsight.core.errors import ArgumentError
@@ -65,9 +65,7 @@ class OneCaller:
 Object = TypeVar("Object", bound=OneCaller)
 
 
-def one_at_a_time(
-    method: Callable[Concatenate[Object, Given], Answer],
-) -> Callable[Concatenate[Object, Given], Answer]:
+def one_at_a_time(method: Callable[Concatenate[Object, Given], Answer]) -> Callable[Concatenate[Object, Given], Answer]:
     """Decorate a method that changes a `OneCaller`: ArgumentError during another call, after a fork, or if closed.
 
     It may call other methods of the same object.
@@ -338,7 +336,7 @@ class Stopwatch:
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self.processor_seconds: dict[str, float] = {}
-        self.stage: Callable[[str], AbstractContextManager[None]] = _Stages(self).__getitem__
+        self.stage: Callable[[str], AbstractContextManager[None]] = cache(partial(_Stage, self))
         self.begun: list[tuple[float, float, list[float]]] = []
         self.lap_began = (0.0, 0.0)
         self._is_in_frame = False
@@ -363,22 +361,11 @@ class Stopwatch:
             _tracer.add(name, began, self.lap_began)
 
 
-class _Stages(dict[str, "_Stage"]):
-    """The stages of a stopwatch, each made at its first use."""
-
-    def __init__(self, watch: Stopwatch) -> None:
-        self._watch = watch
-
-    def __missing__(self, name: str) -> _Stage:
-        self[name] = made = _Stage(name, self._watch)
-        return made
-
-
 class _Stage:
     """A block that a stopwatch counts. It is no generator, which would take twice the time."""
 
-    def __init__(self, name: str, watch: Stopwatch) -> None:
-        self._name, self._watch = name, watch
+    def __init__(self, watch: Stopwatch, name: str) -> None:
+        self._watch, self._name = watch, name
 
     def __enter__(self) -> None:
         self._watch.begun.append((time.perf_counter(), time.thread_time(), [0.0, 0.0]))

@@ -66,13 +66,7 @@ from wheelsight.slam.place_recognition import KnownMap
 from wheelsight.vision.dense import DenseEstimate, DenseOdometry
 from wheelsight.vision.features import FeatureEstimate, MatchedPixels
 from wheelsight.vision.features.tracking import Pace
-from wheelsight.wheels import (
-    HolonomicOdometry,
-    ReadingTimes,
-    WheelOdometry,
-    WheelSettings,
-    odometry_of,
-)
+from wheelsight.wheels import HolonomicOdometry, ReadingTimes, WheelOdometry, WheelSettings, odometry_of
 
 # Distance from an anchor to the next one; a turn by a radian counts as 1.5 m. Errors of single frames do not add up
 # against a reference that is held for a while.

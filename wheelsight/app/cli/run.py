@@ -5,7 +5,7 @@ results.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,13 +22,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from wheelsight.app.cli.progress import FrameProgress
-    from wheelsight.app.run import (
-        FrameRecord,
-        InRealTime,
-        LiveSource,
-        RealTimeRecording,
-        RunRecord,
-    )
+    from wheelsight.app.run import FrameRecord, InRealTime, LiveSource, RealTimeRecording, RunRecord
     from wheelsight.config import Config
     from wheelsight.core.robots import EventSource
     from wheelsight.core.settings import RealTimeSettings
@@ -76,34 +70,28 @@ def run(options: RunOptions) -> None:
     check_source(options)
     settings = settings_from(options.settings(), options.config)
     chosen = ""
-    with source_of(options, settings) as source:
+    with traced(options.trace, options.force), source_of(options, settings) as source:
         if not settings.odometry:
             choice = default_odometry(source, settings)
             settings, chosen = settings.with_odometry(choice.odometry), choice.sentence
-        records = track(source, settings, options.out, options.force, options.rerun, chosen, options.trace)
+        records = track(source, settings, options.out, options.force, options.rerun, chosen)
     print_summary(records, options.out)
 
 
 def track(
-    source: EventSource,
-    settings: Config,
-    out: Path,
-    force: bool,
-    rerun: str | None = None,
-    note: str = "",
-    trace: Path | None = None,
+    source: EventSource, settings: Config, out: Path, force: bool, rerun: str | None = None, note: str = ""
 ) -> Sequence[RunRecord]:
     """Run with progress on stderr. Ctrl-C ends it with the exit code of an interruption.
 
-    `rerun` is a file or "spawn", or None. `note` is printed once the inputs are accepted. `trace` is a file.
+    `rerun` is a file or "spawn", or None. `note` is printed once the inputs are accepted.
     """
     from wheelsight.app import runs
     from wheelsight.app.cli.compiling import compile_missing
     from wheelsight.app.cli.console import print_note
-    from wheelsight.app.cli.options import can_draw, check_out, check_rerun
+    from wheelsight.app.cli.options import can_draw, check_rerun
     from wheelsight.app.cli.progress import FrameProgress
     from wheelsight.app.run.kernels import parts_of
-    from wheelsight_export import open_rerun, trace_to
+    from wheelsight_export import open_rerun
 
     count, unit = expected(source, settings)
     status, progress = RunStatus(), FrameProgress("tracking", count, unit=unit)
@@ -120,9 +108,6 @@ def track(
     try:
         with ExitStack() as shown:
             watcher = None
-            if trace is not None:
-                check_out(trace, force, "--trace")
-                shown.enter_context(trace_to(trace))
             if rerun is not None:
                 check_rerun(rerun, force)
                 log = open_rerun(rerun, source.calibration, settings.tracks, settings.viewer)
@@ -142,6 +127,17 @@ def track(
         found = f"what was found until then is in {out}" if answered else "nothing was found until then"
         print_note(f"interrupted; {found}")
         raise typer.Exit(exit_code()) from interruption
+
+
+def traced(trace: Path | None, force: bool) -> AbstractContextManager[None]:
+    """The block that the trace shows, if one is wanted. Raises OutputError."""
+    from wheelsight.app.cli.options import check_out
+    from wheelsight_export import trace_to
+
+    if trace is None:
+        return nullcontext()
+    check_out(trace, force, "--trace")
+    return trace_to(trace)
 
 
 def check_source(asked: RunOptions) -> None:
@@ -214,10 +210,7 @@ def _opened(asked: RunOptions, settings: Config) -> Iterator[LiveSource]:
         sensors = LiveSensors(calibration, camera, link, recorder)
         how_long = f"for {asked.seconds:g} s" if asked.seconds is not None else "until Ctrl-C"
         yield LiveSource(
-            sensors,
-            lambda: until_stopped(asked.seconds),
-            lambda: print_note(f"ready; following {how_long}"),
-            note,
+            sensors, lambda: until_stopped(asked.seconds), lambda: print_note(f"ready; following {how_long}"), note
         )
 
 

@@ -457,11 +457,7 @@ class LiveWheels(Closing):
     """
 
     def __init__(
-        self,
-        where: str,
-        baudrate: int = BAUDRATE,
-        clock: Clock | None = None,
-        source: WheelSource | None = None,
+        self, where: str, baudrate: int = BAUDRATE, clock: Clock | None = None, source: WheelSource | None = None
     ) -> None:
         self.where = where
         self.count = 0
