@@ -294,7 +294,7 @@ def trace_by(tracer: Tracer | None) -> None:
 
 def span(name: str, category: str = STAGE, **facts: object) -> AbstractContextManager[object]:
     """Return a block that the tracer records, if there is one, with facts about it."""
-    return _UNTRACED if _tracer is None else _tracer.span(name, category, facts)
+    return _UNTRACED if (tracer := _tracer) is None else tracer.span(name, category, facts)
 
 
 def in_span(name: str, work: Callable[[], Answer], category: str = STAGE) -> Answer:
@@ -357,8 +357,8 @@ class Stopwatch:
         self.seconds[name] = self.seconds.get(name, 0.0) + self.lap_began[0] - began[0]
         self.processor_seconds[name] = self.processor_seconds.get(name, 0.0) + self.lap_began[1] - began[1]
         self._is_in_frame &= not ends_frame
-        if _tracer is not None:
-            _tracer.add(name, began, self.lap_began)
+        if (tracer := _tracer) is not None:
+            tracer.add(name, began, self.lap_began)
 
 
 class _Stage:
@@ -380,5 +380,5 @@ class _Stage:
         if watch.begun:
             outer = watch.begun[-1][2]
             outer[0], outer[1] = outer[0] + wall_s, outer[1] + spent_s
-        if _tracer is not None:
-            _tracer.add(name, (began_s, began_used_s), watch.lap_began)
+        if (tracer := _tracer) is not None:
+            tracer.add(name, (began_s, began_used_s), watch.lap_began)
