@@ -16,7 +16,7 @@ from wheelsight.core.files import StrPath, atomic_write
 from wheelsight.core.threads import FRAME, LOCK, STAGE, span, trace_by
 
 _US = 1e6
-# Remembered waits for locks of a thread. A stage counts those within it; none has so many.
+# Remembered waits of a thread for locks; a stage counts those within it, which are fewer.
 _WAITS = 1000
 # Linux: nanoseconds on a processor, and ready but waiting for one, of the thread that reads it.
 _SCHEDULE = Path("/proc/thread-self/schedstat")

@@ -166,6 +166,7 @@ class ByPlaces:
         if self._repeats.lasting_s(frame) > 0:  # would count twice
             again = replace(self._rectifier.estimate(frame.stamp_s), reason=Reason.REPEATED)
             return self._predicted(again), "no measurement: the same image as before"
+        self.watch.lap("check")
         with self.watch.stage("name the area"):
             self.last_place = match = self._model.predict(frame)
         with self.watch.stage("rectify"):

@@ -134,10 +134,9 @@ def traced(trace: Path | None, force: bool) -> AbstractContextManager[None]:
     from wheelsight.app.cli.options import check_out
     from wheelsight_export import trace_to
 
-    if trace is None:
-        return nullcontext()
-    check_out(trace, force, "--trace")
-    return trace_to(trace)
+    if trace is not None:
+        check_out(trace, force, "--trace")
+    return nullcontext() if trace is None else trace_to(trace)
 
 
 def check_source(asked: RunOptions) -> None:
