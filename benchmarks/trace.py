@@ -50,8 +50,8 @@ _WAYS: dict[str, dict[str, Any]] = {
 _PICTURE = """![Stages of each thread, and waits of each frame](../images/trace.png)
 
 Top: each thread has a row for each depth of nesting; the first row of `main` is the frame. Bottom: the wall time of
-each frame. A thread that was ready and had no processor shows how busy the machine was. What is unexplained is an upper
-bound of the wait for the interpreter's lock: [Traces](../cli.md#traces).
+each frame. A thread that was ready and had no processor shows how busy the machine was. The unexplained time is an
+upper bound of the wait for the interpreter's lock: [Traces](../cli.md#traces).
 """
 _NOWHERE, _WHOLE = "in no stage", "the whole frame"
 
