@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import pytest
+from grids import mostly_slow
 from room_drive import make_room_drive
 
 from wheelsight import Localizer, RgbdFrame, load_config, open_recording
@@ -22,7 +23,7 @@ WAYS: dict[str, dict[str, object]] = {
 }
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", mostly_slow(WAYS, ["joined with a map and loops"]))
 def test_stages_of_a_frame_sum_up_to_the_whole(way: str, tmp_path: Path) -> None:
     """Of processor time of the thread, which other programs do not change, over all frames but the first ones."""
     make_room_drive(tmp_path / "drive")
