@@ -17,6 +17,7 @@ from wheelsight.core.files import write_text
 from wheelsight.core.geometry import FloatArray, PinholeCamera, se3
 from wheelsight.core.keyframes import KeyframeStore
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelTicks
+from wheelsight.core.threads import Stopwatch
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.recordings import AssociationReport
 from wheelsight.vision.features import FeatureEstimate, MatchedPixels
@@ -89,7 +90,7 @@ class TrueOdometry:
     ) -> None:
         type(self).seen = []
         self._T_map_first = np.eye(4) if T_map_first is None else T_map_first
-        self.stage_seconds: dict[str, float] = {}
+        self.watch = Stopwatch()
         self.store = KeyframeStore() if store is None else store
         self._reference_s: float | None = None
 
@@ -99,7 +100,6 @@ class TrueOdometry:
 
     def process(self, frame: RgbdFrame, T_previous_current_prior: FloatArray | None = None) -> Estimate:
         self.seen.append(frame)
-        self.stage_seconds = {"extract": 0.002, "align": 0.001}
         if not frame.color.any():
             return Estimate(frame.stamp_s, Status.FAILING, reason=Reason.TOO_FEW_KEYPOINTS)
         matched = None

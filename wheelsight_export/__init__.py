@@ -1,4 +1,4 @@
-"""Exports of runs, maps and recordings for other programs: bags, meshes, images with poses, Rerun's viewer.
+"""Exports of runs, maps and recordings for other programs: bags, meshes, images with poses, Rerun's viewer, traces.
 
 Each name is loaded at its first use.
 """
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         start_viewer,
     )
     from wheelsight_export.sources import Exported, exported_at
+    from wheelsight_export.trace import trace_to
 
 __all__ = [
     "DEFAULT_VOXEL_M",
@@ -49,10 +50,11 @@ __all__ = [
     "open_drive_log",
     "open_rerun",
     "start_viewer",
+    "trace_to",
     "write_mesh_ply",
     "write_ply",
 ]
 
 
 def __getattr__(name: str) -> Any:
-    return public_name(__name__, name, __all__, ("bag", "meshes", "reconstruction", "rerun_logs", "sources"))
+    return public_name(__name__, name, __all__, ("bag", "meshes", "reconstruction", "rerun_logs", "sources", "trace"))

@@ -59,7 +59,7 @@ class ByLigocki:
         self.hears: tuple[type[Event], ...] = (*self._wheels.hears, *self.answers)
         self._camera = ByFrames(calibration, settings, parts=parts)
         self.odometry, self.mapper = self._camera.odometry, self._camera.mapper
-        self.keyframes = self._camera.keyframes
+        self.keyframes, self.watch = self._camera.keyframes, self._camera.watch
         assert calibration.any_wheels is not None  # ByWheels has refused it
         self._max_gap_s = calibration.any_wheels.max_gap_s
         self._filter = LigockiFilter(settings.fusion.ligocki)
@@ -77,11 +77,6 @@ class ByLigocki:
     def warnings(self) -> tuple[str, ...]:
         """Fault of the gyroscope, as a sentence."""
         return self._wheels.warnings
-
-    @property
-    def stage_seconds(self) -> dict[str, float]:
-        """Duration of each stage of the last frame."""
-        return self._camera.stage_seconds
 
     def process(self, event: Event) -> tuple[Estimate | None, str]:
         """Return the fused estimate at a frame, None at any other event, and a note on the frame."""

@@ -307,10 +307,7 @@ def goal_rows(record: DriveRecord) -> words.Table:
     return words.table(
         ("Goal", [goal.name for goal in goals]),
         ("Asked", [place(goal.goal) if goal.is_place else "–" for goal in goals]),
-        (
-            "Became of it",
-            [r.goal_change or "arrived" if r.has_arrived else f"{r.reason}: {r.detail}" for r in results],
-        ),
+        ("Became of it", [r.goal_change or "arrived" if r.has_arrived else f"{r.reason}: {r.detail}" for r in results]),
         words.column("Off", [goal.off_m if goal.is_place else None for goal in goals], "m"),
         ("Heading off", [text if goal.is_place else "–" for goal, text in zip(goals, headings, strict=True)]),
         words.column("Time", [result.time_s for result in results], "s"),

@@ -33,6 +33,25 @@ def test_results_are_written_and_summed_up(wheelsight: Command, room: Path, tmp_
     assert (out / "report.html").is_file()
 
 
+def test_a_trace_shows_each_frame_and_is_not_written_over(wheelsight: Command, room: Path, tmp_path: Path) -> None:
+    trace = tmp_path / "trace.json"
+    result = wheelsight("run", room, "--out", tmp_path / "out", "--trace", trace)
+    assert result.exit_code == 0, result.output
+    events = json.loads(trace.read_text())["traceEvents"]
+    frames = [event["args"]["stamp_s"] for event in events if event.get("cat") == "frame"]
+    assert len(frames) == 10
+    assert frames == sorted(frames)
+    before = trace.read_bytes()
+    again = wheelsight("run", room, "--out", tmp_path / "again", "--trace", trace)
+    assert again.exit_code == 2
+    assert "is there already (choose another --trace, or add --force to overwrite)" in again.stderr
+    assert trace.read_bytes() == before
+    assert not (tmp_path / "again").exists()
+    elsewhere = wheelsight("run", room, "--out", tmp_path / "again", "--trace", room / "rgb.txt" / "trace.json")
+    assert elsewhere.exit_code == 2
+    assert "rgb.txt: is a file, not a folder (choose another name)" in elsewhere.stderr
+
+
 def test_a_terminal_sees_frame_rate_and_status_pass_by(
     wheelsight: Command, room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

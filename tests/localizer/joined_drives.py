@@ -19,6 +19,7 @@ from wheelsight.core.estimates import Estimate, MotionEstimate, Reason, Status
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import KeyframeStore
 from wheelsight.core.messages import Event, RgbdFrame, WheelTicks, YawRate
+from wheelsight.core.threads import Stopwatch
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.estimation import FusedEstimate, Localizer
 from wheelsight.vision.dense import DenseEstimate
@@ -76,7 +77,7 @@ class Eye:
         self._key: tuple[float, FloatArray] | None = None  # stamp and T_odom_camera
         self._last: tuple[float, FloatArray] | None = None
         self._place, self._wrong, self._T_first = 0, np.eye(4), T_base_camera
-        self.stage_seconds, self.store = {"align": 0.001}, KeyframeStore()
+        self.watch, self.store = Stopwatch(), KeyframeStore()
         self.priors: dict[float, tuple[float, FloatArray | None]] = {}
         self.others: dict[float, tuple[FloatArray | None, ...]] = {}
         self.restarts: dict[float, FloatArray] = {}

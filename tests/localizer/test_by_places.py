@@ -133,7 +133,7 @@ def test_what_the_model_says_is_handed_on() -> None:
     np.testing.assert_array_equal(subject.last_place.probabilities, trained().predict(frame).probabilities)
     assert isinstance(estimate, RectifiedEstimate)
     assert estimate.area_probabilities is not None
-    assert set(subject.stage_seconds) == {"name the area", "rectify"}
+    assert set(subject.stage_seconds) == {"check", "name the area", "rectify", "decide"}
     assert subject.last_matches is None
 
 

@@ -58,7 +58,8 @@ def test_a_run_leaves_its_map_and_a_frame_that_failed_is_not_in_it(room: Path, t
     assert found["dropped"] == 0
     assert found["memory_bytes"] > 70 * found["surfels"]
     assert [frame.surfels for frame in record.frames][4] == record.frames[3].surfels
-    assert list(record.stage_seconds) == ["extract", "recognise", "prepare", "predict", "align", "keyframe", "fuse"]
+    of_camera = ["extract", "recognise", "prepare", "predict", "align", "verify", "keyframe", "track"]
+    assert list(record.stage_seconds) == ["check", *of_camera, "fuse", "decide"]
 
 
 def test_the_record_shows_the_map_from_above_and_along_the_way(room: Path, tmp_path: Path) -> None:

@@ -263,13 +263,7 @@ _OF_HOLONOMIC = {
     "half_width_m": Range(0.01, 5.0, "m"),
     "distance_m": Range(0.01, 5.0, "m"),
 }
-HOLONOMIC_FIELDS = (
-    "delay_s",
-    "slip_m_per_sqrt_m",
-    "max_speed_m_s",
-    "max_gap_s",
-    *WHEEL_SIGMAS,
-)
+HOLONOMIC_FIELDS = ("delay_s", "slip_m_per_sqrt_m", "max_speed_m_s", "max_gap_s", *WHEEL_SIGMAS)
 # Larger for nearly parallel axles, which leave a direction of motion unmeasured.
 _MOST_CONDITION = 30.0
 

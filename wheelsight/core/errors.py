@@ -36,12 +36,7 @@ class InputError(WheelsightError):
     """Invalid input; the message is one line, `file:line: problem (fix)`."""
 
     def __init__(
-        self,
-        problem: str,
-        *,
-        path: str | PathLike[str] | None = None,
-        line: int | None = None,
-        fix: str | None = None,
+        self, problem: str, *, path: str | PathLike[str] | None = None, line: int | None = None, fix: str | None = None
     ) -> None:
         self.problem = problem
         self.path = None if path is None else Path(path)

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wheelsight.core.errors import ArgumentError, MapError
 from wheelsight.core.geometry import Float32Array, FloatArray, IntArray, se3
-from wheelsight.core.threads import OneCaller, one_at_a_time
+from wheelsight.core.threads import LOCK, OneCaller, in_span, new_lock, one_at_a_time
 
 # A keyframe has an identity and no pose: the store is the only table of poses. A remembered place is a keyframe and a
 # pose relative to it. An object that holds positions in the map follows the store: it asks for the motion of keyframes
@@ -112,7 +111,7 @@ class KeyframeStore(OneCaller):
         self._loop_spans: dict[int, int] = {}
         self._unreleased: deque[int] = deque()
         self._read: OrderedDict[int, Keyframe] = OrderedDict()
-        self._lock = threading.Lock()
+        self._lock = new_lock("keyframes on disk")
         self.revision, self.is_written = 0, False
 
     def __len__(self) -> int:
@@ -126,7 +125,7 @@ class KeyframeStore(OneCaller):
         self._check([number])
         keyframe = self._keyframes[number]
         if isinstance(keyframe, Future):
-            keyframe = self._keyframes[number] = keyframe.result()
+            keyframe = self._keyframes[number] = in_span("wait for a keyframe", keyframe.result, LOCK)
         return self._from_disk(number) if keyframe is None else keyframe
 
     def as_of(self, number: KeyframeId, at: KeyframeId) -> Keyframe:
@@ -260,14 +259,14 @@ class KeyframeStore(OneCaller):
         self._finish()
         if self._thread is None:
             self._thread = ThreadPoolExecutor(1, "wheelsight-keyframes")
-        self._making = self._thread.submit(keyframe)
+        self._making = self._thread.submit(in_span, "make a keyframe", keyframe)
         return self._making
 
     def _finish(self) -> None:
         """Wait for the keyframe in the background, and raise its error once."""
         making, self._making = self._making, None
         if making is not None:
-            making.result()
+            in_span("wait for a keyframe", making.result, LOCK)
 
     def _check(self, numbers: Sequence[KeyframeId]) -> None:
         for number in numbers:

@@ -142,10 +142,7 @@ def associate(stamps_a_s: ArrayLike, stamps_b_s: ArrayLike, max_gap_s: float) ->
     pairs_a, torn_a = _nearest_pairs(a, b, max_gap_s, stretch_a)
     pairs_b, torn_b = _nearest_pairs(b, a, max_gap_s, stretch_b)
     torn_both = torn_a & torn_b
-    parts = [
-        pairs_a[~torn_a[stretch_a[pairs_a[:, 0]]]],
-        pairs_b[(torn_a & ~torn_b)[stretch_b[pairs_b[:, 0]]]][:, ::-1],
-    ]
+    parts = [pairs_a[~torn_a[stretch_a[pairs_a[:, 0]]]], pairs_b[(torn_a & ~torn_b)[stretch_b[pairs_b[:, 0]]]][:, ::-1]]
     for stretch in np.flatnonzero(torn_both):
         (i, i_end), (j, j_end) = (np.searchsorted(s, [stretch, stretch + 1]) for s in (stretch_a, stretch_b))
         parts.append(_best_pairs(a[i:i_end], b[j:j_end], max_gap_s) + np.array([i, j]))

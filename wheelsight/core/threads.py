@@ -1,5 +1,5 @@
-"""`OneCaller` refuses concurrent calls of an object with a state, `Worker` runs functions, and `Stopwatch` adds up the
-times of stages.
+"""`OneCaller` refuses concurrent calls of an object with a state, `Worker` runs functions, `Stopwatch` adds up the
+times of stages, and a `Tracer` records stages and locks of all threads.
 """
 
 from __future__ import annotations
@@ -7,9 +7,9 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from functools import wraps
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, nullcontext, suppress
+from functools import cache, partial, wraps
 from typing import Any, Concatenate, Generic, ParamSpec, Protocol, Self, TypeVar
 
 from wheelsight.core.errors import ArgumentError
@@ -65,9 +65,7 @@ class OneCaller:
 Object = TypeVar("Object", bound=OneCaller)
 
 
-def one_at_a_time(
-    method: Callable[Concatenate[Object, Given], Answer],
-) -> Callable[Concatenate[Object, Given], Answer]:
+def one_at_a_time(method: Callable[Concatenate[Object, Given], Answer]) -> Callable[Concatenate[Object, Given], Answer]:
     """Decorate a method that changes a `OneCaller`: ArgumentError during another call, after a fork, or if closed.
 
     It may call other methods of the same object.
@@ -191,7 +189,7 @@ class WorkerBeside(Generic[Answer]):
     """
 
     def __init__(self, name: str) -> None:
-        self._changed = threading.Condition()
+        self._changed = new_condition(name)
         self._work: Callable[[], Answer] | None = None
         self._answers: list[Answer] = []
         self._error: BaseException | None = None
@@ -258,7 +256,7 @@ class WorkerBeside(Generic[Answer]):
                 work, self._work, self._is_busy = self._work, None, True
             error, answers = None, list[Answer]()
             try:
-                answers.append(work())
+                answers.append(in_span("work", work))
             except BaseException as raised:
                 error = raised
             with self._changed:
@@ -267,21 +265,120 @@ class WorkerBeside(Generic[Answer]):
                     self._answers, self._error = answers, error
 
 
+class Tracer(Protocol):
+    """Records when each thread ran which stage, and how long it waited for locks."""
+
+    def add(self, name: str, began: tuple[float, float], ended: tuple[float, float]) -> None:
+        """Add a stage of the calling thread, from and to its wall and processor time in seconds."""
+
+    def span(self, name: str, category: str, facts: Mapping[str, object]) -> AbstractContextManager[object]:
+        """Return a block that is added when it ends."""
+
+    def lock(self, name: str) -> AbstractContextManager[object]:
+        """Return a lock that adds waits for it."""
+
+    def condition(self, name: str) -> threading.Condition:
+        """Return a condition that adds waits for it and for its lock."""
+
+
+_tracer: Tracer | None = None
+_UNTRACED = nullcontext()
+STAGE, FRAME, LOCK = "stage", "frame", "lock"  # categories of spans
+
+
+def trace_by(tracer: Tracer | None) -> None:
+    """Record all threads by a tracer, with the locks that are made from now on; None ends it."""
+    global _tracer
+    _tracer = tracer
+
+
+def span(name: str, category: str = STAGE, **facts: object) -> AbstractContextManager[object]:
+    """Return a block that the tracer records, if there is one, with facts about it."""
+    return _UNTRACED if (tracer := _tracer) is None else tracer.span(name, category, facts)
+
+
+def in_span(name: str, work: Callable[[], Answer], category: str = STAGE) -> Answer:
+    """Call a function in a `span`."""
+    with span(name, category):
+        return work()
+
+
+def in_spans(name: str, items: Iterator[Answer]) -> Iterator[Answer]:
+    """Return the items of an iterator; making each is a `span`."""
+    if _tracer is None:
+        return items
+    end: Any = object()
+    return iter(partial(in_span, name, partial(next, items, end)), end)
+
+
+def new_lock(name: str) -> AbstractContextManager[object]:
+    """Return a lock. While there is a tracer, waits for it are recorded."""
+    return threading.Lock() if _tracer is None else _tracer.lock(name)
+
+
+def new_condition(name: str) -> threading.Condition:
+    """Return a condition. While there is a tracer, waits for it are recorded."""
+    return threading.Condition() if _tracer is None else _tracer.condition(name)
+
+
 class Stopwatch:
-    """Adds up seconds by stage name, from one `restart` to the next."""
+    """Adds up wall time and the thread's processor time by stage, from one `restart` to the next.
+
+    Time in a nested stage counts for that one alone, so that the sum is the time of the whole.
+
+    Attributes:
+        seconds, processor_seconds: by name of the stage.
+        stage: returns the block of a stage: `with watch.stage("align"):`.
+        begun: of each stage that has not ended, wall and processor time: its begin, then the sum of its nested stages.
+        lap_began: wall and processor time at the end of the last stage or lap.
+    """
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
+        self.processor_seconds: dict[str, float] = {}
+        self.stage: Callable[[str], AbstractContextManager[None]] = cache(partial(_Stage, self))
+        self.begun: list[tuple[float, float, list[float]]] = []
+        self.lap_began = (0.0, 0.0)
+        self._is_in_frame = False
 
     def restart(self) -> None:
-        """Reset all times."""
-        self.seconds = {}
+        """Reset all times, except in a frame, which counts all that happens until it ends."""
+        if not self._is_in_frame:
+            self.seconds, self.processor_seconds = {}, {}
 
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Count the time of a block under `name`."""
-        started = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started
+    def begin_frame(self) -> None:
+        """Reset all times at the begin of a frame."""
+        self.seconds, self.processor_seconds, self._is_in_frame = {}, {}, True
+        self.lap_began = time.perf_counter(), time.thread_time()
+
+    def lap(self, name: str, *, ends_frame: bool = False) -> None:
+        """Count the time since the last stage or lap as a stage; call it outside any stage."""
+        began, self.lap_began = self.lap_began, (time.perf_counter(), time.thread_time())
+        self.seconds[name] = self.seconds.get(name, 0.0) + self.lap_began[0] - began[0]
+        self.processor_seconds[name] = self.processor_seconds.get(name, 0.0) + self.lap_began[1] - began[1]
+        self._is_in_frame &= not ends_frame
+        if (tracer := _tracer) is not None:
+            tracer.add(name, began, self.lap_began)
+
+
+class _Stage:
+    """A block that a stopwatch counts. It is no generator, which would take twice the time."""
+
+    def __init__(self, watch: Stopwatch, name: str) -> None:
+        self._watch, self._name = watch, name
+
+    def __enter__(self) -> None:
+        self._watch.begun.append((time.perf_counter(), time.thread_time(), [0.0, 0.0]))
+
+    def __exit__(self, *_: object) -> None:
+        name, watch = self._name, self._watch
+        watch.lap_began = now_s, used_s = time.perf_counter(), time.thread_time()
+        began_s, began_used_s, nested = watch.begun.pop()
+        wall_s, spent_s = now_s - began_s, used_s - began_used_s
+        watch.seconds[name] = watch.seconds.get(name, 0.0) + wall_s - nested[0]
+        watch.processor_seconds[name] = watch.processor_seconds.get(name, 0.0) + spent_s - nested[1]
+        if watch.begun:
+            outer = watch.begun[-1][2]
+            outer[0], outer[1] = outer[0] + wall_s, outer[1] + spent_s
+        if (tracer := _tracer) is not None:
+            tracer.add(name, (began_s, began_used_s), watch.lap_began)

@@ -107,7 +107,7 @@ class ByPlaces:
         self._max_gap_s = calibration.any_wheels.max_gap_s
         self._reading_s = -np.inf
         self._repeats = Repeats()
-        self._stopwatch = Stopwatch()
+        self.watch = Stopwatch()
 
     @property
     def odometry(self) -> AnyWheelOdometry:
@@ -119,15 +119,10 @@ class ByPlaces:
         """Fault of the gyroscope, as a sentence."""
         return self._wheels.warnings
 
-    @property
-    def stage_seconds(self) -> dict[str, float]:
-        """Duration of each stage of the last frame."""
-        return self._stopwatch.seconds
-
     def process(self, event: Event) -> tuple[Estimate | None, str]:
         """Return the estimate at a reading or frame, None at any other event, and why a frame is no measurement."""
         if isinstance(event, RgbdFrame | SkippedFrame):
-            self._stopwatch.restart()
+            self.watch.restart()
             self.last_place = None
             why_not = self._why_not(event)
             if why_not is not None:
@@ -171,9 +166,10 @@ class ByPlaces:
         if self._repeats.lasting_s(frame) > 0:  # would count twice
             again = replace(self._rectifier.estimate(frame.stamp_s), reason=Reason.REPEATED)
             return self._predicted(again), "no measurement: the same image as before"
-        with self._stopwatch.stage("name the area"):
+        self.watch.lap("check")
+        with self.watch.stage("name the area"):
             self.last_place = match = self._model.predict(frame)
-        with self._stopwatch.stage("rectify"):
+        with self.watch.stage("rectify"):
             rectified = self._rectifier.correct(frame.stamp_s, match)
         return self._predicted(rectified), f"no measurement: {match.reason}" if match.reason is Unknown.NO_DEPTH else ""
 
@@ -219,18 +215,12 @@ class PlaceSense:
         last_place: result of the model for the last frame; None if it was not asked.
     """
 
-    def __init__(self, places: Places, settings: AreaRectifierSettings) -> None:
+    def __init__(self, places: Places, settings: AreaRectifierSettings, watch: Stopwatch) -> None:
         self.begin_s = places.begin_s
         self.last_place: PlaceMatch | None = None
         self._model, self._T_odom_begin = places.model, places.T_odom_base
-        self._settings = settings
+        self._settings, self._watch = settings, watch
         self._meter = PlaceMeter(places.areas, places.model.area_shares)
-        self._stopwatch = Stopwatch()
-
-    @property
-    def stage_seconds(self) -> dict[str, float]:
-        """Duration of each stage of the last frame."""
-        return self._stopwatch.seconds
 
     @property
     def start(self) -> tuple[FloatArray, FloatArray]:
@@ -242,7 +232,6 @@ class PlaceSense:
     def forget(self) -> None:
         """Forget the result of the last frame."""
         self.last_place = None
-        self._stopwatch.restart()
 
     def update(self, frame: RgbdFrame, answer: FusedEstimate, to: ErrorStateFilter) -> FusedEstimate:
         """Update the filter by the area of a frame; return the estimate, with reason and counts of `answer`.
@@ -250,12 +239,12 @@ class PlaceSense:
         Raises:
             PlaceError: a frame of another size than the model was trained on.
         """
-        with self._stopwatch.stage("name the area"):
+        with self._watch.stage("name the area"):
             self.last_place = match = self._model.predict(frame)
         if answer.T_odom_body is None or answer.covariance is None:
             return answer
         probabilities = None if match.reason is Unknown.NO_DEPTH else match.probabilities
-        with self._stopwatch.stage("measure by the area"):
+        with self._watch.stage("measure by the area"):
             position = self._meter.measure(answer.T_odom_body, answer.covariance, probabilities)
             if position is None:
                 return answer

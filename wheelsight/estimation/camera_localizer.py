@@ -68,7 +68,7 @@ class ByFrames:
         self.frame = "map" if known is None else "odom"  # with an existing map, odom starts anywhere in it
         self.body = "camera" if calibration.T_base_camera is None else "base"
         self.odometry, self.mapper = camera_odometry(calibration, settings, known, parts)
-        self.keyframes = self.odometry.store
+        self.keyframes, self.watch = self.odometry.store, self.odometry.watch
         T_base_camera = calibration.T_base_camera
         self._T_camera_base = None if T_base_camera is None else se3.invert(T_base_camera)
         self._gate = FrameGate()
@@ -96,6 +96,7 @@ class ByFrames:
         if not isinstance(event, RgbdFrame):
             return None, ""
         why_not = self._gate.why_not(event)
+        self.watch.lap("check")
         if why_not is None:
             return self._of_body(self._track(event)), ""
         if why_not.is_repeat:  # no pose, and no failure of odometry
@@ -116,7 +117,10 @@ class ByFrames:
         T_new_old = None if self.loops is None else self.loops.move_keyframes(frame.stamp_s, self._keyframe)
         if T_new_old is not None:
             self.T_odom_map = se3.nearest(self.T_odom_map @ se3.invert(T_new_old))
-        estimate: CameraEstimate = self.odometry.process(frame)
+        if self.loops is not None:
+            self.watch.lap("loops")
+        with self.watch.stage("track"):
+            estimate: CameraEstimate = self.odometry.process(frame)
         if self.loops is not None and estimate.status is Status.LOST and estimate.reason not in BLIND:
             estimate = self._begin_submap(self.loops, frame, estimate)
         self._keyframe = self._keyframe if estimate.keyframe is None else estimate.keyframe
@@ -129,6 +133,7 @@ class ByFrames:
             self.loops.add_tracked(estimate, self.T_odom_map, in_odom.covariance)
             self.loops.add_keyframes(frame.stamp_s, self.T_odom_map, in_odom.covariance)
             self.loops.hand_over()
+            self.watch.lap("loops")
         self._last = self._last if in_odom.T_odom_body is None else in_odom
         T_map_odom = in_odom.T_map_odom
         at = in_odom.stamp_s, in_odom.status, in_odom.T_odom_body, in_odom.covariance
@@ -174,11 +179,6 @@ class ByFrames:
         T_keyframe_base = None if T_keyframe_camera is None else T_keyframe_camera @ T_camera_base
         T_odom_base = estimate.T_odom_body @ T_camera_base
         return replace(estimate, T_odom_body=T_odom_base, T_keyframe_body=T_keyframe_base, body="base")
-
-    @property
-    def stage_seconds(self) -> dict[str, float]:
-        """Duration of each stage of the last frame."""
-        return self.odometry.stage_seconds
 
 
 def framed(seen: CameraEstimate, T_odom_map: FloatArray) -> CameraEstimate:

@@ -66,13 +66,7 @@ from wheelsight.slam.place_recognition import KnownMap
 from wheelsight.vision.dense import DenseEstimate, DenseOdometry
 from wheelsight.vision.features import FeatureEstimate, MatchedPixels
 from wheelsight.vision.features.tracking import Pace
-from wheelsight.wheels import (
-    HolonomicOdometry,
-    ReadingTimes,
-    WheelOdometry,
-    WheelSettings,
-    odometry_of,
-)
+from wheelsight.wheels import HolonomicOdometry, ReadingTimes, WheelOdometry, WheelSettings, odometry_of
 
 # Distance from an anchor to the next one; a turn by a radian counts as 1.5 m. Errors of single frames do not add up
 # against a reference that is held for a while.
@@ -123,12 +117,12 @@ class ByFusion:
         self.hears: tuple[type[Event], ...] = (*self._base.hears, RgbdFrame, SkippedFrame)
         self._camera = FusedCamera(calibration, settings, T_base_camera, known, parts)
         self.odometry: CameraOdometry = self._camera.odometry
-        self.keyframes = self.odometry.store
+        self.keyframes, self.watch = self.odometry.store, self.odometry.watch
         self.mapper: MapBuilder | None = self._camera.mapper
         begins = None if known is None else begin_in(known, calibration)
         self._map, self._of_frame = CameraMap(T_base_camera, begins), frame_covariance(calibration)
         self._has_prior = known is not None and known.start is not None
-        self._places = None if places is None else PlaceSense(places, settings.fusion.areas)
+        self._places = None if places is None else PlaceSense(places, settings.fusion.areas, self.watch)
         T_start, spread = (None, None) if self._places is None else self._places.start
         of_robot = FilterParameters.of(settings.fusion.error_state, calibration.gyro, calibration.any_wheels)
         begin = (T_base_camera, T_start, spread, of_robot)
@@ -258,10 +252,13 @@ class ByFusion:
             return Estimate(event.stamp_s, NO_DECISION.status, body=self.body), ""
         if self._check.by_wheels is not None:
             self._check.add_frame(event)
+        self.watch.lap("check")
         fused = self._track(event, expected)
         self._camera.slips = fused.slip
+        self.watch.lap("filter")
         if self.loops is not None:
             self._update_loops(self.loops, event.stamp_s, fused.covariance)
+            self.watch.lap("loops")
         return (fused if self._places is None else self._with_area(self._places, event, fused)), self._base.problem
 
     def _track(self, frame: RgbdFrame, expected: FloatArray | None) -> FusedEstimate:
@@ -269,6 +266,7 @@ class ByFusion:
         self._map.T_map_camera = None
         if self.loops is not None:
             self._apply_loops(self.loops, frame.stamp_s)
+            self.watch.lap("loops")
         if self._has_prior and self._map.anchor is None:  # the prior is of the first event; the robot may have moved
             self.odometry.begin_at(self._map.camera_at(self.filter.when_imaged(frame.stamp_s)))
         twist = self._camera.twist(self.filter.estimate)
@@ -296,6 +294,7 @@ class ByFusion:
         begun = None if self._health is None else self._update_health(self._health, frame, seen, shows_all=shows_all)
         if begun is not None:
             return begun
+        self.watch.lap("faults")
         motion = anchor.motion_to(seen.T_odom_body, seen.motion)
         motion = with_stamp_noise(motion, twist, self._base.noise_s)
         motion = with_view_noise(motion, self._of_frame, _FRAME_WALK_PER_M)
@@ -379,6 +378,7 @@ class ByFusion:
                 against = with_view_noise(seen.motion, self._of_frame, _FRAME_WALK_PER_M)
                 self.loops.add_tracked(replace(seen, motion=against), self._map.T_filter_map, answer.covariance)
             self._restart.add_accepted(answer, self.odometry.store)
+            self.watch.lap("filter")
             if self.mapper is not None and isinstance(seen, DenseEstimate):
                 self.mapper.fuse_tracked(frame, seen)
         if update.is_reference:
@@ -511,11 +511,6 @@ class ByFusion:
         return self._camera.last_matches
 
     @property
-    def stage_seconds(self) -> dict[str, float]:
-        """Duration of each stage of the last frame."""
-        return self.odometry.stage_seconds | ({} if self._places is None else self._places.stage_seconds)
-
-    @property
     def warnings(self) -> tuple[str, ...]:
         """One sentence for each fault of a sensor or of the calibration, and for a wrong place in a known map."""
         found = self._camera.gate.warnings + (self._base.warnings if self._base.has_gyro else ())
@@ -575,7 +570,8 @@ class FusedCamera:
             if self.slips:  # the camera may go on as before, or the wheels may grip again
                 by_pace = self.pace.expect(frame.stamp_s)
                 expected = (by_pace, by_wheels) if isinstance(self.odometry, DenseOdometry) else (by_pace,)
-        seen = self.odometry.process(frame, *expected, twist=twist)
+        with self.odometry.watch.stage("track"):
+            seen = self.odometry.process(frame, *expected, twist=twist)
         self.last_matches = seen.matched if isinstance(seen, FeatureEstimate) else None
         if seen.T_odom_body is not None:
             self.pace.add(frame.stamp_s, seen.T_odom_body)

@@ -135,7 +135,7 @@ class Localizer(Closing, OneCaller):
         self.note, self._resting = "", resting_keyframes(self.keyframes, settings.localizer)
         self._clock = SessionClock(settings.clocks)
         self._stamps = StampCheck()
-        self._log = _EstimateLog("+".join(settings.odometry))
+        self._log, self._watch = _EstimateLog("+".join(settings.odometry)), self._estimator.watch
 
     @one_at_a_time
     def process(self, event: Event) -> Estimate | None:
@@ -160,6 +160,7 @@ class Localizer(Closing, OneCaller):
         """
         check_event(event)
         if isinstance(event, RgbdFrame) and RgbdFrame in self.hears:
+            self._watch.begin_frame()
             check_images(event, self._calibration, of_any_size=self._has_places)
         self.note = ""
         if not isinstance(event, self.hears):
@@ -183,6 +184,8 @@ class Localizer(Closing, OneCaller):
         recognised = None if self._loops is None else self._loops.recognised
         self._log.add(estimate, self.note, recognised, self.warnings)
         shift_s = self._clock.shift_s
+        if isinstance(event, RgbdFrame):
+            self._watch.lap("decide", ends_frame=True)
         return estimate if estimate is None or not shift_s else replace(estimate, stamp_s=estimate.stamp_s + shift_s)
 
     @property
@@ -237,8 +240,13 @@ class Localizer(Closing, OneCaller):
 
     @property
     def stage_seconds(self) -> dict[str, float]:
-        """Duration of each stage of the last frame; empty after a wheel reading."""
-        return self._estimator.stage_seconds
+        """Wall time of each stage of the last frame. Nested stages are not counted twice."""
+        return self._watch.seconds
+
+    @property
+    def stage_processor_seconds(self) -> dict[str, float]:
+        """Processor time of the thread in each stage of the last frame."""
+        return self._watch.processor_seconds
 
     @ends
     def close(self) -> None:

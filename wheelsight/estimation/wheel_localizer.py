@@ -12,6 +12,7 @@ from wheelsight.core.estimates import OdomFrame, PoseFinding, Reason, WheelEstim
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.geometry import motion_kernels as motions
 from wheelsight.core.messages import WHEEL_READINGS, Event, WheelReading, YawRate
+from wheelsight.core.threads import Stopwatch
 from wheelsight.wheels import AnyWheelOdometry, GyroCheck, HolonomicOdometry, WheelSettings, YawRateMeter, odometry_of
 
 _STILL = np.eye(4)
@@ -39,7 +40,7 @@ class ByWheels:
     last_matches = last_place = loops = mapper = keyframes = None
 
     def __init__(self, calibration: Calibration, settings: WheelSettings, *, in_odom: bool = False) -> None:
-        self.stage_seconds: dict[str, float] = {}
+        self.watch = Stopwatch()  # frames have no stages
         self.T_odom_map: FloatArray = np.eye(4)
         self._alone: AnyWheelOdometry = odometry_of(calibration, settings.integration)
         self._joined: AnyWheelOdometry | None = None

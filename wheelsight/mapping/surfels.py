@@ -173,15 +173,16 @@ class SurfelMap:
         seen = FrameReadings(depth_m, reading, radius, *looks, self.stamp_s, np.float32(frames), since_s)
         weight, rules = self._weight(pose.grid, shape), self._rules_for(camera.noise)
         fusion.read(0, shape[0], seen, normal, weight, camera, rules)
-        matched, removed, merged, is_new = self._average(seen, camera, pose)
+        matched, removed, merged, is_new = self._average(seen, camera, pose, rules)
         n = int(np.count_nonzero(is_new))
         images = np.empty((n, 8), np.float32), np.empty((n, 4), np.float32), np.empty((n, 2))
         of_keyframe = np.full(n, -1 if keyframe is None else keyframe, np.int32)
         new = SurfelArrays(*images, np.empty(n, np.float32), of_keyframe)
         fusion.make_new(is_new.reshape(-1), seen, new)
-        added = self.blocks.append(new, self.stamp_s, self._rules)
+        kept = self._rules
+        added = self.blocks.append(new, self.stamp_s, kept)
         self.frames += 1
-        removed += self.blocks.sweep(self.stamp_s, self._rules)
+        removed += self.blocks.sweep(self.stamp_s, kept)
         return FusedFrame(matched, added, removed, merged, self.blocks.dropped - dropped)
 
     def _weight(self, grid: FloatArray, shape: tuple[int, int]) -> Float32Array:
@@ -195,11 +196,13 @@ class SurfelMap:
             self._scratch["weight"] = np.exp(-share2 / (2 * _RADIAL_SIGMA**2)).astype(np.float32)
         return self._scratch["weight"]
 
-    def _average(self, seen: FrameReadings, camera: Camera, pose: Pose) -> tuple[int, int, int, np.ndarray]:
+    def _average(
+        self, seen: FrameReadings, camera: Camera, pose: Pose, rules: FusionRules
+    ) -> tuple[int, int, int, np.ndarray]:
         """Match, average and merge; return the numbers of matched, removed and merged surfels, and which pixels are new
         (h, w).
         """
-        blocks, rules = self.blocks, self._rules_for(camera.noise)
+        blocks = self.blocks
         height, width = seen.depth_m.shape
         pages = blocks.pages_in_view(pose.T, pose.grid, (height, width), self._surfels_far_m(camera.noise) + 1, -np.inf)
         entries, surfels = (len(pages) * PAGE,), blocks.surfels

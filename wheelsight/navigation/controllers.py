@@ -38,13 +38,7 @@ from wheelsight.navigation.mppi_kernels import (
     draw,
     roll_out,
 )
-from wheelsight.navigation.settings import (
-    FollowSettings,
-    Footprint,
-    MppiSettings,
-    checked,
-    outline_of,
-)
+from wheelsight.navigation.settings import FollowSettings, Footprint, MppiSettings, checked, outline_of
 
 _NO_POSES = np.empty((0, 3))
 _NO_POSES.setflags(write=False)

@@ -18,7 +18,7 @@ from wheelsight.core.geometry import BoolArray, FloatArray, IntArray, se3
 from wheelsight.core.keyframes import KeyframeId, KeyframeStore
 from wheelsight.core.messages import Match, SpeedVariances
 from wheelsight.core.settings import RecognitionSettings
-from wheelsight.core.threads import yield_to_others
+from wheelsight.core.threads import LOCK, in_span, span, yield_to_others
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.drive_graph import DriveGraph, KeyframePlace, OdometryKeyframe, PoseUpdate, Revisit
@@ -169,13 +169,15 @@ class LiveLoops:
             near = self._graph.near(_NEAR_M)
             if self._known:
                 is_expected = any(number < self._known and apart_m < _SAME_VIEW_M for number, apart_m in near.items())
-            loops = self._watcher.find_loops(keyframe.number, tuple(near), self._graph.unjoined)
+            with span("recognise"):
+                loops = self._watcher.find_loops(keyframe.number, tuple(near), self._graph.unjoined)
         else:
             self._watcher.add(keyframe.number)
         alignment = keyframe.seen_from
         if alignment is not None and not loops:  # a verified place is more certain than odometry's alignment
             loops = (alignment,)
-        update = self._graph.close(loops)
+        with span("graph"):
+            update = self._graph.close(loops)
         kept = set(map(id, self._graph.edges)) if loops else ()
         ties = tuple(loop for loop in loops if id(loop) in kept)
         result = KeyframeResult(update, self._graph.place(), ties, is_expected)
@@ -267,7 +269,7 @@ class LiveLoops:
 
     def _result(self, future: Future[KeyframeResult]) -> KeyframeResult:
         try:
-            return future.result()
+            return in_span("wait for loops", future.result, LOCK)
         except BaseException:
             self._has_raised = True
             raise

@@ -8,17 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from wheelsight._version import __version__
-from wheelsight.app.cli import (
-    drive,
-    evaluate,
-    info,
-    maps,
-    record,
-    run,
-    serve,
-    simulate,
-    wheels,
-)
+from wheelsight.app.cli import drive, evaluate, info, maps, record, run, serve, simulate, wheels
 from wheelsight.app.cli.compiling import warm_up_warm_up
 from wheelsight.app.cli.console import INPUT_IS_WRONG, CliCommand, Group, prepare_streams, print_error
 from wheelsight.app.cli.run_options import config_config

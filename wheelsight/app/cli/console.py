@@ -260,8 +260,7 @@ def _options(
         ),
     ] = False,
     log_file: Annotated[
-        str | None,
-        typer.Option("--log", metavar="FILE", callback=_take, help="Append the log to a file, with times."),
+        str | None, typer.Option("--log", metavar="FILE", callback=_take, help="Append the log to a file, with times.")
     ] = None,
 ) -> None:
     """Options without a command."""

@@ -95,11 +95,7 @@ def _driven(
     from wheelsight.slam.maps import MAP_FOLDER
 
     # What is said while the map is read would run into a screen that is drawn already.
-    with (
-        watching(options.rerun, robot, config) as watch,
-        _begun(robot, config, watch, options) as drive,
-        watch.view,
-    ):
+    with watching(options.rerun, robot, config) as watch, _begun(robot, config, watch, options) as drive, watch.view:
         truth, is_interrupted = Truth(robot) if options.is_simulated else None, False
         with until_stopped() as is_over:
 

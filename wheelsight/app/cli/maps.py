@@ -60,8 +60,7 @@ def _about() -> None:
 
 @maps_app.command(cls=CliCommand)
 def info(
-    source: MapPath,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    source: MapPath, as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False
 ) -> None:
     """Show what is in a map: keyframes, edges, loops, size, camera, and what is wrong with it, if anything.
 

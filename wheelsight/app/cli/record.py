@@ -79,11 +79,7 @@ def record(options: RecordOptions) -> None:
     wheelsight record --wheels /dev/ttyUSB0 --out square --seconds 60
     wheelsight record --camera any --wheels /dev/ttyUSB0 --calibration robot.yaml --bag corridor.mcap
     """
-    with (
-        until_stopped() as is_over,
-        opened_recording(options) as session,
-        shown_looks(options.seconds) as show,
-    ):
+    with until_stopped() as is_over, opened_recording(options) as session, shown_looks(options.seconds) as show:
         session.run(is_over, show, options.seconds)
 
 

@@ -5,7 +5,7 @@ results.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,13 +22,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from wheelsight.app.cli.progress import FrameProgress
-    from wheelsight.app.run import (
-        FrameRecord,
-        InRealTime,
-        LiveSource,
-        RealTimeRecording,
-        RunRecord,
-    )
+    from wheelsight.app.run import FrameRecord, InRealTime, LiveSource, RealTimeRecording, RunRecord
     from wheelsight.config import Config
     from wheelsight.core.robots import EventSource
     from wheelsight.core.settings import RealTimeSettings
@@ -68,6 +62,7 @@ def run(options: RunOptions) -> None:
     wheelsight run --live --camera any --wheels /dev/ttyUSB0 --calibration robot.yaml --map surfels --out now
     wheelsight run monday --map surfels --loops keyframes --out monday_map
     wheelsight run my_drive --map surfels --rerun run.rrd --out results
+    wheelsight run my_drive --trace trace.json --out results
     wheelsight run tuesday --map-from monday_map --out found_again
     """
     from wheelsight.app.run import default_odometry
@@ -75,7 +70,7 @@ def run(options: RunOptions) -> None:
     check_source(options)
     settings = settings_from(options.settings(), options.config)
     chosen = ""
-    with source_of(options, settings) as source:
+    with traced(options.trace, options.force), source_of(options, settings) as source:
         if not settings.odometry:
             choice = default_odometry(source, settings)
             settings, chosen = settings.with_odometry(choice.odometry), choice.sentence
@@ -132,6 +127,16 @@ def track(
         found = f"what was found until then is in {out}" if answered else "nothing was found until then"
         print_note(f"interrupted; {found}")
         raise typer.Exit(exit_code()) from interruption
+
+
+def traced(trace: Path | None, force: bool) -> AbstractContextManager[None]:
+    """The block that the trace shows, if one is wanted. Raises OutputError."""
+    from wheelsight.app.cli.options import check_out
+    from wheelsight_export import trace_to
+
+    if trace is not None:
+        check_out(trace, force, "--trace")
+    return nullcontext() if trace is None else trace_to(trace)
 
 
 def check_source(asked: RunOptions) -> None:
@@ -204,10 +209,7 @@ def _opened(asked: RunOptions, settings: Config) -> Iterator[LiveSource]:
         sensors = LiveSensors(calibration, camera, link, recorder)
         how_long = f"for {asked.seconds:g} s" if asked.seconds is not None else "until Ctrl-C"
         yield LiveSource(
-            sensors,
-            lambda: until_stopped(asked.seconds),
-            lambda: print_note(f"ready; following {how_long}"),
-            note,
+            sensors, lambda: until_stopped(asked.seconds), lambda: print_note(f"ready; following {how_long}"), note
         )
 
 

@@ -62,6 +62,9 @@ class RunOptions:
     topic: Topics = None
     force: bool = option_field("Overwrite results in DIR.", default=False, panel=OUTPUT)
     rerun: Rerun = None
+    trace: Path | None = option_field(
+        "Write what each thread does, for ui.perfetto.dev or chrome://tracing.", "FILE.json", "not written", OUTPUT
+    )
     odometry: str | None = option_field(
         "How motion is estimated: features, dense, wheels, or several; wheels and a camera are joined too.",
         "NAME[,NAME]",

@@ -127,8 +127,7 @@ def simulate(
         ),
     ] = "lap",
     calibration: Annotated[
-        Path | None,
-        option("calibration.yaml with its wheels.", "FILE", "the wheelchair of the tutorial"),
+        Path | None, option("calibration.yaml with its wheels.", "FILE", "the wheelchair of the tutorial")
     ] = None,
     seconds: Seconds = None,
 ) -> None:
@@ -246,10 +245,7 @@ def _facts(look: LinkLook) -> Iterator[tuple[str, str]]:
     line, last = report.line, report.last
     yield "status", str(report.status)
     yield "format", str(report.format or "not recognised yet")
-    for name, ticks, speed in (
-        ("left", last and last.left, look.left),
-        ("right", last and last.right, look.right),
-    ):
+    for name, ticks, speed in (("left", last and last.left, look.left), ("right", last and last.right, look.right)):
         moves = "standing still or unknown" if speed is None else f"{speed:+.3f} {look.unit}"
         yield name, "—" if ticks is None else f"{ticks} ticks, {moves}"
     yield "frames", f"{line.frames}, {'—' if look.frames_per_s is None else f'{look.frames_per_s:.1f}'} a second"

@@ -15,16 +15,7 @@ if TYPE_CHECKING:
     from wheelsight.app.page.snapshot import Driven, Watch
     from wheelsight.app.page.stop_switch import StopSwitch
 
-__all__ = [
-    "NEW",
-    "Access",
-    "DriveMaps",
-    "Driven",
-    "Session",
-    "StopSwitch",
-    "Watch",
-    "is_loopback",
-]
+__all__ = ["NEW", "Access", "DriveMaps", "Driven", "Session", "StopSwitch", "Watch", "is_loopback"]
 
 _MODULE_OF = {
     **dict.fromkeys(("Access", "is_loopback"), "access"),

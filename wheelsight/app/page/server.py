@@ -376,10 +376,7 @@ class PageApp(Guarded):
 
 
 def page_app(
-    session: Session,
-    settings: LivePageSettings,
-    access: Access,
-    on_refusal: Callable[[str], None] = lambda line: None,
+    session: Session, settings: LivePageSettings, access: Access, on_refusal: Callable[[str], None] = lambda line: None
 ) -> PageApp:
     """An ASGI application.
 

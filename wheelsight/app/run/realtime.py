@@ -22,7 +22,7 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import ConfigError, DeviceError
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelReading, WheelTicks
 from wheelsight.core.settings import RealTimeSettings
-from wheelsight.core.threads import Closing
+from wheelsight.core.threads import Closing, in_span, new_condition
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.io.devices import BAUDRATE, ClockMap, LinkStatus, TicksFile, WheelSource, is_recorded, open_wheels
 from wheelsight.io.recordings import AssociationReport, ListedFrame, ListsFrames, Recording
@@ -277,7 +277,7 @@ class Playing:
         self._began_s = self._ended_s = math.nan
         self._is_ready = self._is_read = self._is_over = False
         self._error: BaseException | None = None
-        self._changed = threading.Condition()
+        self._changed = new_condition("playback")
         self._thread = threading.Thread(target=self._read, name=THREAD, daemon=True)
         self._thread.start()
 
@@ -364,7 +364,7 @@ class Playing:
                     if self._is_over:
                         break
                     continue
-                event = item.read() if isinstance(item, ListedFrame) else item
+                event = in_span("decode", item.read) if isinstance(item, ListedFrame) else item
                 with self._changed:
                     is_frame = isinstance(event, RgbdFrame | SkippedFrame)
                     (self._frames if is_frame else self._readings).append(event)  # type: ignore[arg-type]
@@ -457,11 +457,7 @@ class LiveWheels(Closing):
     """
 
     def __init__(
-        self,
-        where: str,
-        baudrate: int = BAUDRATE,
-        clock: Clock | None = None,
-        source: WheelSource | None = None,
+        self, where: str, baudrate: int = BAUDRATE, clock: Clock | None = None, source: WheelSource | None = None
     ) -> None:
         self.where = where
         self.count = 0

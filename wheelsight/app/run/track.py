@@ -29,6 +29,7 @@ from wheelsight.core.geometry import ByteArray, FloatArray, IntArray, se2, se3
 from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, YawRate
 from wheelsight.core.robots import EventSource
 from wheelsight.core.runtime import whole_step
+from wheelsight.core.threads import FRAME, STAGE, in_spans, span
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.estimation import Localizer, Places, RectifiedEstimate
 from wheelsight.estimation.odometry_choice import NO_PARTS, OwnParts
@@ -274,7 +275,9 @@ class RunTrack:
         if not isinstance(event, localizer.hears):
             return None  # another track may use it; `unused_of` says what none does
         started = time.perf_counter()
-        estimate = localizer.process(event)
+        category = FRAME if isinstance(event, RgbdFrame) else STAGE
+        with span(f"{self.odometry}: {type(event).__name__}", category, stamp_s=event.stamp_s):
+            estimate = localizer.process(event)
         seconds = time.perf_counter() - started
         if estimate is None:
             return None
@@ -427,21 +430,22 @@ def follow(
             _rehearse_all(source, config, places)
             give_back()
             started = time.perf_counter()
-        for event in _until(events, duration_s):
+        for event in _until(in_spans("next event", iter(events)), duration_s):
             yaw_rates += isinstance(event, YawRate)
             overtaken = 0  # frames dropped in real time since the last frame
             if isinstance(event, RgbdFrame | SkippedFrame) and isinstance(source, InRealTime):
                 overtaken = max(source.frames_so_far[1] - dropped, 0)
             dropped += overtaken
-            with whole_step():
+            with whole_step(), span("event"):
                 passage.is_torn = True
                 given = [(track.odometry, track.step(event, overtaken)) for track in passage.tracks]
                 passage.is_torn = False
             answers: dict[str, FrameRecord] = {odometry: answer for odometry, answer in given if answer is not None}
-            if answers and watcher is not None:
-                watcher.step(event, answers, tracks)
-            if answers and on_event is not None:
-                on_event(answers)
+            with span("show"):
+                if answers and watcher is not None:
+                    watcher.step(event, answers, tracks)
+                if answers and on_event is not None:
+                    on_event(answers)
     except (KeyboardInterrupt, WheelsightError) as interruption:
         passage.interruption = interruption
         passage.is_torn &= isinstance(interruption, KeyboardInterrupt)  # errors are raised before anything changes

@@ -487,10 +487,7 @@ def _share_finding(about: str, share: float, limits: tuple[float, float], senten
 
 
 def _graded(
-    value: float,
-    limits: tuple[float, float],
-    also: float = float("inf"),
-    also_over: tuple[float, float] = (0.0, 0.0),
+    value: float, limits: tuple[float, float], also: float = float("inf"), also_over: tuple[float, float] = (0.0, 0.0)
 ) -> Tone:
     """Tone by limits for amber and red. A second value, if given, must exceed its own limits, too."""
     amber, red = (value > limit and also > least for limit, least in zip(limits, also_over, strict=True))

@@ -1,11 +1,6 @@
 """Rotations in space by their usual names; `se3` has the functions, beside those of rigid motions."""
 
-from wheelsight.core.geometry.se3 import (
-    angle,
-    hat,
-    left_jacobian,
-    to_quaternion,
-)
+from wheelsight.core.geometry.se3 import angle, hat, left_jacobian, to_quaternion
 from wheelsight.core.geometry.se3 import nearest_rotation as nearest
 from wheelsight.core.geometry.se3 import rotation as exp
 from wheelsight.core.geometry.se3 import rotation_of_quaternion as from_quaternion

@@ -89,11 +89,7 @@ class RecorderSettings(Settings):
         le=60,
     )
     most_waiting: int = setting(
-        60,
-        "largest number of waiting frames: 130 MB of 640×480",
-        "computed from 7 bytes a pixel",
-        ge=1,
-        le=10_000,
+        60, "largest number of waiting frames: 130 MB of 640×480", "computed from 7 bytes a pixel", ge=1, le=10_000
     )
     writers: int = setting(
         2,
@@ -103,11 +99,7 @@ class RecorderSettings(Settings):
         le=64,
     )
     least_free_mb: float = setting(
-        200.0,
-        "recording ends if less space is left on the disk, MB, before other programs fail",
-        CHOSEN,
-        ge=0,
-        le=1e6,
+        200.0, "recording ends if less space is left on the disk, MB, before other programs fail", CHOSEN, ge=0, le=1e6
     )
 
 

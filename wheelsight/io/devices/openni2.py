@@ -23,13 +23,7 @@ from wheelsight.core.errors import DeviceError
 from wheelsight.core.geometry import ByteArray, PinholeCamera
 from wheelsight.core.geometry.arrays import UInt16Array
 from wheelsight.core.settings import LiveCameraSettings
-from wheelsight.io.devices.camera_driver import (
-    DeviceImages,
-    FramePairs,
-    OpenedDevice,
-    PlaybackEndedError,
-    c_library,
-)
+from wheelsight.io.devices.camera_driver import DeviceImages, FramePairs, OpenedDevice, PlaybackEndedError, c_library
 from wheelsight.io.recordings import load_camera
 
 # The C library: Debian's libopenni2-0, or another one that the loader finds.
@@ -295,9 +289,7 @@ _LONGEST_PAUSE_S = 2.5
 _DEPTH_FORMATS = {DEPTH_1_MM: 1e-3, DEPTH_100_UM: 1e-4}
 # URI prefix of libfreenect2. Its stamps are frame numbers, and its fields of view those of a Kinect v1.
 _KINECT_V2 = "freenect2"
-_DRIVERS = {
-    "freenect2": "build libfreenect2 with BUILD_OPENNI2_DRIVER=ON, and put its libfreenect2-openni2.so there",
-}
+_DRIVERS = {"freenect2": "build libfreenect2 with BUILD_OPENNI2_DRIVER=ON, and put its libfreenect2-openni2.so there"}
 
 
 @dataclass(frozen=True, slots=True)

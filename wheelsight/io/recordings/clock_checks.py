@@ -14,15 +14,7 @@ from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import RecordingError
 from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray
-from wheelsight.core.messages import (
-    Event,
-    RgbdFrame,
-    SkippedFrame,
-    WheelReading,
-    WheelSpeeds,
-    WheelTicks,
-    YawRate,
-)
+from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, WheelReading, WheelSpeeds, WheelTicks, YawRate
 from wheelsight.core.stamps import NUMBERS, StampUnit, unit_of
 from wheelsight.io.recordings.recording import HasEndStamps, ListedFrame, ListsFrames, Recording
 

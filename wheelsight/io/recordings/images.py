@@ -23,6 +23,7 @@ from wheelsight.core.files import write_bytes
 from wheelsight.core.geometry import MOST_PIXELS, ByteArray, Float32Array, PinholeCamera
 from wheelsight.core.inputs import Kind, picture_size, read_bytes, scan_count
 from wheelsight.core.messages import NOTHING_MEASURED
+from wheelsight.core.threads import LOCK, in_span, in_spans, span
 
 _PLAUSIBLE_MEDIAN_M = (0.05, 50.0)
 _MEDIAN_STRIDE = 8
@@ -292,8 +293,9 @@ def read_ahead(items: Iterator[T], depth: int) -> Generator[T]:
         """Fill the queue until the items end or `stop` is set; at most one item follows `stop`."""
         end = _End()
         try:
-            for item in items:
-                ready.put(item)
+            for item in in_spans("decode", items):
+                with span("room ahead", LOCK):
+                    ready.put(item)
                 if stop.is_set():
                     break
         except BaseException as error:
@@ -307,7 +309,7 @@ def read_ahead(items: Iterator[T], depth: int) -> Generator[T]:
     thread = Thread(target=produce, name="wheelsight-read-ahead", daemon=True)
     thread.start()
     try:
-        while not isinstance(item := ready.get(), _End):
+        while not isinstance(item := in_span("next image", ready.get, LOCK), _End):
             yield item
         if item.error is not None:
             raise item.error

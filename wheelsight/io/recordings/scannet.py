@@ -18,13 +18,7 @@ from wheelsight.core.messages import RgbdFrame
 from wheelsight.io.recordings.image_recording import FramePaths, ImageRecording
 from wheelsight.io.recordings.images import DepthEncoding, corrected_depth, decoded_color, depth_of_units
 from wheelsight.io.recordings.numbered_datasets import WrittenPose, rate_of, true_poses
-from wheelsight.io.recordings.recording import (
-    AssociationReport,
-    Layout,
-    OpenOptions,
-    choose_calibration,
-    express_for,
-)
+from wheelsight.io.recordings.recording import AssociationReport, Layout, OpenOptions, choose_calibration, express_for
 
 # A .sens file is little-endian: a header, then frames. A frame is a pose (16 float32, row by row, camera to world),
 # stamps of colour and depth and sizes of both in bytes (four uint64), then the two images. Opening reads no images: a

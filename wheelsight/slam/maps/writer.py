@@ -20,6 +20,7 @@ from wheelsight.core.estimates import Estimate
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import Keyframe, KeyframeFeatures, KeyframeId, KeyframeStore
 from wheelsight.core.settings import RecognitionSettings
+from wheelsight.core.threads import in_span
 from wheelsight.mapping import OccupancyMapper, SurfelMap
 from wheelsight.places.recognition import Recognizer
 from wheelsight.slam.graph import RelativePose, step_edge
@@ -195,7 +196,7 @@ class MapWriter:
             else:
                 if work is None:
                     return
-                self._out.do(work)
+                self._out.do(partial(in_span, "write", work))
             if self._now_s() - flushed_s >= flush_s:
                 self._out.flush()
                 flushed_s = self._now_s()

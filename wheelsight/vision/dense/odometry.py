@@ -208,11 +208,12 @@ class DenseOdometry(CameraOdometry[DenseEstimate]):
         with self.watch.stage("prepare"):
             grid = self._gridder.on_grid(frame, seen_twist)
         found: Tracked | MotionEstimate = MotionEstimate.failed(Reason.TOO_LITTLE_DEPTH)
-        if grid.depth_share >= _MIN_DEPTH_SHARE:
-            found = self._locator.locate(grid, ahead, self._state)
-            if isinstance(found, Tracked) and self._first is not None:
-                found, ahead = self._begin_again(found, features, ahead)
-        found = self._verifier.verify(grid, found, ahead, self._state)
+        with self.watch.stage("verify"):
+            if grid.depth_share >= _MIN_DEPTH_SHARE:
+                found = self._locator.locate(grid, ahead, self._state)
+                if isinstance(found, Tracked) and self._first is not None:
+                    found, ahead = self._begin_again(found, features, ahead)
+            found = self._verifier.verify(grid, found, ahead, self._state)
         if isinstance(found, Tracked):
             with self.watch.stage("keyframe"):
                 found = self._policy.update(frame, features, found, ahead)

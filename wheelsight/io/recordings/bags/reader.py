@@ -285,12 +285,7 @@ def camera_frame(roles: Roles) -> str:
 
 
 def _cameras(
-    bag: OpenBag,
-    roles: Roles,
-    color: ImageTopic,
-    depth: ImageTopic,
-    transforms: Transforms,
-    warnings: list[str],
+    bag: OpenBag, roles: Roles, color: ImageTopic, depth: ImageTopic, transforms: Transforms, warnings: list[str]
 ) -> Calibration:
     """Both cameras and T_color_depth. Raises CalibrationError where one of them is unknown."""
     color_camera = _camera(bag, color, roles.color_info, warnings)

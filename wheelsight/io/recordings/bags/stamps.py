@@ -313,9 +313,7 @@ class _Head:
 
 
 def clocks_of(
-    firsts: Mapping[str, Sequence[tuple[float, float]]],
-    lasts: Mapping[str, tuple[float, float]],
-    images: Sequence[str],
+    firsts: Mapping[str, Sequence[tuple[float, float]]], lasts: Mapping[str, tuple[float, float]], images: Sequence[str]
 ) -> tuple[dict[str, TopicClock], tuple[str, ...]]:
     """A clock for each topic, and warnings about offsets and rejected headers.
 
