@@ -8,6 +8,7 @@ kernel at once, one compiles it and the others wait, because compiling all kerne
 from __future__ import annotations
 
 import fcntl
+import gc
 import hashlib
 import os
 import pickle
@@ -53,6 +54,7 @@ def kernel(function: Any = None, **options: Any) -> Any:
     """
     if function is None:
         return lambda given: kernel(given, **options)
+    options["no_cfunc_wrapper"] = True  # no kernel is called back from C: that would be a twentieth of the compiling
     compiled = njit(nogil=True, **options)(function)
     if isinstance(compiled, Dispatcher):
         # As `Dispatcher.enable_caching`, which has no parameter for the class.
@@ -65,7 +67,13 @@ def kernel(function: Any = None, **options: Any) -> Any:
         def compile_alone(signature: Any) -> Any:
             # Numba's lock first: threads that compile take both, and a kernel compiles the kernels that it calls.
             with global_compiler_lock, _locked(cache.lock_path):
-                return compile_(signature)
+                was_enabled = gc.isenabled()
+                gc.disable()  # numba's objects are millions, and stay: each collection would visit all
+                try:
+                    return compile_(signature)
+                finally:
+                    if was_enabled:
+                        gc.enable()
 
         def template_without_literals(args: Any, kws: Any) -> Any:
             # Numba compiles a called kernel once for each literal number.
