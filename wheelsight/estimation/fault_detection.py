@@ -68,7 +68,6 @@ from wheelsight.estimation.agreement import (
     ways_by_camera,
     wheel_ways,
 )
-from wheelsight.estimation.filter_kernels import leap_kernel, speed_kernel
 from wheelsight.estimation.pose_belief import (
     IN_PLANE,
     LAG,
@@ -106,13 +105,14 @@ class Speed:
     @classmethod
     def over(cls, T: FloatArray, covariance: FloatArray, seconds: float) -> Speed:
         """Return the mean velocity of a motion (4, 4) with its covariance (3, 3)."""
-        return cls(*speed_kernel(T, covariance, seconds))
+        return cls(motions.log(T)[[0, 1, 5]] / seconds, covariance / (seconds * seconds))
 
     def leap_from(self, before: Speed, seconds: float, settings: FilterParameters) -> float:
         """Return χ² of the change of velocity since `before`, for a robot's accelerations; 0 if it is plausible."""
         s = settings
         usual = (s.leap_m_s2 * seconds, s.leap_m_s2 * s.leap_side_share * seconds, s.leap_rad_s2 * seconds)
-        leap = leap_kernel(self.mean, self.covariance, before.mean, before.covariance, usual)
+        covariance = self.covariance + before.covariance + np.diag(np.square(usual))
+        leap = float(motions.chi_squared(self.mean - before.mean, covariance))
         return min(leap, s.leap_chi2_cap) if leap > _quantile(s.leap_confidence, 3) else 0.0
 
 

@@ -17,27 +17,61 @@ from wheelsight.core.geometry.motion_kernels import (
     inverse,
     left_jacobian,
     log,
+    sandwiched,
     times,
+    times_transposed,
 )
 
 # Prediction and correction.
 #
-# T (1 + K, 4, 4), aux (17,) and P (n, n) are those of a `PoseBelief`.
-
+# T (1 + K, 4, 4), aux (17,) and P (n, n) are those of a `PoseBelief`. Loops over numbers: numba compiles them in a
+# fraction of the time of expressions of arrays, and one form of a kernel where views would have several layouts.
 
 _AUX_SIZE, _PLANE = 17, (0, 1, 5)
 
 
 @kernel
+def _block(P: FloatArray, row: int, column: int, rows: int, columns: int) -> FloatArray:
+    block = np.empty((rows, columns))
+    for i in range(rows):
+        for j in range(columns):
+            block[i, j] = P[row + i, column + j]
+    return block
+
+
+@kernel
+def _set(P: FloatArray, row: int, column: int, block: FloatArray) -> None:
+    for i in range(block.shape[0]):
+        for j in range(block.shape[1]):
+            P[row + i, column + j] = block[i, j]
+
+
+@kernel
+def _add(P: FloatArray, row: int, column: int, block: FloatArray) -> None:
+    for i in range(block.shape[0]):
+        for j in range(block.shape[1]):
+            P[row + i, column + j] += block[i, j]
+
+
+@kernel
+def _in_plane(A: FloatArray, factor: float) -> FloatArray:
+    """Return the columns (n, 3) of motion in the plane, times a factor."""
+    columns = np.empty((len(A), 3))
+    for i in range(len(A)):
+        for j in range(3):
+            columns[i, j] = A[i, _PLANE[j]] * factor
+    return columns
+
+
+@kernel
 def _depend(P: FloatArray, errors: int, to_pose: FloatArray, to_twist: FloatArray) -> None:
     """Add the effect of the wheels' errors (3,) to the pose, by (6, 3), and set that on the twist, by (3, 3)."""
-    twist = errors - 3
-    old = P[errors : errors + 3].copy()
-    P[:6] += times(to_pose, old)
-    P[twist:errors] = times(to_twist, old)
-    old = P[:, errors : errors + 3].copy()
-    P[:, :6] += times(old, to_pose.T)
-    P[:, twist:errors] = times(old, to_twist.T)
+    old = _block(P, errors, 0, 3, len(P))
+    _add(P, 0, 0, times(to_pose, old))
+    _set(P, errors - 3, 0, times(to_twist, old))
+    old = _block(P, 0, errors, len(P), 3)
+    _add(P, 0, 0, times_transposed(old, to_pose))
+    _set(P, 0, errors - 3, times_transposed(old, to_twist))
 
 
 @kernel
@@ -104,20 +138,25 @@ def wheel_step(
     Q = step.noise * share + unseen.unseen * way_m
     by_errors = by_wheel_errors(raw, step.known_twist * dt_s)
     twist, errors = len(P) - _AUX_SIZE, len(P) - _AUX_SIZE + 3
-    xi = raw + times(by_errors, aux[3:6].copy().reshape(3, 1))[:, 0]
-    Ad, J = adjoint(T[0]), left_jacobian(xi)
-    to_pose, to_twist = times(times(Ad, J), by_errors), by_errors[np.array([0, 1, 5])] / dt_s
+    xi = raw.copy()
+    for i in range(6):
+        xi[i] += by_errors[i, 0] * aux[3] + by_errors[i, 1] * aux[4] + by_errors[i, 2] * aux[5]
+    Ad, J, G, to_twist = adjoint(T[0]), left_jacobian(xi), np.empty((9, 6)), np.empty((3, 3))
+    to_pose, by_step = times(times(Ad, J), by_errors), np.linalg.inv(J)
+    _set(G, 0, 0, Ad)
+    for i in range(3):
+        for j in range(6):
+            G[6 + i, j] = by_step[_PLANE[i], j] * (math.sqrt(share) / dt_s)
+        for j in range(3):
+            to_twist[i, j] = by_errors[_PLANE[i], j] / dt_s
     _depend(P, errors, to_pose, to_twist)
-    G = np.zeros((9, 6))
-    G[:6] = Ad
-    G[6:] = np.linalg.inv(J)[np.array([0, 1, 5])] * (math.sqrt(share) / dt_s)
-    grown = times(times(G, Q), G.T)
-    P[:6, :6] += grown[:6, :6]
-    P[:6, twist:errors] += grown[:6, 6:] * math.sqrt(share)
-    P[twist:errors, :6] += grown[6:, :6] * math.sqrt(share)
-    P[twist:errors, twist:errors] += grown[6:, 6:]
+    grown = sandwiched(G, Q)
+    for i in range(9):
+        for j in range(9):
+            shared = math.sqrt(share) if (i < 6) != (j < 6) else 1.0
+            P[i if i < 6 else twist + i - 6, j if j < 6 else twist + j - 6] += grown[i, j] * shared
     _wander(aux, P, unseen, way_m, dt_s)
-    T[0] = times(T[0], exp(xi))
+    _set(T[0], 0, 0, times(T[0], exp(xi)))
     aux[0], aux[1], aux[2] = xi[0] / dt_s, xi[1] / dt_s, xi[5] / dt_s
     return T, aux, P, to_pose, way_m
 
@@ -130,8 +169,10 @@ def _wander(aux: FloatArray, P: FloatArray, unseen: UnmeasuredMotion, way_m: flo
         k, far = errors + i, way_m if errors + i < len(P) - 1 else dt_s
         kept = math.exp(-unseen.fades[i] * far)
         aux[3 + i] *= kept
-        P[k] *= kept
-        P[:, k] *= kept
+        for j in range(len(P)):
+            P[k, j] *= kept
+        for j in range(len(P)):
+            P[j, k] *= kept
         P[k, k] += unseen.walks[i] * far
 
 
@@ -150,44 +191,26 @@ def coast(
     """Return T and P at constant twist, with white noise of acceleration q (3,) and covariance Q (6, 6) of the step."""
     T, P = T.copy(), P.copy()
     n = len(P)
-    twist, errors = n - _AUX_SIZE, n - _AUX_SIZE + 3
-    xi = np.zeros(6)
+    twist, xi = n - _AUX_SIZE, np.zeros(6)
     xi[0], xi[1], xi[5] = aux[0] * dt_s, aux[1] * dt_s, aux[2] * dt_s
     Ad = adjoint(T[0])
-    plane = np.array([0, 1, 5])
-    to_pose = times(Ad, left_jacobian(xi)[:, plane]) * dt_s
-    P[:6] += times(to_pose, P[twist:errors].copy())
-    P[:, :6] += times(P[:, twist:errors].copy(), to_pose.T)
-    pushed = Ad[:, plane] * q
-    P[:6, :6] += times(pushed, Ad[:, plane].T) * (dt_s**3 / 3) + times(times(Ad, Q), Ad.T)
-    P[:6, twist:errors] += pushed * (dt_s**2 / 2)
-    P[twist:errors, :6] += pushed.T * (dt_s**2 / 2)
+    to_pose = _in_plane(times(Ad, left_jacobian(xi)), dt_s)
+    _add(P, 0, 0, times(to_pose, _block(P, twist, 0, 3, n)))
+    _add(P, 0, 0, times_transposed(_block(P, 0, twist, n, 3), to_pose))
+    by_twist = _in_plane(Ad, 1.0)
+    pushed = by_twist * q
+    shaken, grown = times_transposed(pushed, by_twist), sandwiched(Ad, Q)
+    for i in range(6):
+        for j in range(6):
+            P[i, j] += shaken[i, j] * (dt_s**3 / 3) + grown[i, j]
+        for j in range(3):
+            P[i, twist + j] += pushed[i, j] * (dt_s**2 / 2)
+            P[twist + j, i] += pushed[i, j] * (dt_s**2 / 2)
     for i in range(3):
         P[twist + i, twist + i] += q[i] * dt_s
     P[n - 1, n - 1] += walk
-    T[0] = times(T[0], exp(xi))
+    _set(T[0], 0, 0, times(T[0], exp(xi)))
     return T, P
-
-
-@kernel
-def speed_kernel(T: FloatArray, covariance: FloatArray, seconds: float) -> tuple[FloatArray, FloatArray]:
-    """Return the mean velocity (3,) in the plane of a motion (4, 4) over a time, and its covariance (3, 3)."""
-    xi, mean = log(T), np.zeros(3)
-    for i in range(3):
-        mean[i] = xi[_PLANE[i]] / seconds
-    return mean, covariance / seconds**2
-
-
-@kernel
-def leap_kernel(
-    now: FloatArray, C_now: FloatArray, before: FloatArray, C_before: FloatArray, usual: tuple[float, float, float]
-) -> float:
-    """Return χ² of a change of velocity (3,), for changes with `usual` standard deviations."""
-    covariance = C_now + C_before
-    for i in range(3):
-        covariance[i, i] += usual[i] ** 2
-    chi2: float = chi_squared(now - before, covariance)
-    return chi2
 
 
 @kernel
@@ -199,7 +222,9 @@ def answered(
     for i in range(6):
         for j in range(3):
             late[i, 0] += Ad[i, _PLANE[j]] * aux[j] * clock_s
-    return T[0].copy(), P[:6, :6] + times(late, late.T), aux[:3].copy(), P[at : at + 3, at : at + 3].copy()
+    covariance = _block(P, 0, 0, 6, 6)
+    _add(covariance, 0, 0, times_transposed(late, late))
+    return T[0].copy(), covariance, aux[:3].copy(), _block(P, at, at, 3, 3)
 
 
 @kernel
@@ -207,13 +232,16 @@ def correct(
     T: FloatArray, aux: FloatArray, P: FloatArray, PHt: FloatArray, S: FloatArray, residual: FloatArray, kept: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return T, aux and P after a Kalman update that leaves the numbers `kept` (k,) of the state as they are."""
-    gain: FloatArray = np.linalg.solve(S, np.ascontiguousarray(PHt.T)).T.astype(np.float64)
-    lost = times(gain, PHt.T)
-    less = (P + P.T - lost - lost.T) / 2  # rounding makes it asymmetric, and that would grow
-    x = np.zeros(len(P))
+    solved, gain = np.linalg.solve(S, PHt.T.copy()), np.empty(PHt.shape)
+    less, x = np.empty(P.shape), np.zeros(len(P))
     for i in range(len(P)):
         for j in range(len(residual)):
+            gain[i, j] = solved[j, i]
             x[i] += gain[i, j] * residual[j]
+    lost = times_transposed(gain, PHt)
+    for i in range(len(P)):
+        for j in range(len(P)):  # rounding makes it asymmetric, and that would grow
+            less[i, j] = (P[i, j] + P[j, i] - lost[i, j] - lost[j, i]) / 2
     for i in kept:
         x[i] = 0.0
         for j in kept:
@@ -227,14 +255,16 @@ def perturb(T: FloatArray, aux: FloatArray, x: FloatArray) -> tuple[FloatArray, 
     """Return all poses perturbed, and `aux` shifted, by x (n,)."""
     moved = np.empty_like(T)
     for i in range(len(T)):
-        moved[i] = times(exp(x[6 * i : 6 * i + 6]), T[i])
-    return moved, aux + x[6 * len(T) :]
+        _set(moved[i], 0, 0, times(exp(x[6 * i : 6 * i + 6]), T[i]))
+    shifted = aux.copy()
+    for i in range(len(aux)):
+        shifted[i] += x[6 * len(T) + i]
+    return moved, shifted
 
 
 # Measurements of the camera.
 #
 # T (1 + K, 4, 4), aux (17,) and P (n, n) are those of a `PoseBelief`.
-
 
 # Of `aux`: twist 3, the wheels' errors 3, the camera's 9, how late its stamps are, the gyroscope's bias.
 _CAMERA, _LAG = 9, 15
@@ -254,11 +284,12 @@ def by_camera_errors(Z: FloatArray, by_wheels: FloatArray) -> FloatArray:
     The first three are as those of the wheels, with the same derivative `by_wheels` (6, 3). With different ones, errors
     that wheels and camera share, which are unobservable, would drift.
     """
-    B = np.zeros((6, _CAMERA))
-    B[:, :3], Ad = by_wheels, adjoint(Z)
-    for i in range(len(_MOUNT)):
-        B[:, 4 + i] = -Ad[:, _MOUNT[i]]
-        B[_MOUNT[i], 4 + i] += 1.0
+    B, Ad = np.zeros((6, _CAMERA)), adjoint(Z)
+    _set(B, 0, 0, by_wheels)
+    for j in range(len(_MOUNT)):
+        for i in range(6):
+            B[i, 4 + j] = -Ad[i, _MOUNT[j]]
+        B[_MOUNT[j], 4 + j] += 1.0
     way = math.sqrt(Z[0, 3] ** 2 + Z[1, 3] ** 2 + Z[2, 3] ** 2)
     B[0, 3], B[2, 3], B[4, 3] = -way * Z[2, 3] / 2, way * Z[0, 3] / 2, way
     return B
@@ -279,20 +310,20 @@ def imaged(P: FloatArray, T_imaged: FloatArray, lag_s: float, twist: FloatArray)
 
     Lag and twist are both uncertain; the second-order term of their product is part of its own covariance.
     """
-    aux_offset = len(P) - _AUX_SIZE
-    G = np.zeros((6, 3))
-    Ad = adjoint(T_imaged)
-    for j in range(3):
-        G[:, j] = Ad[:, _PLANE[j]]
-    by_lag = times(G, twist.reshape(3, 1))
-    rows = P[:6] - lag_s * times(G, P[aux_offset : aux_offset + 3]) - by_lag * P[aux_offset + _LAG]
-    spread = (
-        rows[:, :6]
-        - lag_s * times(rows[:, aux_offset : aux_offset + 3], G.T)
-        - rows[:, aux_offset + _LAG].copy().reshape(6, 1) * by_lag.T
-    )
-    together = P[aux_offset + _LAG, aux_offset + _LAG] * P[aux_offset : aux_offset + 3, aux_offset : aux_offset + 3]
-    return rows, spread + times(times(G, together), G.T)
+    at, lag = len(P) - _AUX_SIZE, len(P) - _AUX_SIZE + _LAG
+    G = _in_plane(adjoint(T_imaged), 1.0)
+    by_lag, rows, spread = np.zeros(6), times(G, _block(P, at, 0, 3, len(P))), np.empty((6, 6))
+    for i in range(6):
+        for j in range(3):
+            by_lag[i] += G[i, j] * twist[j]
+        for j in range(len(P)):
+            rows[i, j] = P[i, j] - lag_s * rows[i, j] - by_lag[i] * P[lag, j]
+    by_twist, together = times_transposed(_block(rows, 0, at, 6, 3), G), _block(P, at, at, 3, 3)
+    of_both = sandwiched(G, P[lag, lag] * together)
+    for i in range(6):
+        for j in range(6):
+            spread[i, j] = rows[i, j] - lag_s * by_twist[i, j] - rows[i, lag] * by_lag[j] + of_both[i, j]
+    return rows, spread
 
 
 @kernel
@@ -304,14 +335,23 @@ def imaged_now(T_now: FloatArray, aux: FloatArray, P: FloatArray) -> tuple[Float
 
 
 @kernel
+def _apart(P: FloatArray, place: int, rows: FloatArray, spread: FloatArray) -> FloatArray:
+    """Return the covariance (6, 6) of the pose of the image, as of `imaged`, minus the pose at a place."""
+    apart = np.empty((6, 6))
+    for i in range(6):
+        for j in range(6):
+            apart[i, j] = spread[i, j] - rows[i, place + j] - rows[j, place + i] + P[place + i, place + j]
+    return apart
+
+
+@kernel
 def seen_from(
     T: FloatArray, aux: FloatArray, P: FloatArray, at: int, T_base_camera: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the camera's motion (4, 4) since the pose at an index, in its frame, and its covariance (6, 6)."""
-    here = slice(6 * at, 6 * at + 6)
     T_imaged, rows, spread = imaged_now(T[0], aux, P)
     T_camera_filter = inverse(times(T[at], T_base_camera))
-    apart = spread - rows[:, here] - rows[:, here].T + P[here, here]
+    apart = _apart(P, 6 * at, rows, spread)
     return times(times(T_camera_filter, T_imaged), T_base_camera), carried(T_camera_filter, apart)
 
 
@@ -319,7 +359,7 @@ def seen_from(
 def _change_of_twist(aux: FloatArray, P: FloatArray, before: FloatArray) -> float:
     """Return χ² of the change from an earlier twist (3,), by the wheels' noise in both, with a least noise."""
     at = len(P) - _AUX_SIZE
-    noise = 2 * P[at : at + 3, at : at + 3]
+    noise = 2 * _block(P, at, at, 3, 3)
     for i in range(3):
         noise[i, i] += _LEAST_TWIST**2
     chi2: float = chi_squared(aux[:3] - before, noise)
@@ -417,13 +457,13 @@ def shown_kernel(
 
     Also these directions (m, 6) for the base's motion, and its covariance (6, 6), very large where it is `unseen`.
     """
-    scaled = (R + R.T) / 2
+    scaled = np.empty((6, 6))
     for i in range(6):
         for j in range(6):
-            scaled[i, j] *= scale[i] * scale[j]
-    covariance = times(times(seen, scaled), seen.T)
-    wide = times(times(seen.T, covariance), seen) + _UNSEEN_SIGMA_M**2 * times(unseen.T, unseen)
-    return covariance, times(seen, to_camera), times(times(from_camera, wide), from_camera.T)
+            scaled[i, j] = (R[i, j] + R[j, i]) / 2 * (scale[i] * scale[j])
+    covariance = sandwiched(seen, scaled)
+    wide = sandwiched(seen.T.copy(), covariance) + _UNSEEN_SIGMA_M**2 * times(unseen.T.copy(), unseen)
+    return covariance, times(seen, to_camera), sandwiched(from_camera, wide)
 
 
 @kernel
@@ -446,13 +486,19 @@ def _innovation(
     lag_s: float,
     twist: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    errors, at = (
-        slice(len(P) - _AUX_SIZE + 6, len(P) - _AUX_SIZE + 6 + _CAMERA),
-        slice(place, place + 6),
-    )
+    n, errors = len(P), len(P) - _AUX_SIZE + 6
     rows, spread = imaged(P, T_imaged, lag_s, twist)
-    apart = spread - rows[:, at] - rows[:, at].T + P[at, at]
-    PHt = times(H, rows - P[at]).T - times(P[:, errors], by_errors.T)
-    crossed = times(times(H, rows[:, errors] - P[at, errors]), by_errors.T)
-    of_errors = times(times(by_errors, P[errors, errors]), by_errors.T)
-    return PHt, times(times(H, apart), H.T) - crossed - crossed.T + of_errors + R
+    S = sandwiched(H, _apart(P, place, rows, spread))
+    for i in range(6):
+        for j in range(n):
+            rows[i, j] -= P[place + i, j]
+    PHt, of_state = times_transposed(_block(P, 0, errors, n, _CAMERA), by_errors), times(H, rows)
+    for i in range(n):
+        for j in range(len(H)):
+            PHt[i, j] = of_state[j, i] - PHt[i, j]
+    crossed = times_transposed(times(H, _block(rows, 0, errors, 6, _CAMERA)), by_errors)
+    of_errors = sandwiched(by_errors, _block(P, errors, errors, _CAMERA, _CAMERA))
+    for i in range(len(H)):
+        for j in range(len(H)):
+            S[i, j] = S[i, j] - crossed[i, j] - crossed[j, i] + of_errors[i, j] + R[i, j]
+    return PHt, S

@@ -28,6 +28,23 @@ def times(A: FloatArray, B: FloatArray) -> FloatArray:
 
 
 @kernel
+def times_transposed(A: FloatArray, B: FloatArray) -> FloatArray:
+    """A Bᵀ of small matrices: a product with a view would compile `times` for its layout too."""
+    C = np.zeros((A.shape[0], B.shape[0]))
+    for i in range(A.shape[0]):
+        for k in range(A.shape[1]):
+            for j in range(B.shape[0]):
+                C[i, j] += A[i, k] * B[j, k]
+    return C
+
+
+@kernel
+def sandwiched(A: FloatArray, C: FloatArray) -> FloatArray:
+    """A C Aᵀ of small matrices."""
+    return times_transposed(times(A, C), A)
+
+
+@kernel
 def _hat(x: float, y: float, z: float) -> FloatArray:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
@@ -48,7 +65,8 @@ def exp(xi: FloatArray) -> FloatArray:
     if angle > 1e-3:
         half = math.sin(angle / 2) / angle
         a, b, c = math.sin(angle) / angle, 2 * half**2, (angle - math.sin(angle)) / angle**3
-    T = np.eye(4)
+    T = np.zeros((4, 4))
+    T[0, 0] = T[1, 1] = T[2, 2] = T[3, 3] = 1.0
     for i in range(3):
         for j in range(3):
             W2 = _square(W, i, j)
@@ -89,15 +107,15 @@ def _quaternion(T: FloatArray) -> tuple[float, float, float, float]:
     """x, y, z, w with w ≥ 0 of the rotation of T, from its largest part (Shepperd 1978)."""
     trace = T[0, 0] + T[1, 1] + T[2, 2]
     if trace > max(T[0, 0], T[1, 1], T[2, 2]):
-        q = np.array([T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1], 1 + trace])
+        x, y, z, w = T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1], 1 + trace
     elif T[0, 0] >= T[1, 1] and T[0, 0] >= T[2, 2]:
-        q = np.array([1 + 2 * T[0, 0] - trace, T[0, 1] + T[1, 0], T[0, 2] + T[2, 0], T[2, 1] - T[1, 2]])
+        x, y, z, w = 1 + 2 * T[0, 0] - trace, T[0, 1] + T[1, 0], T[0, 2] + T[2, 0], T[2, 1] - T[1, 2]
     elif T[1, 1] >= T[2, 2]:
-        q = np.array([T[0, 1] + T[1, 0], 1 + 2 * T[1, 1] - trace, T[1, 2] + T[2, 1], T[0, 2] - T[2, 0]])
+        x, y, z, w = T[0, 1] + T[1, 0], 1 + 2 * T[1, 1] - trace, T[1, 2] + T[2, 1], T[0, 2] - T[2, 0]
     else:
-        q = np.array([T[0, 2] + T[2, 0], T[1, 2] + T[2, 1], 1 + 2 * T[2, 2] - trace, T[1, 0] - T[0, 1]])
-    q /= math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2) * (1.0 if q[3] >= 0 else -1.0)
-    return q[0], q[1], q[2], q[3]
+        x, y, z, w = T[0, 2] + T[2, 0], T[1, 2] + T[2, 1], 1 + 2 * T[2, 2] - trace, T[1, 0] - T[0, 1]
+    length = math.sqrt(x**2 + y**2 + z**2 + w**2) * (1.0 if w >= 0 else -1.0)
+    return x / length, y / length, z / length, w / length
 
 
 @kernel
@@ -121,7 +139,8 @@ def inverse_adjoint(T: FloatArray) -> FloatArray:
 @kernel
 def inverse(T: FloatArray) -> FloatArray:
     """T_b_a (4, 4) of T_a_b (4, 4)."""
-    back = np.eye(4)
+    back = np.zeros((4, 4))
+    back[3, 3] = 1.0
     for i in range(3):
         for j in range(3):
             back[i, j] = T[j, i]
@@ -138,15 +157,17 @@ def renormalized(T: FloatArray) -> FloatArray:
     near = T.copy()
     for _ in range(2):
         R = near[:3, :3].copy()
-        near[:3, :3] = 1.5 * R - 0.5 * times(times(R, R.T), R)
+        cube = times(times_transposed(R, R), R)
+        for i in range(3):
+            for j in range(3):
+                near[i, j] = 1.5 * R[i, j] - 0.5 * cube[i, j]
     return near
 
 
 @kernel
 def carried(T_a_b: FloatArray, covariance: FloatArray) -> FloatArray:
     """Transform a covariance (6, 6) of a left perturbation from frame b to frame a."""
-    Ad = adjoint(T_a_b)
-    return times(times(Ad, covariance), Ad.T)
+    return sandwiched(adjoint(T_a_b), covariance)
 
 
 @kernel
@@ -169,12 +190,15 @@ def is_motion(T: FloatArray) -> bool:
 @kernel
 def is_covariance(C: FloatArray) -> bool:
     """Whether C (n, n) is finite, symmetric, and has no negative eigenvalue, to rounding."""
-    if not np.isfinite(C).all():
-        return False
-    most = np.abs(C).max()
-    least: float = np.linalg.eigvalsh((C + C.T) / 2)[0]
-    is_symmetric: bool = np.abs(C - C.T).max() <= 1e-6 * most
-    return is_symmetric and least >= -1e-9 * most
+    most, asymmetry, symmetric = 0.0, 0.0, np.empty(C.shape)
+    for i in range(len(C)):
+        for j in range(len(C)):
+            if not math.isfinite(C[i, j]):
+                return False
+            most, asymmetry = max(most, abs(C[i, j])), max(asymmetry, abs(C[i, j] - C[j, i]))
+            symmetric[i, j] = (C[i, j] + C[j, i]) / 2
+    least: float = np.linalg.eigvalsh(symmetric)[0]
+    return asymmetry <= 1e-6 * most and least >= -1e-9 * most
 
 
 @kernel
@@ -216,20 +240,25 @@ def step_between(
     """Return ξ (6,) from one pose to the next, and the growth of their covariances, without negative eigenvalues."""
     T, grown = between(T_before, C_before, T_now, C_now)
     strength, axes = np.linalg.eigh((grown + grown.T) / 2)
-    return log(T), times(axes * np.maximum(strength, 0.0), axes.T)
+    axes_by_rows = axes.copy()  # LAPACK's are stored by columns
+    return log(T), times_transposed(axes_by_rows * np.maximum(strength, 0.0), axes_by_rows)
 
 
 @kernel
 def left_jacobian(xi: FloatArray) -> FloatArray:
     """J (6, 6) with exp(ξ + δ) ≈ exp(J δ) exp(ξ): the series of ad(ξ)ⁿ / (n + 1)!, which converges for every ξ."""
-    ad = np.zeros((6, 6))
-    ad[:3, :3] = _hat(xi[3], xi[4], xi[5])
-    ad[3:, 3:] = ad[:3, :3]
-    ad[:3, 3:] = _hat(xi[0], xi[1], xi[2])
+    ad, W, V = np.zeros((6, 6)), _hat(xi[3], xi[4], xi[5]), _hat(xi[0], xi[1], xi[2])
+    for i in range(3):
+        for j in range(3):
+            ad[i, j], ad[3 + i, 3 + j], ad[i, 3 + j] = W[i, j], W[i, j], V[i, j]
     J, term = np.eye(6), np.eye(6)
     for n in range(1, _MOST_TERMS):
-        term = times(term, ad) / (n + 1)
-        J += term
-        if np.abs(term).max() < 1e-15:
+        term, is_last = times(term, ad), True
+        for i in range(6):
+            for j in range(6):
+                term[i, j] /= n + 1
+                J[i, j] += term[i, j]
+                is_last &= abs(term[i, j]) < 1e-15
+        if is_last:
             break
     return J
