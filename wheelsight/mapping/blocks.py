@@ -113,7 +113,7 @@ class Blocks:
     ) -> Int32Array:
         """Return the pages that a camera may see, without cells last seen before `since_s`."""
         out = np.empty(self._counters[PAGES], np.int32)
-        view = Frustum(T_map_camera, intrinsics, shape[1], shape[0], far_m)
+        view = Frustum(np.array(T_map_camera), intrinsics, shape[1], shape[0], far_m)
         count: int = kernels.pages_in_view(view, since_s, self.page_next, self.cells, out)
         return out[:count]
 

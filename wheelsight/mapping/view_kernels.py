@@ -217,7 +217,7 @@ def fill_in(begin: Any, end: Any, disks: Disks, image: RenderImage) -> None:
     _add_unstable(True, begin, end, disks, image)
 
 
-@kernel(error_model="numpy", inline="always")
+@kernel(error_model="numpy")  # not inlined: `fill_in` would compile all of it twice
 def _add_unstable(is_known: Any, begin: Any, end: Any, disks: Disks, image: RenderImage) -> None:
     bound, count, near = disks.bound, disks.count, image.near
     for k in range(len(count)):

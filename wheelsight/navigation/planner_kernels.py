@@ -11,7 +11,6 @@ from wheelsight.core.compiled import kernel
 # Cost-to-go of cells, and the path down it: Dijkstra with buckets instead of a heap. A bucket is no wider than the
 # cheapest step, so all cells of the lowest one are final (Denardo & Fox 1979).
 
-
 _DIAGONAL = np.sqrt(2.0)
 # Width of a bucket in cheapest steps. Rounding must not put a cell into the bucket that it was reached from.
 _WIDTH = 0.999
@@ -91,7 +90,7 @@ def _spread(costs: Any, known: Any, heads: Any, links: Any, wide: int, resolutio
     half, diagonal = 0.5 * resolution_m, 0.5 * _DIAGONAL * resolution_m
     bucket = 0
     while waiting > 0:
-        cell = heads[bucket]
+        cell = int(heads[bucket])
         if cell < 0:
             bucket = (bucket + 1) % len(heads)
             continue
@@ -142,7 +141,6 @@ def descend(known: Any, metre_cost: Any, resolution_m: float, row: int, column: 
 #
 # A differential drive moves along arcs, forward and backward, and turns in place. States are discretized by place and
 # heading, but keep their exact poses. The heuristic is the cost-to-go of the cells, a lower bound for any footprint.
-
 
 # Arcs by the headings that they turn, in both directions; and turns in place.
 _BENDS = (0, 1, -1, 2, -2)
@@ -226,7 +224,7 @@ def search(
     most = len(tree.cost)
     heap = Heap(np.empty(4 * most), np.empty(4 * most, np.int32), np.zeros(1, np.int64))
     out = np.empty((_ROOM, 4))
-    tree.pose[0, :3], tree.pose[0, 3] = start, 1.0
+    tree.pose[0, 0], tree.pose[0, 1], tree.pose[0, 2], tree.pose[0, 3] = start[0], start[1], start[2], 1.0
     tree.cost[0], tree.link[0, 0], tree.link[0, 1], tree.is_closed[0] = 0.0, -1, -1, 0
     slot = _slot(tree, _key(cells, rules, start[0], start[1], start[2]))
     tree.keys[0], tree.table[slot] = _key(cells, rules, start[0], start[1], start[2]), 0
@@ -338,7 +336,7 @@ def _connect(
                 best, chosen = cost, way
     if chosen < 0:
         return count
-    tree.pose[count, :3], tree.pose[count, 3] = goal, 1.0
+    tree.pose[count, 0], tree.pose[count, 1], tree.pose[count, 2], tree.pose[count, 3] = goal[0], goal[1], goal[2], 1.0
     tree.cost[count], tree.link[count, 0], tree.link[count, 1] = tree.cost[state] + best, state, MOVES + chosen
     tree.is_closed[count], tree.keys[count] = 0, -1
     _push(heap, tree.cost[count], count)
@@ -377,7 +375,7 @@ def way_to(rules: DriveRules, tree: SearchTree, last: int, goal: Any, out: Any) 
         if move >= MOVES:
             at = write_to_goal(out, at, goal, move - MOVES, rules)
         else:
-            at = write_arc(out, at, arc_of(rules, out[at - 1, 2], move), rules)
+            at = write_arc(out, at, arc_of(rules, out[at - 1, 2], int(move)), rules)
         if at <= 0:
             return 0
     return at
@@ -387,7 +385,6 @@ def way_to(rules: DriveRules, tree: SearchTree, last: int, goal: Any, out: Any) 
 #
 # Poses (N, 4) are x, y, yaw and direction, 1 forward and -1 backward. Between two of them no point of the robot moves
 # farther than `DriveRules.step_m`.
-
 
 TURN_AND_DRIVE, BACK_AND_TURN, CURVE, CURVE_BACK = 0, 1, 2, 3
 WAYS = 4
@@ -522,7 +519,6 @@ def cost_of(cells: PlanCells, shape: Shape, rules: DriveRules, poses: Any, begin
 #
 # A cell is a square, and lies under a footprint if they share more than an edge. In each row a convex outline covers
 # one stretch of cells, whose occupied ones are counted by sums along the row.
-
 
 # In cells: a square that only touches is not under the footprint.
 _TOUCH = 1e-9

@@ -118,7 +118,7 @@ def insert(tree: WordTree, descriptors: UInt64Array, row: int, rules: TreeRules)
     """Add the descriptors (N, 4) of a keyframe; full words are split."""
     for i in range(len(descriptors)):
         word = word_of(tree, descriptors, i)
-        _append(tree, word, row, descriptors[i])
+        _append(tree, word, row, descriptors, i)
         tree.sizes[POSTINGS] += 1
         is_full = tree.postings[word] >= tree.limit[word]
         if is_full and tree.level[word] < rules.depth and tree.sizes[NODES] + rules.branching <= rules.most_nodes:
@@ -135,13 +135,13 @@ def vote(tree: WordTree, descriptors: UInt64Array, most_postings: int, out: Floa
     out[:] = 0.0
     n, words = len(descriptors), np.empty(len(descriptors), np.int64)
     for i in range(n):
-        words[i] = word_of(tree, descriptors, i)
+        word = word_of(tree, descriptors, i)
+        words[i] = np.int64(tree.postings[word]) << 32 | word  # one sort: by rarity, then by number
     words.sort()
-    words = words[np.argsort(tree.postings[words], kind="mergesort")]
     all_postings, most, i, looked_at = float(tree.sizes[POSTINGS]), np.float32(0), 0, 0
     while i < n and looked_at < most_postings:
-        word, shown = words[i], 0
-        while i < n and words[i] == word:
+        key, word, shown = words[i], words[i] & 0xFFFFFFFF, 0
+        while i < n and words[i] == key:
             i += 1
             shown += 1
         idf = np.float32(np.log((1.0 + all_postings) / (1.0 + tree.postings[word])))
@@ -171,7 +171,7 @@ def _count(tree: WordTree, word: int, shown: int, idf: np.float32, out: Float32A
 
 
 @kernel
-def _append(tree: WordTree, word: int, row: int, descriptor: UInt64Array) -> None:
+def _append(tree: WordTree, word: int, row: int, descriptors: UInt64Array, i: int) -> None:
     if tree.head[word] < 0 or tree.used[word] == BLOCK:
         block = tree.sizes[FREE]
         if block >= 0:
@@ -187,7 +187,7 @@ def _append(tree: WordTree, word: int, row: int, descriptor: UInt64Array) -> Non
         tree.tail[word], tree.used[word] = block, 0
     block, slot = tree.tail[word], tree.used[word]
     tree.row[block, slot] = row
-    tree.descriptor[block, slot] = descriptor
+    _copy(tree.descriptor[block], slot, descriptors, i)
     tree.used[word] += 1
     tree.postings[word] += 1
 
@@ -196,10 +196,11 @@ def _append(tree: WordTree, word: int, row: int, descriptor: UInt64Array) -> Non
 def _split(tree: WordTree, word: int, rules: TreeRules) -> None:
     """Share a word's postings among new words about centres found among its descriptors; alike ones stay together."""
     n = int(tree.postings[word])
-    rows, descriptors = np.empty(n, np.int32), np.empty((n, 4), np.uint64)
+    rows, descriptors = np.empty(n, np.int64), np.empty((n, 4), np.uint64)
     block = tree.head[word]
     for i in range(n):
-        rows[i], descriptors[i] = tree.row[block, i % BLOCK], tree.descriptor[block, i % BLOCK]
+        rows[i] = tree.row[block, i % BLOCK]
+        _copy(descriptors, i, tree.descriptor[block], i % BLOCK)
         if i % BLOCK == BLOCK - 1:
             block = tree.following[block]
     centres = _spread_centres(descriptors, rules.branching)
@@ -219,17 +220,23 @@ def _split(tree: WordTree, word: int, rules: TreeRules) -> None:
         return
     for c in range(len(centres)):
         if number[c] >= 0:
-            _begin(tree, first + number[c], centres[c], tree.level[word] + 1, rules.split_at)
+            _copy(tree.centre, first + number[c], centres, c)
+            _begin(tree, first + number[c], tree.level[word] + 1, rules.split_at)
     tree.sizes[NODES] += kept
     tree.first[word], tree.children[word] = first, kept
     _free(tree, word)
     for i in range(n):
-        _append(tree, first + number[chosen[i]], rows[i], descriptors[i])
+        _append(tree, first + number[chosen[i]], rows[i], descriptors, i)
 
 
 @kernel
-def _begin(tree: WordTree, node: int, centre: UInt64Array, level: int, limit: int) -> None:
-    tree.centre[node] = centre
+def _copy(to: UInt64Array, i: int, source: UInt64Array, j: int) -> None:
+    for k in range(4):
+        to[i, k] = source[j, k]
+
+
+@kernel
+def _begin(tree: WordTree, node: int, level: int, limit: int) -> None:
     tree.first[node], tree.children[node], tree.level[node] = -1, 0, level
     tree.postings[node], tree.limit[node] = 0, limit
     tree.head[node], tree.tail[node], tree.used[node] = -1, -1, 0
@@ -247,7 +254,7 @@ def _spread_centres(descriptors: UInt64Array, wanted: int) -> Any:
     """Return at most `wanted` of (N, 4): the first, and each time the one farthest from all before it."""
     n = len(descriptors)
     centres, found = np.empty((wanted, 4), np.uint64), 1
-    centres[0] = descriptors[0]
+    _copy(centres, 0, descriptors, 0)
     nearest = np.empty(n, np.int64)
     for i in range(n):
         nearest[i] = _apart(descriptors, i, centres, 0)
@@ -255,7 +262,7 @@ def _spread_centres(descriptors: UInt64Array, wanted: int) -> Any:
         farthest = int(np.argmax(nearest))
         if nearest[farthest] == 0:
             break
-        centres[found] = descriptors[farthest]
+        _copy(centres, found, descriptors, farthest)
         for i in range(n):
             nearest[i] = min(nearest[i], _apart(descriptors, i, centres, found))
         found += 1

@@ -23,7 +23,6 @@ CHANNELS = 8
 # images do so without branches, for numba counts references to an array that an inlined helper takes, pixel by pixel,
 # unless it sees that nothing happens in between.
 
-
 NO_GREY = np.float32(-1.0)
 # How far away something is taken to be where depth is unknown.
 _TYPICAL_DEPTH_M = np.float32(2.0)
@@ -317,7 +316,6 @@ def _mixed(a: Any, b: Any, d: Any, e: Any, s: Any, t: Any) -> Any:
 
 # Compiled inner loops that make references: normals, gradients, and all that a look-up needs side by side.
 
-
 _NAN = np.float32(np.nan)
 _FEWEST = np.float32(6)
 # So far a lens and a depth camera's window spread the rim of what stands before a surface.
@@ -604,10 +602,13 @@ def align_three(p_a: FloatArray, p_b: FloatArray) -> Any:
     mean_b = (p_b[0] + p_b[1] + p_b[2]) / 3
     W = np.zeros((3, 3))
     for i in range(3):
-        W += np.outer(p_a[i] - mean_a, p_b[i] - mean_b)
+        for j in range(3):
+            for k in range(3):
+                W[j, k] += (p_a[i, j] - mean_a[j]) * (p_b[i, k] - mean_b[k])
     U, _, Vt = np.linalg.svd(W)
     if np.linalg.det(U) * np.linalg.det(Vt) < 0:
-        U[:, 2] = -U[:, 2]
+        for i in range(3):
+            U[i, 2] = -U[i, 2]
     R = U @ Vt
     return R, mean_a - R @ mean_b
 
@@ -739,7 +740,6 @@ def rotation(omega: FloatArray) -> Any:
 
 
 # Compiled Hamming distances between 256-bit descriptors, held as four 64-bit words.
-
 
 _FAR = 1000
 

@@ -10,30 +10,7 @@ import numpy as np
 from wheelsight.core.compiled import kernel
 from wheelsight.core.geometry.arrays import ByteArray, FloatArray
 from wheelsight.wheels import state_kernels as at
-from wheelsight.wheels.state_kernels import (
-    BEGUN,
-    BIAS_VARIANCE,
-    COVARIANCE,
-    DRIFT,
-    EXACT,
-    IS_REST,
-    IS_STILL,
-    OFF,
-    RATIO,
-    SCALE,
-    SHARED_COVARIANCE,
-    SLIP_COVARIANCE,
-    SPEED,
-    STRETCH_S,
-    TURNED,
-    YAW,
-    YAW_RATE,
-    X,
-    Y,
-    add_outer,
-    add_product,
-    add_shared,
-)
+from wheelsight.wheels.state_kernels import add_outer, add_product, add_shared
 
 # A state is an array of STATE_SIZE numbers (`state_kernels`). Steps of the wheels move it, and the gyroscope corrects
 # it stretch by stretch, and begins a second state beside it.
@@ -89,15 +66,15 @@ def fault(state: FloatArray, parameters: FloatArray, left_m: float, right_m: flo
     if half_m > 0 and parameters[SPEED_LIMIT] * dt_s >= half_m:
         return AMBIGUOUS
     while_s, way_m = dt_s + STAMP_JITTER_S, max(abs(left_m), abs(right_m))
-    pace_m_s = abs(state[SPEED]) + 0.5 * parameters[TRACK] * abs(state[YAW_RATE])
+    pace_m_s = abs(state[at.SPEED]) + 0.5 * parameters[TRACK] * abs(state[at.YAW_RATE])
     by_pace_m = max(parameters[SPEED_LIMIT] * dt_s, (2 * pace_m_s + MOST_ACCELERATION * while_s) * while_s)
-    is_known = pace_m_s > 0 or state[IS_STILL] > 0
+    is_known = pace_m_s > 0 or state[at.IS_STILL] > 0
     farthest_m = parameters[SPEED_LIMIT] * while_s
     if way_m > (min(farthest_m, by_pace_m) if is_known else farthest_m):
         return IMPLAUSIBLE
-    turn_m_s = 0.5 * parameters[TRACK] * state[YAW_RATE]
-    is_leap = _leaps_back(state[SPEED] - turn_m_s, left_m, while_s) or _leaps_back(
-        state[SPEED] + turn_m_s, right_m, while_s
+    turn_m_s = 0.5 * parameters[TRACK] * state[at.YAW_RATE]
+    is_leap = _leaps_back(state[at.SPEED] - turn_m_s, left_m, while_s) or _leaps_back(
+        state[at.SPEED] + turn_m_s, right_m, while_s
     )
     return IMPLAUSIBLE if is_leap else OK
 
@@ -114,21 +91,16 @@ def widen(state: FloatArray, parameters: FloatArray, dt_s: float) -> None:
     end_stretch(state, parameters[GYRO_VARIANCE], parameters[COUNT_VARIANCE])
     reach_m = parameters[SPEED_LIMIT] * (dt_s + STAMP_JITTER_S)
     turn_rad = min(2 * reach_m / parameters[TRACK], math.pi)
-    add_outer(state, COVARIANCE, turn_rad**2 / 3, state[Y], -state[X], 1.0)
-    state[COVARIANCE] += reach_m**2 / 3
-    state[COVARIANCE + 3] += reach_m**2 / 3
-    state[BIAS_VARIANCE] += parameters[WALK_VARIANCE] * dt_s
-    state[IS_STILL] = state[SPEED] = state[YAW_RATE] = 0.0
+    add_outer(state, at.COVARIANCE, turn_rad**2 / 3, state[at.Y], -state[at.X], 1.0)
+    state[at.COVARIANCE] += reach_m**2 / 3
+    state[at.COVARIANCE + 3] += reach_m**2 / 3
+    state[at.BIAS_VARIANCE] += parameters[WALK_VARIANCE] * dt_s
+    state[at.IS_STILL] = state[at.SPEED] = state[at.YAW_RATE] = 0.0
 
 
 @kernel
 def step(
-    state: FloatArray,
-    parameters: FloatArray,
-    left_m: float,
-    right_m: float,
-    dt_s: float,
-    rate_rad_s: float,
+    state: FloatArray, parameters: FloatArray, left_m: float, right_m: float, dt_s: float, rate_rad_s: float
 ) -> None:
     """Move the state by the travel of both wheels in `dt_s`; the gyroscope's mean rate is NaN for none."""
     track_m, slip_squared = parameters[TRACK], parameters[SLIP_SQUARED]
@@ -136,14 +108,14 @@ def step(
     way_m, turn_rad = (left_m + right_m) / 2, (right_m - left_m) / track_m
     way_variance = (left_variance + right_variance) / 4
     shared = (right_variance - left_variance) / (2 * track_m)
-    state[TURNED] = turn_rad
-    turn_rad += state[DRIFT] * way_m + state[SCALE] * turn_rad
+    state[at.TURNED] = turn_rad
+    turn_rad += state[at.DRIFT] * way_m + state[at.SCALE] * turn_rad
     is_still, is_gyro_silent = left_m == 0 and right_m == 0, math.isnan(rate_rad_s)
-    was_still, state[IS_STILL] = state[IS_STILL] > 0, 1.0 if is_still else 0.0
+    was_still, state[at.IS_STILL] = state[at.IS_STILL] > 0, 1.0 if is_still else 0.0
     of_gyro = (parameters[GYRO_VARIANCE], parameters[COUNT_VARIANCE])
-    state[BIAS_VARIANCE] += parameters[WALK_VARIANCE] * dt_s
-    state[SPEED], state[YAW_RATE] = way_m / dt_s, turn_rad / dt_s
-    if is_gyro_silent and state[STRETCH_S] > 0:
+    state[at.BIAS_VARIANCE] += parameters[WALK_VARIANCE] * dt_s
+    state[at.SPEED], state[at.YAW_RATE] = way_m / dt_s, turn_rad / dt_s
+    if is_gyro_silent and state[at.STRETCH_S] > 0:
         end_stretch(state, *of_gyro)
     if is_still:
         if was_still and not is_gyro_silent:
@@ -151,32 +123,27 @@ def step(
         return
     (wx, wy), (tx, ty) = move(state, int(parameters[INTEGRATION]), way_m, turn_rad)
     # As left perturbations: a turn at the robot's position is one about the origin, and a shift.
-    along, slip = (wx, wy, tx + state[Y], ty - state[X]), (4 * way_variance / track_m**2, shared)
-    state[COVARIANCE] += way_variance * wx * wx
-    state[COVARIANCE + 1] += way_variance * wx * wy
-    state[COVARIANCE + 3] += way_variance * wy * wy
+    along, slip = (wx, wy, tx + state[at.Y], ty - state[at.X]), (4 * way_variance / track_m**2, shared)
+    state[at.COVARIANCE] += way_variance * wx * wx
+    state[at.COVARIANCE + 1] += way_variance * wx * wy
+    state[at.COVARIANCE + 3] += way_variance * wy * wy
     if is_gyro_silent:
-        add_outer(state, COVARIANCE, slip[0], along[2], along[3], 1.0)
-        add_shared(state, COVARIANCE, shared, *along)
+        add_outer(state, at.COVARIANCE, slip[0], along[2], along[3], 1.0)
+        add_shared(state, at.COVARIANCE, shared, *along)
     else:
         add_step(state, *of_gyro, GyroStep(dt_s, way_m, turn_rad, rate_rad_s, slip, along))
 
 
 @kernel
 def _step_each(
-    states: FloatArray,
-    parameters: FloatArray,
-    left_m: float,
-    right_m: float,
-    dt_s: float,
-    rate_rad_s: float,
+    states: FloatArray, parameters: FloatArray, left_m: float, right_m: float, dt_s: float, rate_rad_s: float
 ) -> None:
     """`step` of both states (2, STATE_SIZE); of one before the first rate of a gyroscope."""
-    if states[OFF, BEGUN] == 0 and not math.isnan(rate_rad_s):
+    if states[at.OFF, at.BEGUN] == 0 and not math.isnan(rate_rad_s):
         begin_off(states)
-    step(states[EXACT], parameters, left_m, right_m, dt_s, rate_rad_s)
-    if states[OFF, BEGUN] > 0:
-        step(states[OFF], parameters, left_m, right_m, dt_s, rate_rad_s)
+    step(states[at.EXACT], parameters, left_m, right_m, dt_s, rate_rad_s)
+    if states[at.OFF, at.BEGUN] > 0:
+        step(states[at.OFF], parameters, left_m, right_m, dt_s, rate_rad_s)
 
 
 @kernel
@@ -212,14 +179,14 @@ def move(
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Move the pose; return the derivatives of (x, y) by distance and turn."""
     chord, slope, share = _shape(integration, turn_rad)
-    heading_rad = state[YAW] + share * turn_rad
+    heading_rad = state[at.YAW] + share * turn_rad
     c, s = math.cos(heading_rad), math.sin(heading_rad)
-    state[X] += chord * way_m * c
-    state[Y] += chord * way_m * s
-    yaw_rad = state[YAW] + turn_rad
+    state[at.X] += chord * way_m * c
+    state[at.Y] += chord * way_m * s
+    yaw_rad = state[at.YAW] + turn_rad
     if abs(yaw_rad) > math.pi:
         yaw_rad = math.atan2(math.sin(yaw_rad), math.cos(yaw_rad))
-    state[YAW] = yaw_rad
+    state[at.YAW] = yaw_rad
     bend, swing = way_m * slope, way_m * chord * share
     return (chord * c, chord * s), (bend * c - swing * s, bend * s + swing * c)
 
@@ -227,11 +194,11 @@ def move(
 @kernel
 def read_covariance(state: FloatArray, six: FloatArray) -> None:
     """Write xx, xy, xω, yy, yω, ωω into `six` (6,), with that of the current stretch."""
-    root = math.sqrt(state[RATIO])
+    root = math.sqrt(state[at.RATIO])
     for i in range(6):
-        six[i] = state[COVARIANCE + i]
-        if state[STRETCH_S] > 0 and state[IS_REST] == 0:
-            six[i] += state[RATIO] * state[SLIP_COVARIANCE + i] + root * state[SHARED_COVARIANCE + i]
+        six[i] = state[at.COVARIANCE + i]
+        if state[at.STRETCH_S] > 0 and state[at.IS_REST] == 0:
+            six[i] += state[at.RATIO] * state[at.SLIP_COVARIANCE + i] + root * state[at.SHARED_COVARIANCE + i]
 
 
 @kernel
@@ -258,9 +225,9 @@ def update(
     elif why != BACKWARDS:
         _widen_each(states, parameters, dt_s)
     state = states[likelier(states)]
-    c, s = math.cos(state[YAW]), math.sin(state[YAW])
-    T_odom_base[0, 0], T_odom_base[0, 1], T_odom_base[0, 3] = c, -s, state[X]
-    T_odom_base[1, 0], T_odom_base[1, 1], T_odom_base[1, 3] = s, c, state[Y]
+    c, s = math.cos(state[at.YAW]), math.sin(state[at.YAW])
+    T_odom_base[0, 0], T_odom_base[0, 1], T_odom_base[0, 3] = c, -s, state[at.X]
+    T_odom_base[1, 0], T_odom_base[1, 1], T_odom_base[1, 3] = s, c, state[at.Y]
     six = np.empty(6)
     read_covariance(state, six)
     covariance[0, 0], covariance[1, 1], covariance[5, 5] = six[0], six[3], six[5]
@@ -275,7 +242,7 @@ def integrate(states: FloatArray, parameters: FloatArray, log: Log, out: LogPose
     """Integrate a log into `out`."""
     stamps_s, left, right, rates_rad_s = log
     poses, covariances, reasons = out
-    last, state = 0, states[EXACT]
+    last, state = 0, states[at.EXACT]
     for i in range(len(stamps_s)):
         if i > 0:
             dt_s = stamps_s[i] - stamps_s[last]
@@ -291,7 +258,7 @@ def integrate(states: FloatArray, parameters: FloatArray, log: Log, out: LogPose
                 last = i
         if len(rates_rad_s):
             state = states[likelier(states)]
-        poses[i, 0], poses[i, 1], poses[i, 2] = state[X], state[Y], state[YAW]
+        poses[i, 0], poses[i, 1], poses[i, 2] = state[at.X], state[at.Y], state[at.YAW]
         read_covariance(state, covariances[i])
 
 
@@ -310,7 +277,6 @@ def integrate(states: FloatArray, parameters: FloatArray, log: Log, out: LogPose
 #
 # Two such filters run: one for wheels exactly as calibrated, one with unknown d and s. Unknown d and s would cost exact
 # wheels accuracy, since a drive does not separate them from the bias; the likelihood decides.
-
 
 PIECE_S = 0.2  # the noise exceeds a count, and the turn is still small
 ENOUGH_PAIRS = 6  # determine the ratio within a factor of two: 2.4 s of driving
@@ -347,7 +313,8 @@ class GyroStep(NamedTuple):
 @kernel
 def begin_off(states: FloatArray) -> None:
     """Begin the state of wheels with errors from that of exact ones: (2, STATE_SIZE)."""
-    states[at.OFF] = states[at.EXACT]
+    for k in range(states.shape[1]):
+        states[at.OFF, k] = states[at.EXACT, k]
     states[at.OFF, at.DRIFT_VARIANCE], states[at.OFF, at.SCALE_VARIANCE] = _DRIFT_SIGMA_RAD_PER_M**2, _SCALE_SIGMA**2
     states[at.OFF, at.BEGUN] = 1.0
 
@@ -568,17 +535,18 @@ def _learn_ratio(state: FloatArray, known: float) -> None:
         H[i] = state[at.PIECE_WAY + i - 1] / one_s - state[at.BEFORE_WAY + i - 1] / other_s
     known = known / one_s**2 + state[at.BEFORE_KNOWN] / other_s**2 + _unsure(state, H)
     slip = state[at.PIECE_SLIP] / one_s**2 + state[at.BEFORE_SLIP] / other_s**2
-    nats, likely = state[at.NATS : at.NATS + at.RATIOS], np.empty(at.RATIOS)
+    nats, likely, best = state[at.NATS : at.NATS + at.RATIOS], np.empty(at.RATIOS), -math.inf
     for i in range(at.RATIOS):
         S = known + 2.0 ** (i + LOWEST_OCTAVE) * slip
         likely[i] = -0.5 * (off2 / S + math.log(S))
-    best = likely.max()
+        best = max(best, likely[i])
+    weight, octave, likeliest = 0.0, 0.0, -math.inf
     for i in range(at.RATIOS):
         nats[i] = _KEPT * nats[i] + max(likely[i] - best, -_MOST_NATS)
         likely[i] = nats[i] - _NATS_AN_OCTAVE * abs(i + LOWEST_OCTAVE)
-    weight, octave, best = 0.0, 0.0, likely.max()
+        likeliest = max(likeliest, likely[i])
     for i in range(at.RATIOS):
-        w = math.exp(likely[i] - best)
+        w = math.exp(likely[i] - likeliest)
         weight += w
         octave += w * (i + LOWEST_OCTAVE)
     state[at.PAIRS] += 1.0

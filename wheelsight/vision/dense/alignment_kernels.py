@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 # A row is gone over in loops without branches, which the compiler does for many pixels at once; only the look-up in
 # the reference goes pixel by pixel. What is inlined here takes its liberties with rounding from its caller.
 
-
 # Columns of the partial sums of a row: of planes 21 of H's upper triangle and 6 of b, the same of grey, then these.
 GREY_SUMS = 27
 # Of each kind of residual: how many, the sum of |error| / σ, and of its weighted squares.
@@ -246,7 +245,6 @@ def _add(residuals: Any, n: int, row: Any) -> None:
 
 # Compiled steps of Gauss–Newton: normal equations solved, the motion moved on, residual scales learned.
 
-
 # Entries of `how`; see `accumulate`.
 GATE, PLANE_SCALE, GREY_SIGMA, GAIN, STEP_OFFSET, HUBER, GREY_WEIGHT, COLOR_SIGMA, LEAST_SLOPE, OWN_NOISE = range(10)
 
@@ -347,7 +345,9 @@ def move(change: Any, T: Any) -> None:
         for j in range(4):
             moved[i, j] = R[i, 0] * T[0, j] + R[i, 1] * T[1, j] + R[i, 2] * T[2, j]
         moved[i, 3] += V[i, 0] * change[0] + V[i, 1] * change[1] + V[i, 2] * change[2]
-    T[:3] = moved
+    for i in range(3):
+        for j in range(4):
+            T[i, j] = moved[i, j]
 
 
 @kernel(error_model="numpy")
@@ -361,13 +361,12 @@ def place_rows(T: Any, T_previous_reference: Any, seconds: float, twist: Any, la
         late_s: (h,) how long after the middle row each row was read.
     """
     step = _product(T_previous_reference, T)
-    wrong = np.empty(6)
-    wrong[:3] = step[:3, 3] / seconds - twist[:3]
-    wrong[3:] = _turn(step) / seconds - twist[3:]
-    M = np.zeros((4, 4))
+    turn, wrong, M = _turn(step), np.empty(6), np.zeros((4, 4))
+    for i in range(3):
+        M[i, 3] = wrong[i] = step[i, 3] / seconds - twist[i]
+        wrong[3 + i] = turn[i] / seconds - twist[3 + i]
     M[0, 1], M[0, 2], M[1, 2] = -wrong[5], wrong[4], -wrong[3]
     M[1, 0], M[2, 0], M[2, 1] = wrong[5], -wrong[4], wrong[3]
-    M[:3, 3] = wrong[:3]
     change = _product(T, M)
     for r in range(len(late_s)):
         for i in range(3):
@@ -428,7 +427,6 @@ def fit_exposure(moments: Any, gain: float) -> Any:
 
 # Compiled Gauss–Newton of a turn and a change of exposure by grey values alone.
 
-
 # Sums over pixels: H's upper triangle, b, how many and the sum of absolute errors, then the regression of exposure.
 B, COUNT, ABSOLUTE, FIT, TURN_SUMS = 6, 9, 10, 11, 16
 _STEPS, _SMALL_TURN = 8, 5e-4
@@ -452,12 +450,15 @@ def find_turn(images: Images, T: Any, exposure: Any) -> None:
         if sums[COUNT] < _LEAST_SHARE * images.grey.size or sums[ABSOLUTE] / sums[COUNT] > best:
             return
         best = sums[ABSOLUTE] / sums[COUNT]
-        T[:] = tried
+        for i in range(3):
+            for j in range(4):
+                T[i, j] = tried[i, j]
         change = _solve(sums)
         if np.abs(change).max() < _SMALL_TURN:
             return
         move(change, tried)
-        tried[:3, 3] = T[:3, 3]
+        for i in range(3):
+            tried[i, 3] = T[i, 3]
         _turn_learn(sums, exposure)
 
 
@@ -567,7 +568,6 @@ def _solve(sums: Any) -> Any:
 # A pixel tells a motion by its plane's normal and by its slope of grey. Both come with noise, which shows motions
 # that nothing shows; but the noise of two images is independent, so that in products of one's Jacobians with the
 # other's it averages out, as does what only one of both shows.
-
 
 # Columns of the sums of a row: upper triangle of the information, and how many points fell into the reference.
 POINTS = 21
