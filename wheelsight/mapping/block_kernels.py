@@ -131,7 +131,7 @@ def find_cell(table: Any, cell_xyz: Any, x: Any, y: Any, z: Any) -> Any:
 def rebuild_table(table: Any, cell_xyz: Any, cells: int) -> None:
     """Fill an empty table (all -1) with `cells` cells."""
     for cell in range(cells):
-        x, y, z = int(cell_xyz[cell, 0]), int(cell_xyz[cell, 1]), int(cell_xyz[cell, 2])
+        x, y, z = np.int64(cell_xyz[cell, 0]), np.int64(cell_xyz[cell, 1]), np.int64(cell_xyz[cell, 2])
         table[-1 - find_cell(table, cell_xyz, x, y, z)] = cell
 
 

@@ -71,7 +71,7 @@ def _put(cell: int, cost: float, known: Any, heads: Any, links: Any, width: floa
 
 
 @kernel(error_model="numpy")
-def _take(cell: int, bucket: int, heads: Any, links: Any) -> None:
+def _take(cell: Any, bucket: int, heads: Any, links: Any) -> None:
     before, after = links[cell, 0], links[cell, 1]
     if before >= 0:
         links[before, 1] = after
@@ -90,7 +90,7 @@ def _spread(costs: Any, known: Any, heads: Any, links: Any, wide: int, resolutio
     half, diagonal = 0.5 * resolution_m, 0.5 * _DIAGONAL * resolution_m
     bucket = 0
     while waiting > 0:
-        cell = int(heads[bucket])
+        cell = np.int64(heads[bucket])
         if cell < 0:
             bucket = (bucket + 1) % len(heads)
             continue
@@ -251,7 +251,7 @@ def search(
 
 
 @kernel(error_model="numpy")
-def arc_of(rules: DriveRules, yaw: float, move: int) -> Any:
+def arc_of(rules: DriveRules, yaw: float, move: Any) -> Any:
     """Return way and turn of a move from a heading; all but the first end at one of the `headings`."""
     unit = 2 * np.pi / rules.headings
     nearest = np.rint(yaw / unit) * unit
@@ -375,7 +375,7 @@ def way_to(rules: DriveRules, tree: SearchTree, last: int, goal: Any, out: Any) 
         if move >= MOVES:
             at = write_to_goal(out, at, goal, move - MOVES, rules)
         else:
-            at = write_arc(out, at, arc_of(rules, out[at - 1, 2], int(move)), rules)
+            at = write_arc(out, at, arc_of(rules, out[at - 1, 2], np.int64(move)), rules)
         if at <= 0:
             return 0
     return at

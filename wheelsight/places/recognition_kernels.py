@@ -187,7 +187,7 @@ def _append(tree: WordTree, word: int, row: int, descriptors: UInt64Array, i: in
         tree.tail[word], tree.used[word] = block, 0
     block, slot = tree.tail[word], tree.used[word]
     tree.row[block, slot] = row
-    _copy(tree.descriptor[block], slot, descriptors, i)
+    _copy(tree.descriptor[block], np.int64(slot), descriptors, i)
     tree.used[word] += 1
     tree.postings[word] += 1
 
@@ -195,7 +195,7 @@ def _append(tree: WordTree, word: int, row: int, descriptors: UInt64Array, i: in
 @kernel
 def _split(tree: WordTree, word: int, rules: TreeRules) -> None:
     """Share a word's postings among new words about centres found among its descriptors; alike ones stay together."""
-    n = int(tree.postings[word])
+    n = np.int64(tree.postings[word])
     rows, descriptors = np.empty(n, np.int64), np.empty((n, 4), np.uint64)
     block = tree.head[word]
     for i in range(n):
@@ -230,7 +230,7 @@ def _split(tree: WordTree, word: int, rules: TreeRules) -> None:
 
 
 @kernel
-def _copy(to: UInt64Array, i: int, source: UInt64Array, j: int) -> None:
+def _copy(to: UInt64Array, i: Any, source: UInt64Array, j: Any) -> None:
     for k in range(4):
         to[i, k] = source[j, k]
 
