@@ -112,10 +112,10 @@ def light_row(v: int, view: View, light: Lighting, out: Any) -> None:
     tints, sun, grid, flux, clearance, _, _ = light
     width = geom.shape[1]
     R = nine(view.T_world_camera[v])
-    last = -1
+    last, is_flat = -1, False
     for u in range(width):
-        g = geom[v, u]
-        if g < 0 or (u % _STRIDE_PX and u != width - 1 and _is_between(v, u, geom, normal_world)):
+        is_flat = _is_flat(v, u, geom, normal_world) if u % _STRIDE_PX == 1 else is_flat
+        if geom[v, u] < 0 or (is_flat and u % _STRIDE_PX and u != width - 1):
             continue
         n = (float(normal_world[v, u, 0]), float(normal_world[v, u, 1]), float(normal_world[v, u, 2]))
         shade, lamp, window = light_at(point(v, u, R, view), n, sun, grid, flux, clearance)
@@ -137,7 +137,7 @@ def tinted(c: int, shade: float, lamp: float, window: float, tints: Any) -> Any:
 
 
 @kernel(error_model="numpy")
-def _is_between(v: int, u: int, geom: Any, normal_world: Any) -> Any:
+def _is_flat(v: int, u: int, geom: Any, normal_world: Any) -> Any:
     """Whether a pixel and the strided ones on both sides of it are all on the same flat face."""
     a = u - u % _STRIDE_PX
     b = min(a + _STRIDE_PX, geom.shape[1] - 1)
@@ -154,17 +154,18 @@ def light_at(p: Any, n: Any, sun: Any, grid: Any, flux: Any, clearance: Any) -> 
     a, b = (p[0] - grid[0]) / grid[2], (p[1] - grid[1]) / grid[2]
     c = p[2] / grid[4]
     a, b, c = _inside(a, flux.shape[2]), _inside(b, flux.shape[1]), _inside(c, flux.shape[0])
-    i, j, k = int(a), int(b), int(c)
+    # Without sign: numba looks whether an index counts from the end, which would take a third of the time.
+    i, j, k = np.uintp(a), np.uintp(b), np.uintp(c)
     a, b, c = a - i, b - j, c - k
     facing, spill = 0.0, 0.0
-    for corner in range(8):
-        layer, row, column = corner >> 2, (corner >> 1) & 1, corner & 1
-        share = (c if layer else 1 - c) * (b if row else 1 - b) * (a if column else 1 - a)
-        layer, row, column = k + layer, j + row, i + column
-        facing += share * (
-            n[0] * flux[layer, row, column, 0] + n[1] * flux[layer, row, column, 1] + n[2] * flux[layer, row, column, 2]
-        )
-        spill += share * flux[layer, row, column, 3]
+    for layer in range(np.uintp(2)):
+        for row in range(np.uintp(2)):
+            share = (c if layer else 1 - c) * (b if row else 1 - b)
+            for column in range(np.uintp(2)):
+                weight = share * (a if column else 1 - a)
+                x, y, z = k + layer, j + row, i + column
+                facing += weight * (n[0] * flux[x, y, z, 0] + n[1] * flux[x, y, z, 1] + n[2] * flux[x, y, z, 2])
+                spill += weight * flux[x, y, z, 3]
     window = max(0.0, n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2])
     return _shade(p, n, grid, clearance), max(facing, 0.0) + _SPILL * spill, window
 
@@ -264,9 +265,10 @@ def keep(view: View, shadowing: Shadowing, out: Any) -> None:
     height, width = geom.shape
     for v in range(height):
         R = nine(view.T_world_camera[v])
-        last = 0
+        last, is_flat = 0, False
         for u in range(width):
-            if u % _STRIDE_PX and u != width - 1 and _is_between(v, u, geom, normal_world):
+            is_flat = _is_flat(v, u, geom, normal_world) if u % _STRIDE_PX == 1 else is_flat
+            if is_flat and u % _STRIDE_PX and u != width - 1:
                 continue
             out[v, u] = _kept(v, u, R, view, shadowing)
             is_alike = abs(out[v, u] - out[v, last]) < _ALIKE
@@ -336,39 +338,43 @@ def light_of(d: Any, n: Any) -> Any:
 def _hidden(p: Any, d: Any, half: Any, own: int, entry: int, blockers: Blockers) -> Any:
     """Shares of one lamp that walls hide, and all else; `entry` tells its list of what stands still."""
     walled, hidden = 0.0, 0.0
+    level = np.sqrt(d[0] * d[0] + d[1] * d[1])
     for i in range(blockers.starts[entry], blockers.starts[entry + 1]):
         b = blockers.listed[i]
         if blockers.geom[b] == own:
             continue
-        share = covered(p, d, half, blockers.boxes[b], blockers.is_round[b])
+        share = covered(p, d, level, half, blockers.boxes[b], blockers.is_round[b])
         if blockers.boxes[b, 3] > p[2] + d[2] - _TO_CEILING_M:
             walled += share
             if walled >= 1:
                 return 1.0, 0.0
         else:
             hidden += share
-    level = np.sqrt(d[0] * d[0] + d[1] * d[1])
     for b in blockers.moving:
         box = blockers.boxes[b]
         x, y, reach = box[0] - p[0], box[1] - p[1], level + half[0] + half[1] + box[6] + box[7]
         if blockers.geom[b] != own and x * x + y * y < reach * reach:
-            hidden += covered(p, d, half, blockers.boxes[b], blockers.is_round[b])
+            hidden += covered(p, d, level, half, blockers.boxes[b], blockers.is_round[b])
     return walled, min(hidden, 1.0)
 
 
 @kernel(error_model="numpy")
-def covered(p: Any, d: Any, half: Any, box: Any, is_round: bool) -> Any:
-    """Share of a lamp, `half` (2) its half lengths and d away from p, that a box hides from there."""
-    enters, leaves = max((box[2] - p[2]) / d[2], 0.0), min((box[3] - p[2]) / d[2], 1.0)
-    if box[3] < p[2] + _ABOVE_M or enters >= leaves:
+def covered(p: Any, d: Any, level: float, half: Any, box: Any, is_round: bool) -> Any:
+    """Share of a lamp, `half` (2) its half lengths and d away from p, by `level` in plan, that a box hides from there."""
+    if box[3] < p[2] + _ABOVE_M or box[2] >= p[2] + d[2]:
         return 0.0
     c, s = box[4], box[5]
     if is_round:
-        level = np.sqrt(d[0] * d[0] + d[1] * d[1])
         c, s = (d[0] / level, d[1] / level) if level > _THIN else (1.0, 0.0)
     x, y = p[0] - box[0], p[1] - box[1]
     x, y = c * x + s * y, c * y - s * x
     dx, dy = c * d[0] + s * d[1], c * d[1] - s * d[0]
+    # Most boxes stand beside the pencil: that is told without a root or a quotient.
+    if abs(y * dx - x * dy) > box[6] * abs(dy) + box[7] * abs(dx) + (half[0] + half[1]) * level:
+        return 0.0
+    enters, leaves = max((box[2] - p[2]) / d[2], 0.0), min((box[3] - p[2]) / d[2], 1.0)
+    if enters >= leaves:
+        return 0.0
     wide_x, wide_y = np.sqrt((half[0] * c) ** 2 + (half[1] * s) ** 2), np.sqrt((half[0] * s) ** 2 + (half[1] * c) ** 2)
     across_x = _across(x, dx, wide_x, box[6], enters, leaves)
     if across_x <= 0:
