@@ -9,7 +9,7 @@ import numpy as np
 
 from wheelsight.core.compiled import kernel
 from wheelsight.core.geometry.arrays import Float32Array, FloatArray, Int32Array, IntArray
-from wheelsight_sim.light_kernels import Lighting, View, lamp_at, light_at, light_row, nine, tinted, turned
+from wheelsight_sim.light_kernels import Lighting, View, lamp_at, light_at, light_row, nine, three, tinted, turned
 from wheelsight_sim.texture_kernels import (
     Look,
     PixelFootprint,
@@ -393,12 +393,6 @@ def is_same_face(one: int, n: Any, other: int, m: Any) -> Any:
     the time.
     """
     return one == other and (one < 0 or n[0] * m[0] + n[1] * m[1] + n[2] * m[2] > _SAME_FACE)
-
-
-@kernel
-def three(vectors: Any, v: int, u: int) -> Any:
-    """A pixel's normal or ray as three numbers."""
-    return float(vectors[v, u, 0]), float(vectors[v, u, 1]), float(vectors[v, u, 2])
 
 
 @kernel
