@@ -30,14 +30,8 @@ _LARGEST_PX = 4096
 class CameraModel:
     """A depth camera whose depth images are registered to its colour images.
 
-    Attributes:
-        name: what `--camera` calls it.
-        description: one line for `--list`.
-        camera: of colour and depth alike, without distortion: as drivers deliver registered images.
-        rate_hz: frames a second.
-        rolling_shutter_s: from the first row's time to the last row's; 0 for a global shutter.
-        depth: how it measures.
-        depth_noise: what its owner believes of that, for the calibration.
+    `camera` is of colour and depth alike, without distortion: as drivers deliver registered images. The rolling shutter
+    takes from the first row's time to the last row's. `depth_noise` is what the owner believes of `depth`.
     """
 
     name: str
@@ -109,14 +103,9 @@ def _models() -> dict[str, CameraModel]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraUnit:
-    """A camera of a model, with the errors that its seed gives it.
+    """A camera of a model in the size wanted, with the errors that its seed gives it.
 
-    Attributes:
-        model: in the size wanted.
-        lens: the true one, and the calibrated one.
-        realism: the parts, or None where there are no errors but the sensors' noise.
-        registration: of depth to colour, or None where it is exact.
-        seed: of the unit.
+    `realism` is None where there are no errors but the sensors' noise, `registration` where depth fits to colour.
     """
 
     model: CameraModel
@@ -173,13 +162,7 @@ _TWIST_S = 0.01
 
 
 class Moment(NamedTuple):
-    """How a camera and its robot move as a frame is taken.
-
-    Attributes:
-        T_world_camera: (N, 4, 4) as the rows are read.
-        twist: (6,) velocity (v, ω) of the camera in its own frame, m/s and rad/s.
-        T_world_base: (4, 4).
-    """
+    """Poses (N, 4, 4) as rows are read, the camera's velocity (v, ω) in its own frame, and the base's pose."""
 
     T_world_camera: FloatArray
     twist: FloatArray
@@ -188,13 +171,7 @@ class Moment(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Carriage:
-    """A camera on a robot.
-
-    Attributes:
-        truth: T_world_base.
-        T_base_camera: (4, 4) the mount as it truly is, of a body at rest.
-        body: how the body moves against the base, or None for one that does not.
-    """
+    """A camera on a robot: T_world_base, the true mount (4, 4) of a body at rest, and how that moves, if it does."""
 
     truth: Trajectory
     T_base_camera: FloatArray

@@ -44,11 +44,9 @@ class Surroundings:
 class FrameMaker:
     """Makes frames; each has random numbers of its own, from the seed and its index.
 
-    Attributes:
-        carriage: how the camera moves. It may be replaced as time goes on, if it knows the times that are asked for and
-            those of the frames before, as far back as exposure is metered; what was metered once is kept.
-
-    Lamps are switched within `duration_s`; `threads` work at one frame.
+    `carriage` may be replaced as time goes on, if it knows the times that are asked for and those of the frames before,
+    as far back as exposure is metered; what was metered once is kept. Lamps are switched within `duration_s`; `threads`
+    work at one frame.
     """
 
     def __init__(
@@ -97,7 +95,9 @@ class FrameMaker:
             moment = self.moment(taken_s)
             exposure, balance = self._exposure(index, eye, moment)
             view = eye.look(unit.lens.true, moment.T_world_camera, taken_s)
-            radiance, sun = eye.radiance(view, taken_s, self._shading(moment), has_outlines=True)
+            radiance, sun = eye.radiance(
+                view, taken_s, moment.T_world_base if self._has_robot else None, has_outlines=True
+            )
             seen = unit.seen_by_depth(view, sun, eye.distortion, moment.twist, taken_s)
             depth_m = unit.model.depth.measure(seen, unit.lens.true, eye.infrared, eye.shine, depth_rng)
             if balance is not None:
@@ -138,13 +138,12 @@ class FrameMaker:
             taken_s = float(self.times.taken_s[index])
             moment = moment or self.moment(taken_s)
             view = eye.look(self._meter, moment.T_world_camera[self.unit.model.camera.height // 2], taken_s)
-            radiance, _ = eye.radiance(view, taken_s, self._shading(moment), has_outlines=False)
+            radiance, _ = eye.radiance(
+                view, taken_s, moment.T_world_base if self._has_robot else None, has_outlines=False
+            )
             color = np.minimum(radiance, _BRIGHTEST).mean(axis=(0, 1))
             self._metered[index] = self._sensor.meter(radiance).product_s, np.asarray(color, float)
         return self._metered[index]
-
-    def _shading(self, moment: Moment) -> FloatArray | None:
-        return moment.T_world_base if self._has_robot else None
 
 
 class _Eye:

@@ -148,7 +148,7 @@ def _is_flat(v: int, u: int, geom: Any, normal_world: Any) -> Any:
     return bend + abs(normal_world[v, a, 2] - normal_world[v, b, 2]) < 1e-3
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", inline="always")
 def light_at(p: Any, n: Any, sun: Any, grid: Any, flux: Any, clearance: Any) -> Any:
     """Shade 0 to 1 of the light from all round, light of lamps, and of windows, at p with normal n (Lambert)."""
     a, b = (p[0] - grid[0]) / grid[2], (p[1] - grid[1]) / grid[2]
@@ -298,53 +298,43 @@ def three(vectors: Any, v: int, u: int) -> Any:
 # Rows of arrays are taken out as plain numbers, and arrays handed over one by one: else numba counts references to them
 # for each pixel and box, atomically, which took more time than what is computed.
 @kernel(error_model="numpy")
-def six(of: Any, i: int) -> Any:
-    """A row of `Lamps.lamps`."""
-    return of[i, 0], of[i, 1], of[i, 2], of[i, 3], of[i, 4], of[i, 5]
-
-
-@kernel(error_model="numpy")
 def eight(of: Any, i: int) -> Any:
     """A row of `Blockers.boxes`."""
     return of[i, 0], of[i, 1], of[i, 2], of[i, 3], of[i, 4], of[i, 5], of[i, 6], of[i, 7]
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", inline="always")
 def hidden_at(
     p: Any, n: Any, own: int, every: Any, grid: Any, brightest: Any,
     boxes: Any, is_round: Any, geom: Any, moving: Any, starts: Any, listed: Any,
 ) -> Any:  # fmt: skip
-    """Share of the light of the brightest lamps that does not reach p, with normal n, on the geom `own`.
-
-    The arrays are those of `Lamps` and `Blockers`.
-    """
+    """Share of the brightest lamps' light that does not reach p, with normal n, on the geom `own`."""
     rows, columns, count = brightest.shape
     column = min(max(int((p[0] - grid[0]) / grid[2]), 0), columns - 1)
     row = min(max(int((p[1] - grid[1]) / grid[2]), 0), rows - 1)
     # The least bright one does not count, others by how much they are brighter: no seam where cells take other lamps.
     last, least = brightest[row, column, count - 1], 0.0
     if last >= 0:
-        least = every[last, 3] * light_of(_towards(p, six(every, last)), (0.0, 0.0, 1.0))
+        least = every[last, 3] * light_of(_towards(p, every, last), (0.0, 0.0, 1.0))
     lost, whole = 0.0, _ELSEWHERE
     for k in range(count):
         number = brightest[row, column, k]
         if number < 0:
             break
-        lamp = six(every, number)
-        d, power = _towards(p, lamp), lamp[3]
+        d, power = _towards(p, every, number), every[number, 3]
         light = power * light_of(d, n)
         if light > 0 and last >= 0:
             light *= max(1 - least / (power * light_of(d, (0.0, 0.0, 1.0))), 0.0)
         if light > 0:
-            entry, half = (row * columns + column) * count + k, (lamp[4], lamp[5])
+            entry, half = (row * columns + column) * count + k, (every[number, 4], every[number, 5])
             walled, hidden = _hidden(p, d, half, own, entry, boxes, is_round, geom, moving, starts, listed)
             lost, whole = lost + light * (1 - walled) * hidden, whole + light * (1 - walled)
     return lost / whole
 
 
 @kernel(error_model="numpy")
-def _towards(p: Any, lamp: Any) -> Any:
-    return lamp[0] - p[0], lamp[1] - p[1], lamp[2] - p[2]
+def _towards(p: Any, lamps: Any, i: int) -> Any:
+    return lamps[i, 0] - p[0], lamps[i, 1] - p[1], lamps[i, 2] - p[2]
 
 
 @kernel(error_model="numpy")
@@ -359,7 +349,7 @@ def light_of(d: Any, n: Any) -> Any:
     return facing * down / (near * np.sqrt(near * square))
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", inline="always")
 def _hidden(
     p: Any, d: Any, half: Any, own: int, entry: int,
     boxes: Any, is_round: Any, geom: Any, moving: Any, starts: Any, listed: Any,
@@ -388,7 +378,7 @@ def _hidden(
 
 @kernel(error_model="numpy")
 def covered(p: Any, d: Any, level: float, half: Any, box: Any, is_round: bool) -> Any:
-    """Share of a lamp, `half` (2) its half lengths and d away from p, by `level` in plan, that a box hides from there."""
+    """Share of a lamp, `half` (2) its half lengths and d away from p, `level` in plan, that a box hides from there."""
     if box[3] < p[2] + _ABOVE_M or box[2] >= p[2] + d[2]:
         return 0.0
     c, s = box[4], box[5]
@@ -481,15 +471,14 @@ def drop_hidden(lamps: Lamps, blockers: Blockers, out: Any) -> None:
                 lamp = lamps.brightest[row, column, k]
                 if lamp < 0 or kept == out.shape[2]:
                     break
-                place, entry = six(lamps.lamps, lamp), (row * columns + column) * count + k
+                entry, half = (row * columns + column) * count + k, (lamps.lamps[lamp, 4], lamps.lamps[lamp, 5])
                 for i in range(18):
                     x = lamps.grid[0] + (column + 0.5 * (i % 3)) * lamps.grid[2]
                     y = lamps.grid[1] + (row + 0.5 * (i // 3 % 3)) * lamps.grid[2]
                     p = (x, y, 0.05 + 1.5 * (i // 9))
-                    d = _towards(p, place)
+                    d = _towards(p, lamps.lamps, lamp)
                     if d[2] <= _LEAST_RISE_M:
                         continue
-                    half = (place[4], place[5])
                     if _hidden(p, d, half, -1, entry, boxes, is_round, geom, moving, starts, listed)[0] < 1:
                         out[row, column, kept] = lamp
                         kept += 1

@@ -1,4 +1,4 @@
-"""A world as the camera's rays meet it: MuJoCo casts them, many at a time. View holds what they hit."""
+"""A world as the camera's rays meet it. View holds what they hit."""
 
 from __future__ import annotations
 
@@ -29,15 +29,10 @@ _FIRST_GROUP = np.array([1, 0, 0, 0, 0, 0], np.uint8)
 class Scene:
     """A world without robot, and the people who walk and the doors that swing in it, as rays see it.
 
-    Rows of a rolling shutter have poses of their own, and one call of MuJoCo's `mj_multiRay` has one origin. So rays
-    are cast in tiles of sixteen rows: every ray has its own row's direction, and what it hits from the origin of the
-    tile's middle row is carried to its own along the surface's tangent plane. At 1.2 m/s and Kinect's shutter the
-    origins of a tile of 640×480 differ by at most 0.5 mm (of 320×240, 1 mm): depth is exact on flat surfaces, and off
-    by micrometres on curved ones; an object's outline is where it is seen from half a millimetre aside.
-
-    A tile's rays are cast only at what they can hit, for which a small model takes the geoms' places: neither at what
-    lies outside the tile's frustum nor at what hides behind a wall that fills it. Nothing a ray could hit is left out,
-    and every tile is cast the same way whichever thread does it.
+    Rays are cast in tiles of sixteen rows: every ray has its own row's direction, and what it hits from the origin of
+    the tile's middle row is carried to its own along the surface's tangent plane. At 1.2 m/s and Kinect's shutter these
+    origins differ by 1 mm at most in images of 320×240: depth is exact on flat surfaces, and off by micrometres on
+    curved ones. Nothing a ray could hit is left out, and every tile is cast the same way whichever thread does it.
 
     `moving` are the indices (M,) of the geoms that `move_to` moves.
 
@@ -164,13 +159,9 @@ def _nothing(T_world_camera: FloatArray, rays: FloatArray) -> View:
 @lru_cache(maxsize=8)
 def _tiles(h: int, w: int) -> IntArray:
     """(T, 4) first and last row and column, the last left out, of the rectangles that cover an image."""
-    return np.array(
-        [
-            [top, min(top + _TILE_ROWS, h), left, min(left + _TILE_COLUMNS, w)]
-            for top in range(0, h, _TILE_ROWS)
-            for left in range(0, w, _TILE_COLUMNS)
-        ]
-    )
+    tops, lefts = np.meshgrid(np.arange(0, h, _TILE_ROWS), np.arange(0, w, _TILE_COLUMNS), indexing="ij")
+    ends = (tops + _TILE_ROWS).clip(max=h), (lefts + _TILE_COLUMNS).clip(max=w)
+    return np.stack([tops, ends[0], lefts, ends[1]], axis=-1).reshape(-1, 4)
 
 
 @lru_cache(maxsize=8)
@@ -202,12 +193,9 @@ def _names(model: Any, surfaces: Mapping[str, Surface], world: str) -> tuple[tup
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outlines:
-    """More rays through the pixels of a view beside which another face is seen: edges run through them.
+    """More rays through the pixels (N, 2), rows and columns, of a view beside which another face is seen.
 
-    Attributes:
-        pixels: (N, 2) their rows and columns in the view.
-        samples: what each pixel's S further rays hit, in one row a pixel: (N, S) for (H, W). Poses are those of the
-            pixels' rows; what was hit through the pixel's middle is in the view alone.
+    `samples` is what each pixel's S further rays hit: (N, S) for (H, W), with the poses of the pixels' rows.
     """
 
     pixels: Int32Array
@@ -216,15 +204,9 @@ class Outlines:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Geoms:
-    """The geoms of a scene in the MJCF's order, as arrays that kernels can read; those of moving bodies change.
+    """The G geoms of a scene in the MJCF's order, as arrays that kernels can read; those of moving bodies change.
 
-    Attributes:
-        names: (G,) of the geoms.
-        materials: (G,) their materials' names: keys of `World.surfaces`.
-        kind: (G,) MuJoCo's geom type: plane 0, sphere 2, capsule 3, ellipsoid 4, cylinder 5, box 6.
-        size_m: (G, 3) MuJoCo's sizes: half lengths of a box, radius and half length of a cylinder.
-        position_world: (G, 3) centres.
-        R_world_geom: (G, 3, 3) orientations.
+    Materials are keys of `World.surfaces`, `kind` and `size_m` are MuJoCo's, and `position_world` is of the middles.
     """
 
     names: tuple[str, ...]

@@ -41,29 +41,13 @@ _PARALLEL = 1e-15
 
 
 class Boxes(NamedTuple):
-    """Of each of G geoms MuJoCo's kind and size, and the box around it in its own frame.
-
-    Attributes:
-        kind: (G,).
-        size_m: (G, 3).
-        center: (G, 3) of the geom and the box, in the world.
-        half_m: (G, 3) of the box; -1 marks what is not to be hit.
-        R_world_geom: (G, 3, 3).
-    """
+    """Of each of G geoms MuJoCo's kind and size, its middle, half the box around it, -1 for not to be hit, and turn."""
 
     kind: Int32Array
     size_m: FloatArray
     center: FloatArray
     half_m: FloatArray
     R_world_geom: FloatArray
-
-
-class Hits(NamedTuple):
-    """Of each of N rays, how many ray lengths away it hits what first, -1 for nothing, and on which of its faces."""
-
-    distance: FloatArray
-    geom: Int32Array
-    face: Int32Array
 
 
 @kernel
@@ -85,17 +69,15 @@ def cast(view: View, tiles: Any, boxes: Boxes) -> None:
         rays, p = np.empty(((bottom - top) * (right - left), 3)), 0
         for row in range(top, bottom, rows):
             for column in range(left, right, columns):
-                part = parts[p]
-                part[0], part[1], part[2] = row, min(row + rows, bottom), column
-                part[3] = min(column + columns, right)
-                ends[p + 1] = ends[p] + (part[1] - part[0]) * (part[3] - part[2])
+                part = np.array([row, min(row + rows, bottom), column, min(column + columns, right)])
+                parts[p], ends[p + 1] = part, ends[p] + (part[1] - part[0]) * (part[3] - part[2])
                 bounds[p] = aim(view.rays, view.T_world_camera, part, R, rays[ends[p] : ends[p + 1]])
                 p += 1
         whole = np.array([bounds[:, 0].min(), bounds[:, 1].max(), bounds[:, 2].min(), bounds[:, 3].max()])
         among = choose(boxes, everything, R, origin, whole)
         for p in range(count if len(among) else 0):
             own = rays[ends[p] : ends[p + 1]]
-            hits = Hits(np.full(len(own), np.inf), np.full(len(own), -1, np.int32), np.zeros(len(own), np.int32))
+            hits = (np.full(len(own), np.inf), np.full(len(own), -1, np.int32), np.zeros(len(own), np.int32))
             for g in choose(boxes, among, R, origin, bounds[p]):
                 meet(g, boxes, origin, own, hits)
             gather(hits, boxes, own, parts[p], origin, view)
@@ -139,7 +121,7 @@ def choose(boxes: Boxes, among: Any, R: Any, origin: Any, bounds: Any) -> Any:
     Left out is what lies outside, and what lies behind a box or plane that the frustum's four corners hit: such a body
     is convex, so that every ray between hits it too, and no deeper than the deepest corner.
     """
-    kind, size_m, center, half_m, R_world_geom = boxes
+    kind, _, center, half_m, R_world_geom = boxes
     bounded = np.isfinite(bounds[0])
     # Inward normals (5, 3) in the world of the frustum's planes, which go through its origin.
     sides = np.zeros((5, 3))
@@ -147,7 +129,14 @@ def choose(boxes: Boxes, among: Any, R: Any, origin: Any, bounds: Any) -> Any:
         sides[0, k], sides[1, k] = R[k, 0] - bounds[0] * R[k, 2], bounds[1] * R[k, 2] - R[k, 0]
         sides[2, k], sides[3, k] = R[k, 1] - bounds[2] * R[k, 2], bounds[3] * R[k, 2] - R[k, 1]
         sides[4, k] = R[k, 2]
-    found, nearest = np.empty(len(among), np.int32), np.empty(len(among))
+    found, nearest, corners = np.empty(len(among), np.int32), np.empty(len(among)), np.zeros((4, 3))
+    distance, hit, face = np.empty(4), np.empty(4, np.int32), np.empty(4, np.int32)
+    for c in range(4 if bounded else 0):
+        # A little outside, so that no ray passes by where all four of them hit.
+        u = bounds[c % 2] + _TOLERANCE_M * (2 * (c % 2) - 1)
+        v = bounds[2 + c // 2] + _TOLERANCE_M * (2 * (c // 2) - 1)
+        for k in range(3):
+            corners[c, k] = R[k, 0] * u + R[k, 1] * v + R[k, 2]
     count, limit = 0, np.inf
     for g in among:
         if half_m[g, 0] < 0:
@@ -173,7 +162,10 @@ def choose(boxes: Boxes, among: Any, R: Any, origin: Any, bounds: Any) -> Any:
         found[count] = g
         count += 1
         if bounded and (kind[g] == _BOX or kind[g] == _PLANE):
-            limit = min(limit, _cover(g, boxes, origin, R, bounds))
+            distance[:] = np.inf
+            meet(g, boxes, origin, corners, (distance, hit, face))
+            # Rays that begin inside hide nothing.
+            limit = min(limit, distance.max() if kind[g] == _PLANE or face.min() >= 0 else np.inf)
     kept = 0
     for i in range(count):
         if nearest[i] <= limit + _TOLERANCE_M:
@@ -182,46 +174,11 @@ def choose(boxes: Boxes, among: Any, R: Any, origin: Any, bounds: Any) -> Any:
     return found[:kept]
 
 
-@kernel
-def _cover(g: int, boxes: Boxes, origin: Any, R: Any, bounds: Any) -> float:
-    """Depth of the deepest of the four corner rays' hits on a box or plane; infinite where one misses.
-
-    A ray that begins inside counts as a miss.
-    """
-    kind, T = boxes.kind[g], transposed(boxes.R_world_geom, g)
-    o = turned(T, (origin[0] - boxes.center[g, 0], origin[1] - boxes.center[g, 1], origin[2] - boxes.center[g, 2]))
-    deepest = 0.0
-    for corner in range(4):
-        u, v = bounds[corner % 2], bounds[2 + corner // 2]
-        ray = (R[0, 0] * u + R[0, 1] * v + R[0, 2], R[1, 0] * u + R[1, 1] * v + R[1, 2],
-               R[2, 0] * u + R[2, 1] * v + R[2, 2])  # fmt: skip
-        d = turned(T, ray)
-        enters, leaves = 0.0, np.inf
-        if kind == _PLANE:
-            if o[2] <= 0 or d[2] >= -_TOLERANCE_M:
-                return np.inf
-            enters = -o[2] / d[2]
-        for k in range(2 if kind == _PLANE else 3):
-            reach = boxes.size_m[g, k] - _TOLERANCE_M
-            if kind == _PLANE:
-                if boxes.size_m[g, k] > 0 and abs(o[k] + enters * d[k]) > reach:
-                    return np.inf
-            elif abs(d[k]) < 1e-12:
-                if abs(o[k]) > reach:
-                    return np.inf
-            else:
-                first, second = (-reach - o[k]) / d[k], (reach - o[k]) / d[k]
-                enters, leaves = max(enters, min(first, second)), min(leaves, max(first, second))
-        if enters <= 0 or enters > leaves:
-            return np.inf
-        deepest = max(deepest, enters)
-    return deepest
-
-
 @kernel(error_model="numpy")
-def meet(g: int, boxes: Boxes, origin: Any, rays: Any, hits: Hits) -> None:
+def meet(g: int, boxes: Boxes, origin: Any, rays: Any, hits: Any) -> None:
     """Put geom `g` into `hits` wherever rays (N, 3) from `origin` (3,) come to it before what they hit so far.
 
+    `hits` are (N,) how many ray lengths away what is hit first is, which geom, -1 for none, and on which of its faces.
     As MuJoCo's `mj_ray` does, to the last bit: planes are seen from above, and of equally near geoms the first counts.
     """
     distance, geom, face = hits
@@ -229,7 +186,8 @@ def meet(g: int, boxes: Boxes, origin: Any, rays: Any, hits: Hits) -> None:
     center = row_of(boxes.center, g)
     o = turned(T, (origin[0] - center[0], origin[1] - center[1], origin[2] - center[2]))
     # On which side of a box the rays begin, by axis; where they begin inside, they meet the far side.
-    side = (_beyond(o[0], size[0]), _beyond(o[1], size[1]), _beyond(o[2], size[2]))
+    side = (np.sign(o[0]), np.sign(o[1]), np.sign(o[2]))
+    side = (side[0] * (abs(o[0]) > size[0]), side[1] * (abs(o[1]) > size[1]), side[2] * (abs(o[2]) > size[2]))
     is_inside = side[0] == 0 and side[1] == 0 and side[2] == 0
     for i in range(len(rays)):
         d, near = turned(T, (rays[i, 0], rays[i, 1], rays[i, 2])), distance[i]
@@ -242,8 +200,8 @@ def meet(g: int, boxes: Boxes, origin: Any, rays: Any, hits: Hits) -> None:
             x = _on_side(f * s0, s0 * d[0], o[0], d[0], size[0], o[1], d[1], size[1], o[2], d[2], size[2], near)
             y = _on_side(f * s1, s1 * d[1], o[1], d[1], size[1], o[0], d[0], size[0], o[2], d[2], size[2], x)
             z = _on_side(f * s2, s2 * d[2], o[2], d[2], size[2], o[0], d[0], size[0], o[1], d[1], size[1], y)
-            on = 2 if z < y else (1 if y < x else 0)
-            x = z
+            x, on = z, 2 if z < y else (1 if y < x else 0)
+            on = on - 3 if is_inside else on
         elif kind == _PLANE:
             if d[2] <= -_PARALLEL and o[2] >= 0:
                 x = -o[2] / d[2]
@@ -256,12 +214,6 @@ def meet(g: int, boxes: Boxes, origin: Any, rays: Any, hits: Hits) -> None:
                 continue
         if x < near:
             distance[i], geom[i], face[i] = x, g, on
-
-
-@kernel(error_model="numpy")
-def _beyond(o: float, half: float) -> float:
-    """On which side, -1 or 1, something is out of a slab; 0 inside."""
-    return 1.0 if o > half else (-1.0 if o < -half else 0.0)
 
 
 @kernel(error_model="numpy")
@@ -289,8 +241,8 @@ def roots(a: float, b: float, c: float) -> Any:
 
 @kernel(error_model="numpy")
 def meet_curved(kind: int, size: Any, o: Any, d: Any) -> Any:
-    """Where a ray from o along d meets what is curved, -1 if it does not, and at which end: -1, 1, or 0 between them."""
-    if kind == _SPHERE or kind == _ELLIPSOID:
+    """Where a ray from o along d meets what is curved, -1 if nowhere, and at which end: -1, 1, or 0 between them."""
+    if kind in (_SPHERE, _ELLIPSOID):
         s, square = (1.0, 1.0, 1.0), size[0] * size[0]
         if kind == _ELLIPSOID:
             s, square = (1 / (size[0] * size[0]), 1 / (size[1] * size[1]), 1 / (size[2] * size[2])), 1.0
@@ -335,7 +287,7 @@ def normal_at(g: int, boxes: Boxes, origin: Any, ray: Any, distance: float, face
     o = turned(T, (origin[0] - center[0], origin[1] - center[1], origin[2] - center[2]))
     x, y, z = o[0] + distance * d[0], o[1] + distance * d[1], o[2] + distance * d[2]
     if kind == _BOX:
-        x, y, z = (x if face == 0 else 0.0), (y if face == 1 else 0.0), (z if face == 2 else 0.0)
+        x, y, z = (x if face % 3 == 0 else 0.0), (y if face % 3 == 1 else 0.0), (z if face % 3 == 2 else 0.0)
     elif kind == _ELLIPSOID:
         x, y, z = x / (size[0] * size[0]), y / (size[1] * size[1]), z / (size[2] * size[2])
     elif kind == _CYLINDER:
@@ -347,27 +299,24 @@ def normal_at(g: int, boxes: Boxes, origin: Any, ray: Any, distance: float, face
 
 
 @kernel(error_model="numpy")
-def gather(hits: Hits, boxes: Boxes, rays_world: Any, tile: Any, origin: Any, view: View) -> None:
+def gather(hits: Any, boxes: Boxes, rays_world: Any, tile: Any, origin: Any, view: View) -> None:
     """Write what the rays of a part of a tile hit into a view.
 
     `rays_world` (N, 3) begin at `origin` (3,). A hit surface is carried along its tangent plane to where the row's own
     origin sees it: exact for flat ones; where the ray grazes it, the distance stays as it was.
     """
     depth_m, geom, normal_world, T_world_rows, _ = view
-    i = -1
+    (distance, hit, face), i = hits, -1
     for row in range(tile[0], tile[1]):
-        away = (
-            origin[0] - T_world_rows[row, 0, 3],
-            origin[1] - T_world_rows[row, 1, 3],
-            origin[2] - T_world_rows[row, 2, 3],
-        )
+        here = place(T_world_rows, row)
+        away = (origin[0] - here[0], origin[1] - here[1], origin[2] - here[2])
         for column in range(tile[2], tile[3]):
             i += 1
-            z, g = hits.distance[i], hits.geom[i]
+            z, g = distance[i], hit[i]
             if g < 0:
                 continue
             ray = (rays_world[i, 0], rays_world[i, 1], rays_world[i, 2])
-            n = normal_at(g, boxes, origin, ray, z, hits.face[i])
+            n = normal_at(g, boxes, origin, ray, z, face[i])
             across = n[0] * ray[0] + n[1] * ray[1] + n[2] * ray[2]
             square = ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]
             if abs(across) > _GRAZING * np.sqrt(square):

@@ -82,7 +82,7 @@ def test_a_round_things_shadow_is_as_wide_as_it_is_from_any_side() -> None:
         ahead, aside = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
         p = 2.0 * ahead
         shares.append([float(kernels.covered(tuple(p + y * aside), tuple(-3 * ahead - y * aside + [0, 0, 9]),
-                       (1e-6, 1e-6), post, True)) for y in (0.0, 0.2, 0.4)])  # fmt: skip
+                       np.hypot(3, y), (1e-6, 1e-6), post, True)) for y in (0.0, 0.2, 0.4)])  # fmt: skip
     np.testing.assert_allclose(shares, [shares[0]] * 7, atol=1e-6)
 
 
