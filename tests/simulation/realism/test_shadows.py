@@ -28,7 +28,9 @@ LAMP = '<geom name="lamp" type="box" pos="3 0 2.8" size="0.3 0.3 0.02" material=
 
 
 def covered(p: FloatArray, box: FloatArray, is_round: bool = False, module: object = kernels) -> float:
-    return float(module.covered(tuple(p), tuple(LAMP_M - p), HALF_M, box, is_round))  # type: ignore[attr-defined]
+    d = LAMP_M - p
+    level = float(np.hypot(d[0], d[1]))
+    return float(module.covered(tuple(p), tuple(d), level, HALF_M, box, is_round))  # type: ignore[attr-defined]
 
 
 def test_a_boards_shadow_ends_where_lines_from_the_lamp_over_its_edge_meet_the_floor() -> None:
