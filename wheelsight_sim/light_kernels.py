@@ -387,7 +387,7 @@ def covered(p: Any, d: Any, level: float, half: Any, box: Any, is_round: bool) -
     x, y = p[0] - box[0], p[1] - box[1]
     x, y = c * x + s * y, c * y - s * x
     dx, dy = c * d[0] + s * d[1], c * d[1] - s * d[0]
-    # Most boxes stand beside the pencil: that is told without a root or a quotient.
+    # Most boxes stand beside the pencil: this needs neither a root nor a quotient.
     if abs(y * dx - x * dy) > box[6] * abs(dy) + box[7] * abs(dx) + (half[0] + half[1]) * level:
         return 0.0
     enters, leaves = max((box[2] - p[2]) / d[2], 0.0), min((box[3] - p[2]) / d[2], 1.0)

@@ -35,7 +35,7 @@ _BEHIND = 1e-3
 # Below this cosine between ray and surface, a shift of the origin may not be carried along the ray.
 _GRAZING = 0.02
 _TOLERANCE_M = 1e-6
-# Parts of tiles have so many rays, in so many columns at most: few enough that what most of them can hit is hit by all.
+# Of a part of a tile, the most rays and columns: few enough that most rays of a part hit the same geoms.
 _PART_RAYS, _PART_COLUMNS = 128, 16
 _PARALLEL = 1e-15
 
