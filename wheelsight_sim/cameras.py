@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,14 +30,8 @@ _LARGEST_PX = 4096
 class CameraModel:
     """A depth camera whose depth images are registered to its colour images.
 
-    Attributes:
-        name: what `--camera` calls it.
-        description: one line for `--list`.
-        camera: of colour and depth alike, without distortion: as drivers deliver registered images.
-        rate_hz: frames a second.
-        rolling_shutter_s: from the first row's time to the last row's; 0 for a global shutter.
-        depth: how it measures.
-        depth_noise: what its owner believes of that, for the calibration.
+    `camera` is of colour and depth alike, without distortion: as drivers deliver registered images. The rolling shutter
+    takes from the first row's time to the last row's. `depth_noise` is what the owner believes of `depth`.
     """
 
     name: str
@@ -108,14 +103,9 @@ def _models() -> dict[str, CameraModel]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraUnit:
-    """A camera of a model, with the errors that its seed gives it.
+    """A camera of a model in the size wanted, with the errors that its seed gives it.
 
-    Attributes:
-        model: in the size wanted.
-        lens: the true one, and the calibrated one.
-        realism: the parts, or None where there are no errors but the sensors' noise.
-        registration: of depth to colour, or None where it is exact.
-        seed: of the unit.
+    `realism` is None where there are no errors but the sensors' noise, `registration` where depth fits to colour.
     """
 
     model: CameraModel
@@ -171,40 +161,45 @@ def unit_of(model: CameraModel, realism: Realism | None, seed: int) -> CameraUni
 _TWIST_S = 0.01
 
 
+class Moment(NamedTuple):
+    """Poses (N, 4, 4) as rows are read, the camera's velocity (v, ω) in its own frame, and the base's pose."""
+
+    T_world_camera: FloatArray
+    twist: FloatArray
+    T_world_base: FloatArray
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Carriage:
-    """A camera on a robot.
-
-    Attributes:
-        truth: T_world_base.
-        T_base_camera: (4, 4) the mount as it truly is, of a body at rest.
-        body: how the body moves against the base, or None for one that does not.
-    """
+    """A camera on a robot: T_world_base, the true mount (4, 4) of a body at rest, and how that moves, if it does."""
 
     truth: Trajectory
     T_base_camera: FloatArray
     body: BodyMotion | LiveBodyMotion | None = None
 
-    def T_world_base(self, stamp_s: float) -> FloatArray:
-        """(4, 4) at a time; before the drive begins and after it ends the robot stands."""
-        return np.asarray(self.truth.at(np.clip(stamp_s, *self.truth.stamps_s[[0, -1]]))[0])
-
-    def T_world_camera(self, stamps_s: ArrayLike) -> FloatArray:
-        """(N, 4, 4) at times (N,); before the drive begins and after it ends the robot stands."""
+    def at(self, stamps_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """T_world_base and T_world_camera (N, 4, 4) at times (N,); before the drive and after it the robot stands."""
         within_s = np.atleast_1d(np.clip(stamps_s, self.truth.stamps_s[0], self.truth.stamps_s[-1]))
         T_world_base = self.truth.at(within_s)
         if self.body is None:
-            return np.asarray(se3.compose(T_world_base, self.T_base_camera))
+            return T_world_base, np.asarray(se3.compose(T_world_base, self.T_base_camera))
         T_base_camera = se3.compose(self.body.T_base_body(within_s), self.T_base_camera)
-        return np.asarray(se3.compose(T_world_base, T_base_camera))
+        return T_world_base, np.asarray(se3.compose(T_world_base, T_base_camera))
 
-    def twist_camera(self, stamp_s: float) -> FloatArray:
-        """(6,) velocity (v, ω) of the camera in its own frame, m/s and rad/s."""
+    def T_world_camera(self, stamps_s: ArrayLike) -> FloatArray:
+        """(N, 4, 4) at times (N,), as `at` has it."""
+        return self.at(stamps_s)[1]
+
+    def moment(self, rows_s: FloatArray, stamp_s: float) -> Moment:
+        """The moment of a frame whose middle row is read at a time, and its rows at times (N,)."""
+        # In one go: interpolation takes as long for a pose as for hundreds.
         ends_s = np.clip(
             [stamp_s - _TWIST_S / 2, stamp_s + _TWIST_S / 2], self.truth.stamps_s[0], self.truth.stamps_s[-1]
         )
-        before, after = self.T_world_camera(ends_s)
-        return np.asarray(se3.log(se3.compose(se3.invert(before), after)) / (ends_s[1] - ends_s[0]))
+        T_world_base, T_world_camera = self.at(np.concatenate([rows_s, ends_s, [stamp_s]]))
+        before, after = T_world_camera[-3:-1]
+        twist = np.asarray(se3.log(se3.compose(se3.invert(before), after)) / (ends_s[1] - ends_s[0]))
+        return Moment(T_world_camera[:-3], twist, T_world_base[-1])
 
 
 def carriage_of(truth: Trajectory, world: World, robot: RobotModel, realism: Realism | None, seed: int) -> Carriage:

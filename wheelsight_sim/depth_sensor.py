@@ -31,12 +31,7 @@ class IdealDepth:
     ) -> Float32Array:
         """(H, W) depth in metres along z as the sensor reports it, 0 where it reports none: the truth where in range.
 
-        Args:
-            view: what the rays hit.
-            camera: whose pixels they go through.
-            infrared: (G,) reflectance of each geom at the sensor's wavelength, 0 to 1.
-            shine: (G,) share of the light each geom mirrors away, 0 to 1.
-            rng: of this frame; the same state gives the same image.
+        Geoms reflect the shares `infrared` (G,) of its light, and mirror away `shine` (G,); `rng` is of this frame.
         """
         in_range = (view.depth_m >= self.near_m) & (view.depth_m <= self.far_m)
         return np.where(in_range, view.depth_m, np.float32(0))

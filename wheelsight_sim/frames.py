@@ -16,7 +16,7 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import Float32Array, FloatArray, PinholeCamera
 from wheelsight.core.messages import RgbdFrame
 from wheelsight_sim.appearance import Lights, Painter, Shadows, Sunlight
-from wheelsight_sim.cameras import CameraModel, CameraUnit, Carriage, carriage_of, unit_of
+from wheelsight_sim.cameras import CameraModel, CameraUnit, Carriage, Moment, carriage_of, unit_of
 from wheelsight_sim.color_sensor import ColorSensor, ExposureSetting, balance_of, exposure_of, response
 from wheelsight_sim.doors import Doors, Leaves
 from wheelsight_sim.people import Cylinders, Passersby
@@ -44,11 +44,9 @@ class Surroundings:
 class FrameMaker:
     """Makes frames; each has random numbers of its own, from the seed and its index.
 
-    Attributes:
-        carriage: how the camera moves. It may be replaced as time goes on, if it knows the times that are asked for and
-            those of the frames before, as far back as exposure is metered; what was metered once is kept.
-
-    Lamps are switched within `duration_s`; `threads` work at one frame.
+    `carriage` may be replaced as time goes on, if it knows the times that are asked for and those of the frames before,
+    as far back as exposure is metered; what was metered once is kept. Lamps are switched within `duration_s`; `threads`
+    work at one frame.
     """
 
     def __init__(
@@ -76,11 +74,12 @@ class FrameMaker:
         self._metered: dict[int, tuple[float, FloatArray]] = {}
         self._idle_eyes: deque[_Eye] = deque()
 
-    def row_poses(self, taken_s: float) -> FloatArray:
-        """(H, 4, 4) T_world_camera as each row of a frame is read; before the drive begins the robot stands."""
+    def moment(self, taken_s: float) -> Moment:
+        """How the camera moves as a frame is taken, with a pose for each row; before the drive the robot stands."""
         height, shutter_s = self.unit.model.camera.height, self.unit.model.rolling_shutter_s
         rows_s = taken_s + shutter_s * np.linspace(-0.5, 0.5, height) if shutter_s else np.array([taken_s])
-        return np.broadcast_to(self.carriage.T_world_camera(rows_s), (height, 4, 4))
+        moment = self.carriage.moment(rows_s, taken_s)
+        return moment._replace(T_world_camera=np.broadcast_to(moment.T_world_camera, (height, 4, 4)))
 
     def frame(self, index: int) -> RgbdFrame:
         """One frame, the same whatever was rendered before. Safe to be called by several threads at a time."""
@@ -93,15 +92,17 @@ class FrameMaker:
         try:
             taken_s, unit = float(self.times.taken_s[index]), self.unit
             depth_rng, color_rng = np.random.default_rng([self._settings.day_seed, _STREAM, index]).spawn(2)
-            exposure, balance = self._exposure(index, eye)
-            view = eye.look(unit.lens.true, self.row_poses(taken_s), taken_s)
-            twist = self.carriage.twist_camera(taken_s)
-            radiance, sun = eye.radiance(view, taken_s, self._T_world_base(taken_s), has_outlines=True)
-            seen = unit.seen_by_depth(view, sun, eye.distortion, twist, taken_s)
+            moment = self.moment(taken_s)
+            exposure, balance = self._exposure(index, eye, moment)
+            view = eye.look(unit.lens.true, moment.T_world_camera, taken_s)
+            radiance, sun = eye.radiance(
+                view, taken_s, moment.T_world_base if self._has_robot else None, has_outlines=True
+            )
+            seen = unit.seen_by_depth(view, sun, eye.distortion, moment.twist, taken_s)
             depth_m = unit.model.depth.measure(seen, unit.lens.true, eye.infrared, eye.shine, depth_rng)
             if balance is not None:
                 radiance *= balance.astype(np.float32)
-            color = unit.delivered(self._sensor.expose(radiance, view, exposure, color_rng, twist))
+            color = unit.delivered(self._sensor.expose(radiance, view, exposure, color_rng, moment.twist))
             return RgbdFrame(float(self.times.told_s[index]), color, depth_m, index)
         finally:
             self._idle_eyes.append(eye)
@@ -111,7 +112,7 @@ class FrameMaker:
         for old in [known for known in self._metered if known <= index - _METERED_FRAMES]:
             del self._metered[old]
 
-    def _exposure(self, index: int, eye: _Eye) -> tuple[ExposureSetting, FloatArray | None]:
+    def _exposure(self, index: int, eye: _Eye, moment: Moment) -> tuple[ExposureSetting, FloatArray | None]:
         """What the camera's control sets for a frame, after what it metered in this one and the ones before.
 
         The sensor's control follows with inertia, so each frame's exposure would depend on all before. Here it sees the
@@ -119,7 +120,7 @@ class FrameMaker:
         of its own, and factors (3,) for red, green and blue.
         """
         ages = np.arange(min(index + 1, _METERED_FRAMES))
-        metered = [self._meter_of(index - int(age), eye) for age in ages]
+        metered = [self._meter_of(index - int(age), eye, None if age else moment) for age in ages]
         products_s = [product_s for product_s, _ in metered]
         if self.unit.realism is not None:
             control, period_s = self.unit.realism.control, 1 / self._rate_hz
@@ -131,19 +132,18 @@ class FrameMaker:
         time_s = min(product_s, self._sensor.longest_s)
         return ExposureSetting(time_s, product_s / time_s), None
 
-    def _meter_of(self, index: int, eye: _Eye) -> tuple[float, FloatArray]:
+    def _meter_of(self, index: int, eye: _Eye, moment: Moment | None) -> tuple[float, FloatArray]:
         """Time times gain that a frame alone would ask for, and its mean colour; remembered for the next frames."""
         if index not in self._metered:
             taken_s = float(self.times.taken_s[index])
-            height = self.unit.model.camera.height
-            view = eye.look(self._meter, self.row_poses(taken_s)[height // 2], taken_s)
-            radiance, _ = eye.radiance(view, taken_s, self._T_world_base(taken_s), has_outlines=False)
+            moment = moment or self.moment(taken_s)
+            view = eye.look(self._meter, moment.T_world_camera[self.unit.model.camera.height // 2], taken_s)
+            radiance, _ = eye.radiance(
+                view, taken_s, moment.T_world_base if self._has_robot else None, has_outlines=False
+            )
             color = np.minimum(radiance, _BRIGHTEST).mean(axis=(0, 1))
             self._metered[index] = self._sensor.meter(radiance).product_s, np.asarray(color, float)
         return self._metered[index]
-
-    def _T_world_base(self, stamp_s: float) -> FloatArray | None:
-        return self.carriage.T_world_base(stamp_s) if self._has_robot else None
 
 
 class _Eye:

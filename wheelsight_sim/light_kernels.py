@@ -97,7 +97,7 @@ def turned(R: Any, v: Any) -> Any:
 @kernel(error_model="numpy")
 def point(v: int, u: int, R: Any, view: View) -> Any:
     """What a pixel shows in the world, as three numbers; R is its row's orientation as nine."""
-    z, ray = float(view.depth_m[v, u]), turned(R, (view.rays[v, u, 0], view.rays[v, u, 1], view.rays[v, u, 2]))
+    z, ray = float(view.depth_m[v, u]), turned(R, three(view.rays, v, u))
     T = view.T_world_camera
     return T[v, 0, 3] + z * ray[0], T[v, 1, 3] + z * ray[1], T[v, 2, 3] + z * ray[2]
 
@@ -112,12 +112,12 @@ def light_row(v: int, view: View, light: Lighting, out: Any) -> None:
     tints, sun, grid, flux, clearance, _, _ = light
     width = geom.shape[1]
     R = nine(view.T_world_camera[v])
-    last = -1
+    last, is_flat = -1, False
     for u in range(width):
-        g = geom[v, u]
-        if g < 0 or (u % _STRIDE_PX and u != width - 1 and _is_between(v, u, geom, normal_world)):
+        is_flat = _is_flat(v, u, geom, normal_world) if u % _STRIDE_PX == 1 else is_flat
+        if geom[v, u] < 0 or (is_flat and u % _STRIDE_PX and u != width - 1):
             continue
-        n = (float(normal_world[v, u, 0]), float(normal_world[v, u, 1]), float(normal_world[v, u, 2]))
+        n = three(normal_world, v, u)
         shade, lamp, window = light_at(point(v, u, R, view), n, sun, grid, flux, clearance)
         for c in range(3):
             out[v, u, c] = tinted(c, shade, lamp, window, tints)
@@ -137,7 +137,7 @@ def tinted(c: int, shade: float, lamp: float, window: float, tints: Any) -> Any:
 
 
 @kernel(error_model="numpy")
-def _is_between(v: int, u: int, geom: Any, normal_world: Any) -> Any:
+def _is_flat(v: int, u: int, geom: Any, normal_world: Any) -> Any:
     """Whether a pixel and the strided ones on both sides of it are all on the same flat face."""
     a = u - u % _STRIDE_PX
     b = min(a + _STRIDE_PX, geom.shape[1] - 1)
@@ -148,23 +148,24 @@ def _is_between(v: int, u: int, geom: Any, normal_world: Any) -> Any:
     return bend + abs(normal_world[v, a, 2] - normal_world[v, b, 2]) < 1e-3
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", inline="always")
 def light_at(p: Any, n: Any, sun: Any, grid: Any, flux: Any, clearance: Any) -> Any:
     """Shade 0 to 1 of the light from all round, light of lamps, and of windows, at p with normal n (Lambert)."""
     a, b = (p[0] - grid[0]) / grid[2], (p[1] - grid[1]) / grid[2]
     c = p[2] / grid[4]
     a, b, c = _inside(a, flux.shape[2]), _inside(b, flux.shape[1]), _inside(c, flux.shape[0])
-    i, j, k = int(a), int(b), int(c)
+    # Without sign: numba looks whether an index counts from the end, which would take a third of the time.
+    i, j, k = np.uintp(a), np.uintp(b), np.uintp(c)
     a, b, c = a - i, b - j, c - k
     facing, spill = 0.0, 0.0
-    for corner in range(8):
-        layer, row, column = corner >> 2, (corner >> 1) & 1, corner & 1
-        share = (c if layer else 1 - c) * (b if row else 1 - b) * (a if column else 1 - a)
-        layer, row, column = k + layer, j + row, i + column
-        facing += share * (
-            n[0] * flux[layer, row, column, 0] + n[1] * flux[layer, row, column, 1] + n[2] * flux[layer, row, column, 2]
-        )
-        spill += share * flux[layer, row, column, 3]
+    for layer in range(np.uintp(2)):
+        for row in range(np.uintp(2)):
+            share = (c if layer else 1 - c) * (b if row else 1 - b)
+            for column in range(np.uintp(2)):
+                weight = share * (a if column else 1 - a)
+                x, y, z = k + layer, j + row, i + column
+                facing += weight * (n[0] * flux[x, y, z, 0] + n[1] * flux[x, y, z, 1] + n[2] * flux[x, y, z, 2])
+                spill += weight * flux[x, y, z, 3]
     window = max(0.0, n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2])
     return _shade(p, n, grid, clearance), max(facing, 0.0) + _SPILL * spill, window
 
@@ -260,64 +261,80 @@ def keep(view: View, shadowing: Shadowing, out: Any) -> None:
 
     Along a flat face it is found for each fourth pixel, and for those between where two of them differ.
     """
-    geom, normal_world = view.geom, view.normal_world
-    height, width = geom.shape
+    seen, normal_world = view.geom, view.normal_world
+    lamps, blockers, glows, strength = shadowing
+    every, grid, brightest = lamps
+    boxes, is_round, geom, moving, starts, listed = blockers
+    height, width = seen.shape
     for v in range(height):
         R = nine(view.T_world_camera[v])
-        last = 0
+        last, is_flat = 0, False
         for u in range(width):
-            if u % _STRIDE_PX and u != width - 1 and _is_between(v, u, geom, normal_world):
+            is_flat = _is_flat(v, u, seen, normal_world) if u % _STRIDE_PX == 1 else is_flat
+            if is_flat and u % _STRIDE_PX and u != width - 1:
                 continue
-            out[v, u] = _kept(v, u, R, view, shadowing)
-            is_alike = abs(out[v, u] - out[v, last]) < _ALIKE
-            for between in range(last + 1, u):
-                k = (between - last) / (u - last)
-                if is_alike:
-                    out[v, between] = (1 - k) * out[v, last] + k * out[v, u]
+            # This pixel, then those between it and the last one.
+            for at in range(u, last, -1) if u else range(1):
+                k = (at - last) / max(u - last, 1)
+                if at != u and abs(out[v, u] - out[v, last]) < _ALIKE:
+                    out[v, at] = (1 - k) * out[v, last] + k * out[v, u]
+                elif seen[v, at] < 0 or glows[seen[v, at]]:
+                    out[v, at] = 1.0
                 else:
-                    out[v, between] = _kept(v, between, R, view, shadowing)
+                    p, n = point(v, at, R, view), three(normal_world, v, at)
+                    lost = hidden_at(
+                        p, n, seen[v, at], every, grid, brightest, boxes, is_round, geom, moving, starts, listed
+                    )
+                    out[v, at] = 1 - strength * lost
             last = u
 
 
 @kernel(error_model="numpy")
-def _kept(v: int, u: int, R: Any, view: View, shadowing: Shadowing) -> Any:
-    """The share of a pixel's light that is left."""
-    g = view.geom[v, u]
-    if g < 0 or shadowing.glows[g]:
-        return 1.0
-    n = (float(view.normal_world[v, u, 0]), float(view.normal_world[v, u, 1]), float(view.normal_world[v, u, 2]))
-    return 1 - shadowing.strength * hidden_at(point(v, u, R, view), n, g, shadowing.lamps, shadowing.blockers)
+def three(vectors: Any, v: int, u: int) -> Any:
+    """A pixel's normal or ray as three numbers."""
+    return float(vectors[v, u, 0]), float(vectors[v, u, 1]), float(vectors[v, u, 2])
 
 
+# Rows of arrays are taken out as plain numbers, and arrays handed over one by one: else numba counts references to them
+# for each pixel and box, atomically, which took more time than what is computed.
 @kernel(error_model="numpy")
-def hidden_at(p: Any, n: Any, own: int, lamps: Lamps, blockers: Blockers) -> Any:
-    """Share of the light of the brightest lamps that does not reach p, with normal n, on the geom `own`."""
-    rows, columns, count = lamps.brightest.shape
-    column = min(max(int((p[0] - lamps.grid[0]) / lamps.grid[2]), 0), columns - 1)
-    row = min(max(int((p[1] - lamps.grid[1]) / lamps.grid[2]), 0), rows - 1)
+def eight(of: Any, i: int) -> Any:
+    """A row of `Blockers.boxes`."""
+    return of[i, 0], of[i, 1], of[i, 2], of[i, 3], of[i, 4], of[i, 5], of[i, 6], of[i, 7]
+
+
+@kernel(error_model="numpy", inline="always")
+def hidden_at(
+    p: Any, n: Any, own: int, every: Any, grid: Any, brightest: Any,
+    boxes: Any, is_round: Any, geom: Any, moving: Any, starts: Any, listed: Any,
+) -> Any:  # fmt: skip
+    """Share of the brightest lamps' light that does not reach p, with normal n, on the geom `own`."""
+    rows, columns, count = brightest.shape
+    column = min(max(int((p[0] - grid[0]) / grid[2]), 0), columns - 1)
+    row = min(max(int((p[1] - grid[1]) / grid[2]), 0), rows - 1)
     # The least bright one does not count, others by how much they are brighter: no seam where cells take other lamps.
-    last, least = lamps.brightest[row, column, count - 1], 0.0
+    last, least = brightest[row, column, count - 1], 0.0
     if last >= 0:
-        least = lamps.lamps[last, 3] * light_of(_towards(p, lamps.lamps[last]), (0.0, 0.0, 1.0))
+        least = every[last, 3] * light_of(_towards(p, every, last), (0.0, 0.0, 1.0))
     lost, whole = 0.0, _ELSEWHERE
     for k in range(count):
-        lamp = lamps.brightest[row, column, k]
-        if lamp < 0:
+        number = brightest[row, column, k]
+        if number < 0:
             break
-        d, power = _towards(p, lamps.lamps[lamp]), lamps.lamps[lamp, 3]
+        d, power = _towards(p, every, number), every[number, 3]
         light = power * light_of(d, n)
         if light > 0 and last >= 0:
             light *= max(1 - least / (power * light_of(d, (0.0, 0.0, 1.0))), 0.0)
         if light > 0:
-            half = (lamps.lamps[lamp, 4], lamps.lamps[lamp, 5])
-            walled, hidden = _hidden(p, d, half, own, (row * columns + column) * count + k, blockers)
+            entry, half = (row * columns + column) * count + k, (every[number, 4], every[number, 5])
+            walled, hidden = _hidden(p, d, half, own, entry, boxes, is_round, geom, moving, starts, listed)
             lost, whole = lost + light * (1 - walled) * hidden, whole + light * (1 - walled)
     return lost / whole
 
 
 @kernel(error_model="numpy")
-def _towards(p: Any, lamp: Any) -> Any:
-    return lamp[0] - p[0], lamp[1] - p[1], lamp[2] - p[2]
+def _towards(p: Any, lamps: Any, i: int) -> Any:
+    return lamps[i, 0] - p[0], lamps[i, 1] - p[1], lamps[i, 2] - p[2]
 
 
 @kernel(error_model="numpy")
@@ -332,43 +349,50 @@ def light_of(d: Any, n: Any) -> Any:
     return facing * down / (near * np.sqrt(near * square))
 
 
-@kernel(error_model="numpy")
-def _hidden(p: Any, d: Any, half: Any, own: int, entry: int, blockers: Blockers) -> Any:
+@kernel(error_model="numpy", inline="always")
+def _hidden(
+    p: Any, d: Any, half: Any, own: int, entry: int,
+    boxes: Any, is_round: Any, geom: Any, moving: Any, starts: Any, listed: Any,
+) -> Any:  # fmt: skip
     """Shares of one lamp that walls hide, and all else; `entry` tells its list of what stands still."""
     walled, hidden = 0.0, 0.0
-    for i in range(blockers.starts[entry], blockers.starts[entry + 1]):
-        b = blockers.listed[i]
-        if blockers.geom[b] == own:
+    level = np.sqrt(d[0] * d[0] + d[1] * d[1])
+    for i in range(starts[entry], starts[entry + 1]):
+        b = listed[i]
+        if geom[b] == own:
             continue
-        share = covered(p, d, half, blockers.boxes[b], blockers.is_round[b])
-        if blockers.boxes[b, 3] > p[2] + d[2] - _TO_CEILING_M:
+        box = eight(boxes, b)
+        share = covered(p, d, level, half, box, is_round[b])
+        if box[3] > p[2] + d[2] - _TO_CEILING_M:
             walled += share
             if walled >= 1:
-                return 1.0, 0.0
+                break
         else:
             hidden += share
-    level = np.sqrt(d[0] * d[0] + d[1] * d[1])
-    for b in blockers.moving:
-        box = blockers.boxes[b]
-        x, y, reach = box[0] - p[0], box[1] - p[1], level + half[0] + half[1] + box[6] + box[7]
-        if blockers.geom[b] != own and x * x + y * y < reach * reach:
-            hidden += covered(p, d, half, blockers.boxes[b], blockers.is_round[b])
-    return walled, min(hidden, 1.0)
+    for i in range(len(moving) if walled < 1 else 0):
+        b = moving[i]
+        if geom[b] != own:
+            hidden += covered(p, d, level, half, eight(boxes, b), is_round[b])
+    return min(walled, 1.0), min(hidden, 1.0)
 
 
 @kernel(error_model="numpy")
-def covered(p: Any, d: Any, half: Any, box: Any, is_round: bool) -> Any:
-    """Share of a lamp, `half` (2) its half lengths and d away from p, that a box hides from there."""
-    enters, leaves = max((box[2] - p[2]) / d[2], 0.0), min((box[3] - p[2]) / d[2], 1.0)
-    if box[3] < p[2] + _ABOVE_M or enters >= leaves:
+def covered(p: Any, d: Any, level: float, half: Any, box: Any, is_round: bool) -> Any:
+    """Share of a lamp, `half` (2) its half lengths and d away from p, `level` in plan, that a box hides from there."""
+    if box[3] < p[2] + _ABOVE_M or box[2] >= p[2] + d[2]:
         return 0.0
     c, s = box[4], box[5]
     if is_round:
-        level = np.sqrt(d[0] * d[0] + d[1] * d[1])
         c, s = (d[0] / level, d[1] / level) if level > _THIN else (1.0, 0.0)
     x, y = p[0] - box[0], p[1] - box[1]
     x, y = c * x + s * y, c * y - s * x
     dx, dy = c * d[0] + s * d[1], c * d[1] - s * d[0]
+    # Most boxes stand beside the pencil: this needs neither a root nor a quotient.
+    if abs(y * dx - x * dy) > box[6] * abs(dy) + box[7] * abs(dx) + (half[0] + half[1]) * level:
+        return 0.0
+    enters, leaves = max((box[2] - p[2]) / d[2], 0.0), min((box[3] - p[2]) / d[2], 1.0)
+    if enters >= leaves:
+        return 0.0
     wide_x, wide_y = np.sqrt((half[0] * c) ** 2 + (half[1] * s) ** 2), np.sqrt((half[0] * s) ** 2 + (half[1] * c) ** 2)
     across_x = _across(x, dx, wide_x, box[6], enters, leaves)
     if across_x <= 0:
@@ -438,6 +462,7 @@ def drop_hidden(lamps: Lamps, blockers: Blockers, out: Any) -> None:
     Of nine places over the cell, at two heights each, none sees a lamp in another room.
     """
     rows, columns, count = lamps.brightest.shape
+    boxes, is_round, geom, moving, starts, listed = blockers
     for row in range(rows):
         for column in range(columns):
             kept = 0
@@ -446,13 +471,15 @@ def drop_hidden(lamps: Lamps, blockers: Blockers, out: Any) -> None:
                 lamp = lamps.brightest[row, column, k]
                 if lamp < 0 or kept == out.shape[2]:
                     break
-                place, entry = lamps.lamps[lamp], (row * columns + column) * count + k
+                entry, half = (row * columns + column) * count + k, (lamps.lamps[lamp, 4], lamps.lamps[lamp, 5])
                 for i in range(18):
                     x = lamps.grid[0] + (column + 0.5 * (i % 3)) * lamps.grid[2]
                     y = lamps.grid[1] + (row + 0.5 * (i // 3 % 3)) * lamps.grid[2]
                     p = (x, y, 0.05 + 1.5 * (i // 9))
-                    d = _towards(p, place)
-                    if d[2] > _LEAST_RISE_M and _hidden(p, d, (place[4], place[5]), -1, entry, blockers)[0] < 1:
+                    d = _towards(p, lamps.lamps, lamp)
+                    if d[2] <= _LEAST_RISE_M:
+                        continue
+                    if _hidden(p, d, half, -1, entry, boxes, is_round, geom, moving, starts, listed)[0] < 1:
                         out[row, column, kept] = lamp
                         kept += 1
                         break

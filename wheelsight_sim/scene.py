@@ -1,4 +1,4 @@
-"""A world as the camera's rays meet it: MuJoCo casts them, many at a time. View holds what they hit."""
+"""A world as the camera's rays meet it. View holds what they hit."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,31 +17,22 @@ from wheelsight.core.geometry import FloatArray, Int32Array, IntArray, PinholeCa
 from wheelsight_sim.doors import Leaves
 from wheelsight_sim.light_kernels import View as View
 from wheelsight_sim.people import Cylinders
-from wheelsight_sim.view_kernels import Boxes, Hits, ModelGeoms, aim, choose, find, gather, put, spread
+from wheelsight_sim.view_kernels import Boxes, cast, find, spread
 from wheelsight_sim.world import Surface, World
 
 _KINDS = {0: "plane", 2: "sphere", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box"}
 _TILE_ROWS = 16
 _TILE_COLUMNS = 80
-_NO_LIMIT = 1e10
-# MuJoCo's bounding volumes are those of compilation; without them it tries every target.
-_NO_TREE = -1
 _FIRST_GROUP = np.array([1, 0, 0, 0, 0, 0], np.uint8)
-_FEWEST_TARGETS = 8
 
 
 class Scene:
     """A world without robot, and the people who walk and the doors that swing in it, as rays see it.
 
-    Rows of a rolling shutter have poses of their own, and one call of MuJoCo's `mj_multiRay` has one origin. So rays
-    are cast in tiles of sixteen rows: every ray has its own row's direction, and what it hits from the origin of the
-    tile's middle row is carried to its own along the surface's tangent plane. At 1.2 m/s and Kinect's shutter the
-    origins of a tile of 640×480 differ by at most 0.5 mm (of 320×240, 1 mm): depth is exact on flat surfaces, and off
-    by micrometres on curved ones; an object's outline is where it is seen from half a millimetre aside.
-
-    A tile's rays are cast only at what they can hit, for which a small model takes the geoms' places: neither at what
-    lies outside the tile's frustum nor at what hides behind a wall that fills it. Nothing a ray could hit is left out,
-    and every tile is cast the same way whichever thread does it.
+    Rays are cast in tiles of sixteen rows: every ray has its own row's direction, and what it hits from the origin of
+    the tile's middle row is carried to its own along the surface's tangent plane. At 1.2 m/s and Kinect's shutter these
+    origins differ by 1 mm at most in images of 320×240: depth is exact on flat surfaces, and off by micrometres on
+    curved ones. Nothing a ray could hit is left out, and every tile is cast the same way whichever thread does it.
 
     `moving` are the indices (M,) of the geoms that `move_to` moves.
 
@@ -76,7 +66,6 @@ class Scene:
         self._passersby, self._doors = passersby, doors
         self._threads = min(os.cpu_count() or 1, 4) if threads is None else threads
         self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
-        self._targets = [_Targets() for _ in range(self._threads)]
         mujoco.mj_kinematics(self.model, self.data)
         names, materials = _names(self.model, self.surfaces, world.name)
         self.geoms = Geoms(
@@ -129,15 +118,14 @@ class Scene:
         They are cast by the rules of `cast`, at the geoms where they stand now, as seen from the poses of their rows:
         people have not moved since `cast` returned the view.
         """
-        found = [find(view.geom, view.normal_world, tile) for tile in _tiles(*view.geom.shape)]
-        pixels = np.concatenate(found)
+        pixels, ends = find(view.geom, view.normal_world, _tiles(*view.geom.shape))
         rays = spread(view.rays, pixels)
         # Kernels that are compiled for a view's rays need not be compiled once more.
         rays.setflags(write=view.rays.flags.writeable)
         samples = _nothing(view.T_world_camera[pixels[:, 0]], rays)
-        ends = np.cumsum([0, *map(len, found)])
-        tiles = [np.array([a, b, 0, rays.shape[1]]) for a, b in pairwise(ends) if a < b]
-        self._cast_tiles(samples, tiles)
+        tiles = np.zeros((len(ends) - 1, 4), np.int64)
+        tiles[:, 0], tiles[:, 1], tiles[:, 3] = ends[:-1], ends[1:], rays.shape[1]
+        self._cast_tiles(samples, tiles[tiles[:, 0] < tiles[:, 1]])
         return Outlines(pixels, samples)
 
     def reach_m(self, begins: FloatArray, direction: FloatArray) -> FloatArray:
@@ -151,65 +139,14 @@ class Scene:
         ]
         return np.array([way_m if way_m >= 0 else np.inf for way_m in ways_m])
 
-    def _cast_tiles(self, view: View, tiles: list[IntArray]) -> None:
-        center = self.geoms.position_world + np.einsum(
-            "gij,gj->gi", self.geoms.R_world_geom, self.model.geom_aabb[:, :3]
-        )
-
-        def work(thread: int) -> None:
-            for tile in tiles[thread :: self._threads]:
-                targets = self._targets[thread]
-                geoms, T = self.geoms, view.T_world_camera
-                middle = T[(tile[0] + tile[1]) // 2]
-                R, origin = np.ascontiguousarray(middle[:3, :3]), np.ascontiguousarray(middle[:3, 3])
-                rays = np.empty(((tile[1] - tile[0]) * (tile[3] - tile[2]), 3))
-                bounds = aim(view.rays, T, tile, R, rays)
-                boxes = Boxes(geoms.kind, geoms.size_m, center, self._half_m, geoms.R_world_geom)
-                chosen = choose(boxes, R, origin, bounds)
-                if len(chosen):
-                    hits = targets.cast(boxes, geoms.position_world, chosen, origin, rays)
-                    gather(hits, rays, tile, origin, chosen, view)
-
+    def _cast_tiles(self, view: View, tiles: IntArray) -> None:
+        geoms = self.geoms
+        boxes = Boxes(geoms.kind, geoms.size_m, geoms.position_world, self._half_m, geoms.R_world_geom)
         if self._pool is None:
-            work(0)
+            cast(view, tiles, boxes)
         else:
-            list(self._pool.map(work, range(self._threads)))
-
-
-class _Targets:
-    """Small models whose geoms are overwritten with those a tile's rays can hit.
-
-    MuJoCo looks at every geom of a model for every ray, half a nanosecond for each it rules out; a floor has hundreds,
-    and a tile of its image meets ten.
-    """
-
-    def __init__(self) -> None:
-        self._models: dict[int, tuple[Any, Any, ModelGeoms]] = {}
-
-    def cast(
-        self, boxes: Boxes, position_world: FloatArray, chosen: Int32Array, origin: FloatArray, rays: FloatArray
-    ) -> Hits:
-        """Which of `chosen` (K,) each ray (N, 3) hits first, or -1; how many ray lengths away; outward normals."""
-        import mujoco
-
-        n, size = len(rays), _FEWEST_TARGETS
-        while size < len(chosen):
-            size *= 2
-        if size not in self._models:
-            spec = mujoco.MjSpec()
-            for _ in range(size):
-                spec.worldbody.add_geom(size=[1, 1, 1])
-            made: Any = spec.compile()
-            made.body_bvhadr[:] = _NO_TREE
-            state = mujoco.MjData(made)
-            geoms = ModelGeoms(made.geom_type, made.geom_size, state.geom_xpos, state.geom_xmat, made.geom_group)
-            self._models[size] = made, state, geoms
-        model, data, places = self._models[size]
-        put(chosen, boxes, position_world, places)
-        hit, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
-        out = hit, distance, normal.reshape(-1)
-        mujoco.mj_multiRay(model, data, origin, rays.reshape(-1), _FIRST_GROUP, True, -1, *out, n, _NO_LIMIT)
-        return Hits(hit, distance, normal)
+            shares = [tiles[thread :: self._threads].copy() for thread in range(self._threads)]
+            list(self._pool.map(lambda share: cast(view, share, boxes), shares))
 
 
 def _nothing(T_world_camera: FloatArray, rays: FloatArray) -> View:
@@ -219,13 +156,12 @@ def _nothing(T_world_camera: FloatArray, rays: FloatArray) -> View:
     return View(depth_m, np.full((h, w), -1, np.int32), normal_world, T_world_camera, rays)
 
 
-def _tiles(h: int, w: int) -> list[IntArray]:
-    """First and last row and column, the last left out, of the rectangles that cover an image."""
-    return [
-        np.array([top, min(top + _TILE_ROWS, h), left, min(left + _TILE_COLUMNS, w)])
-        for top in range(0, h, _TILE_ROWS)
-        for left in range(0, w, _TILE_COLUMNS)
-    ]
+@lru_cache(maxsize=8)
+def _tiles(h: int, w: int) -> IntArray:
+    """(T, 4) first and last row and column, the last left out, of the rectangles that cover an image."""
+    tops, lefts = np.meshgrid(np.arange(0, h, _TILE_ROWS), np.arange(0, w, _TILE_COLUMNS), indexing="ij")
+    ends = (tops + _TILE_ROWS).clip(max=h), (lefts + _TILE_COLUMNS).clip(max=w)
+    return np.stack([tops, ends[0], lefts, ends[1]], axis=-1).reshape(-1, 4)
 
 
 @lru_cache(maxsize=8)
@@ -257,12 +193,9 @@ def _names(model: Any, surfaces: Mapping[str, Surface], world: str) -> tuple[tup
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outlines:
-    """More rays through the pixels of a view beside which another face is seen: edges run through them.
+    """More rays through the pixels (N, 2), rows and columns, of a view beside which another face is seen.
 
-    Attributes:
-        pixels: (N, 2) their rows and columns in the view.
-        samples: what each pixel's S further rays hit, in one row a pixel: (N, S) for (H, W). Poses are those of the
-            pixels' rows; what was hit through the pixel's middle is in the view alone.
+    `samples` is what each pixel's S further rays hit: (N, S) for (H, W), with the poses of the pixels' rows.
     """
 
     pixels: Int32Array
@@ -271,15 +204,9 @@ class Outlines:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Geoms:
-    """The geoms of a scene in the MJCF's order, as arrays that kernels can read; those of moving bodies change.
+    """The G geoms of a scene in the MJCF's order, as arrays that kernels can read; those of moving bodies change.
 
-    Attributes:
-        names: (G,) of the geoms.
-        materials: (G,) their materials' names: keys of `World.surfaces`.
-        kind: (G,) MuJoCo's geom type: plane 0, sphere 2, capsule 3, ellipsoid 4, cylinder 5, box 6.
-        size_m: (G, 3) MuJoCo's sizes: half lengths of a box, radius and half length of a cylinder.
-        position_world: (G, 3) centres.
-        R_world_geom: (G, 3, 3) orientations.
+    Materials are keys of `World.surfaces`, `kind` and `size_m` are MuJoCo's, and `position_world` is of the middles.
     """
 
     names: tuple[str, ...]

@@ -31,13 +31,7 @@ from wheelsight_sim.worlds import build_world
 
 @dataclass(frozen=True, eq=False)
 class SimulatedRecording:
-    """A `Recording` that needs no disk; memory stays flat however long the drive is. Attributes beside the protocol's:
-
-    settings: what it was made of.
-    world: what was driven through.
-    drive: what physics left; `ground_truth` is its truth.
-    renderer: makes the frames.
-    """
+    """A `Recording` that needs no disk; memory stays flat however long the drive is."""
 
     settings: SimulationSettings
     world: World

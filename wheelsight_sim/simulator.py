@@ -220,14 +220,9 @@ _STANDS_M_S = 0.02  # a fidgeting rider moves a standing chair by at most 0.0014
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """A contact of the robot with an object or a person.
+    """A contact of the robot with a geom of the world, or with `passerby` and a number, and the time of its begin.
 
-    Attributes:
-        time_s: its begin.
-        name: a geom of the world, or `passerby` and a number.
-        place_m: (x, y) in the world.
-        robot_m_s: speed of the robot's outline towards the other at that place.
-        other_m_s: speed of the other towards the robot; 0 for static objects.
+    Speeds are those towards each other at the place (x, y) in the world.
     """
 
     time_s: float
@@ -270,12 +265,7 @@ _SEPARATE_S = 1.0  # touches within this time are one contact, because resting o
 
 
 class LiveWorld:
-    """The surroundings of a robot, stepped with it: people walk, doors swing, and contacts are recorded.
-
-    Attributes:
-        world: without people.
-        T_world_start: (4, 4) initial pose of the base.
-        contacts: all so far, each at its begin.
+    """The surroundings of a robot, stepped with it: people walk, doors swing, and `contacts` are recorded.
 
     `start` is x, y, yaw of the base, or None for the world's own; `world` replaces the one that the settings name.
 

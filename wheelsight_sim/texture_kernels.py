@@ -366,6 +366,8 @@ def _fittings(colour: Any, s: float, t: float, ws: float, wt: float, seed: int) 
     i = math.floor(s / _FITTINGS_M)
     kind = hash_unit(i, 1, seed)
     a = s - (i + 0.5 + 0.6 * (hash_unit(i, 2, seed) - 0.5)) * _FITTINGS_M
+    if abs(a) > 0.3 + ws:
+        return colour
     if kind < 0.3:
         return _socket(colour, a, t - 0.28, ws, wt)
     if kind < 0.45:

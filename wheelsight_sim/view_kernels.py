@@ -9,7 +9,7 @@ import numpy as np
 
 from wheelsight.core.compiled import kernel
 from wheelsight.core.geometry.arrays import Float32Array, FloatArray, Int32Array, IntArray
-from wheelsight_sim.light_kernels import Lighting, View, lamp_at, light_at, light_row, nine, tinted, turned
+from wheelsight_sim.light_kernels import Lighting, View, lamp_at, light_at, light_row, nine, three, tinted, turned
 from wheelsight_sim.texture_kernels import (
     Look,
     PixelFootprint,
@@ -30,24 +30,18 @@ from wheelsight_sim.texture_kernels import (
 # A tile is a rectangle of pixels, rows `tile`[0] to `tile`[1] and columns `tile`[2] to `tile`[3], the last left out;
 # its N rays are numbered row by row.
 
-_PLANE = 0
-_BOX = 6
+_PLANE, _SPHERE, _CAPSULE, _ELLIPSOID, _CYLINDER, _BOX = 0, 2, 3, 4, 5, 6
 _BEHIND = 1e-3
 # Below this cosine between ray and surface, a shift of the origin may not be carried along the ray.
 _GRAZING = 0.02
 _TOLERANCE_M = 1e-6
+# Of a part of a tile, the most rays and columns: few enough that most rays of a part hit the same geoms.
+_PART_RAYS, _PART_COLUMNS = 128, 16
+_PARALLEL = 1e-15
 
 
 class Boxes(NamedTuple):
-    """Of each of G geoms MuJoCo's kind and size, and the box around it in its own frame.
-
-    Attributes:
-        kind: (G,).
-        size_m: (G, 3).
-        center: (G, 3) of the box, in the world.
-        half_m: (G, 3) of the box; -1 marks what is not to be hit.
-        R_world_geom: (G, 3, 3).
-    """
+    """Of each of G geoms MuJoCo's kind and size, its middle, half the box around it, -1 for not to be hit, and turn."""
 
     kind: Int32Array
     size_m: FloatArray
@@ -56,22 +50,37 @@ class Boxes(NamedTuple):
     R_world_geom: FloatArray
 
 
-class ModelGeoms(NamedTuple):
-    """A small model's arrays for its M geoms: kinds, sizes, positions, orientations (M, 9) and groups."""
+@kernel
+def cast(view: View, tiles: Any, boxes: Boxes) -> None:
+    """Write into a view what rays of `tiles` (T, 4) hit first. Where nothing is hit, the view stays.
 
-    kind: Int32Array
-    size_m: FloatArray
-    position_world: FloatArray
-    R_world_geom: FloatArray
-    group: Int32Array
-
-
-class Hits(NamedTuple):
-    """What each of N rays hits first, or -1; how many ray lengths away; outward normals (N, 3)."""
-
-    hit: Int32Array
-    distance: FloatArray
-    normal: FloatArray
+    A tile's rays begin where the camera is as its middle row is read, and are aimed row by row. For each part of a
+    tile they are cast only at what they can hit.
+    """
+    everything = np.arange(len(boxes.kind)).astype(np.int32)
+    for t in range(len(tiles)):
+        top, bottom, left, right = tiles[t]
+        middle = view.T_world_camera[(top + bottom) // 2]
+        R, origin = middle[:3, :3].copy(), middle[:3, 3].copy()
+        columns = min(right - left, _PART_COLUMNS)
+        rows = _PART_RAYS // columns
+        count = -(-(bottom - top) // rows) * -(-(right - left) // columns)
+        parts, ends, bounds = np.empty((count, 4), np.int64), np.zeros(count + 1, np.int64), np.empty((count, 4))
+        rays, p = np.empty(((bottom - top) * (right - left), 3)), 0
+        for row in range(top, bottom, rows):
+            for column in range(left, right, columns):
+                part = np.array([row, min(row + rows, bottom), column, min(column + columns, right)])
+                parts[p], ends[p + 1] = part, ends[p] + (part[1] - part[0]) * (part[3] - part[2])
+                bounds[p] = aim(view.rays, view.T_world_camera, part, R, rays[ends[p] : ends[p + 1]])
+                p += 1
+        whole = np.array([bounds[:, 0].min(), bounds[:, 1].max(), bounds[:, 2].min(), bounds[:, 3].max()])
+        among = choose(boxes, everything, R, origin, whole)
+        for p in range(count if len(among) else 0):
+            own = rays[ends[p] : ends[p + 1]]
+            hits = (np.full(len(own), np.inf), np.full(len(own), -1, np.int32), np.zeros(len(own), np.int32))
+            for g in choose(boxes, among, R, origin, bounds[p]):
+                meet(g, boxes, origin, own, hits)
+            gather(hits, boxes, own, parts[p], origin, view)
 
 
 @kernel
@@ -103,8 +112,8 @@ def aim(rays: Any, T_world_rows: Any, tile: Any, R: Any, out: Any) -> Any:
 
 
 @kernel
-def choose(boxes: Boxes, R: Any, origin: Any, bounds: Any) -> Any:
-    """Indices of the geoms that rays in a frustum can hit; none that they can is left out.
+def choose(boxes: Boxes, among: Any, R: Any, origin: Any, bounds: Any) -> Any:
+    """Indices of the geoms `among` (K,) that rays in a frustum can hit; none that they can is left out.
 
     The frustum starts at `origin` (3,), is turned by R (3, 3), and has `bounds` (u_min, u_max, v_min, v_max) on the
     plane z = 1.
@@ -112,42 +121,51 @@ def choose(boxes: Boxes, R: Any, origin: Any, bounds: Any) -> Any:
     Left out is what lies outside, and what lies behind a box or plane that the frustum's four corners hit: such a body
     is convex, so that every ray between hits it too, and no deeper than the deepest corner.
     """
-    kind, size_m, center, half_m, R_world_geom = boxes
+    kind, _, center, half_m, R_world_geom = boxes
     bounded = np.isfinite(bounds[0])
     # Inward normals (5, 3) in the world of the frustum's planes, which go through its origin.
-    inward = np.zeros((5, 3))
-    if bounded:
-        inward[0], inward[1] = (1.0, 0.0, -bounds[0]), (-1.0, 0.0, bounds[1])
-        inward[2], inward[3] = (0.0, 1.0, -bounds[2]), (0.0, -1.0, bounds[3])
-        inward[4] = (0.0, 0.0, 1.0)
-    sides = inward @ R.T
-    found, nearest = np.empty(len(kind), np.int32), np.empty(len(kind))
+    sides = np.zeros((5, 3))
+    for k in range(3 if bounded else 0):
+        sides[0, k], sides[1, k] = R[k, 0] - bounds[0] * R[k, 2], bounds[1] * R[k, 2] - R[k, 0]
+        sides[2, k], sides[3, k] = R[k, 1] - bounds[2] * R[k, 2], bounds[3] * R[k, 2] - R[k, 1]
+        sides[4, k] = R[k, 2]
+    found, nearest, corners = np.empty(len(among), np.int32), np.empty(len(among)), np.zeros((4, 3))
+    distance, hit, face = np.empty(4), np.empty(4, np.int32), np.empty(4, np.int32)
+    for c in range(4 if bounded else 0):
+        # A little outside, so that no ray passes by where all four of them hit.
+        u = bounds[c % 2] + _TOLERANCE_M * (2 * (c % 2) - 1)
+        v = bounds[2 + c // 2] + _TOLERANCE_M * (2 * (c // 2) - 1)
+        for k in range(3):
+            corners[c, k] = R[k, 0] * u + R[k, 1] * v + R[k, 2]
     count, limit = 0, np.inf
-    for g in range(len(kind)):
+    for g in among:
         if half_m[g, 0] < 0:
             continue
         if kind[g] == _PLANE:
             nearest[count] = -np.inf
         else:
-            depth, R_geom, aside = 0.0, R_world_geom[g], center[g] - origin
-            for k in range(3):
-                along = R[0, 2] * R_geom[0, k] + R[1, 2] * R_geom[1, k] + R[2, 2] * R_geom[2, k]
-                depth += R[k, 2] * aside[k] - abs(along) * half_m[g, k]
-            nearest[count] = depth
+            x, y, z = center[g, 0] - origin[0], center[g, 1] - origin[1], center[g, 2] - origin[2]
+            T = transposed(R_world_geom, g)
             reach = 0.0
-            for s in range(len(sides) if bounded else 0):
-                n, reach = sides[s], _TOLERANCE_M
-                for k in range(3):
-                    along = abs(n[0] * R_geom[0, k] + n[1] * R_geom[1, k] + n[2] * R_geom[2, k])
-                    reach += n[k] * aside[k] + along * half_m[g, k]
+            for s in range(4, -1 if bounded else 3, -1):
+                n = (sides[s, 0], sides[s, 1], sides[s, 2]) if bounded else (R[0, 2], R[1, 2], R[2, 2])
+                along = turned(T, n)
+                wide = abs(along[0]) * half_m[g, 0] + abs(along[1]) * half_m[g, 1] + abs(along[2]) * half_m[g, 2]
+                reach = n[0] * x + n[1] * y + n[2] * z
+                if s == 4:
+                    nearest[count] = reach - wide
+                reach += wide + _TOLERANCE_M
                 if reach < 0:
                     break
-            if reach < 0:
+            if reach < 0 and bounded:
                 continue
         found[count] = g
         count += 1
         if bounded and (kind[g] == _BOX or kind[g] == _PLANE):
-            limit = min(limit, _cover(kind[g], size_m[g], origin - center[g], R_world_geom[g], R, bounds))
+            distance[:] = np.inf
+            meet(g, boxes, origin, corners, (distance, hit, face))
+            # Rays that begin inside hide nothing.
+            limit = min(limit, distance.max() if kind[g] == _PLANE or face.min() >= 0 else np.inf)
     kept = 0
     for i in range(count):
         if nearest[i] <= limit + _TOLERANCE_M:
@@ -156,84 +174,155 @@ def choose(boxes: Boxes, R: Any, origin: Any, bounds: Any) -> Any:
     return found[:kept]
 
 
-@kernel
-def _cover(kind: int, size: Any, start: Any, R_geom: Any, R: Any, bounds: Any) -> float:
-    """Depth of the deepest of the four corner rays' hits on a box or plane; infinite where one misses.
+@kernel(error_model="numpy")
+def meet(g: int, boxes: Boxes, origin: Any, rays: Any, hits: Any) -> None:
+    """Put geom `g` into `hits` wherever rays (N, 3) from `origin` (3,) come to it before what they hit so far.
 
-    `start` (3,) is where rays begin, from the geom's middle. A ray that begins inside counts as a miss.
+    `hits` are (N,) how many ray lengths away what is hit first is, which geom, -1 for none, and on which of its faces.
+    As MuJoCo's `mj_ray` does, to the last bit: planes are seen from above, and of equally near geoms the first counts.
     """
-    S = R_geom.T @ R
-    o = R_geom.T @ start
-    deepest = 0.0
-    for corner in range(4):
-        u, v = bounds[corner % 2], bounds[2 + corner // 2]
-        enters, leaves = 0.0, np.inf
-        if kind == _PLANE:
-            d = S[2, 0] * u + S[2, 1] * v + S[2, 2]
-            if o[2] <= 0 or d >= -_TOLERANCE_M:
-                return np.inf
-            enters = -o[2] / d
-        for k in range(2 if kind == _PLANE else 3):
-            if kind == _PLANE and size[k] <= 0:
+    distance, geom, face = hits
+    kind, T, size = boxes.kind[g], transposed(boxes.R_world_geom, g), row_of(boxes.size_m, g)
+    center = row_of(boxes.center, g)
+    o = turned(T, (origin[0] - center[0], origin[1] - center[1], origin[2] - center[2]))
+    # On which side of a box the rays begin, by axis; where they begin inside, they meet the far side.
+    side = (np.sign(o[0]), np.sign(o[1]), np.sign(o[2]))
+    side = (side[0] * (abs(o[0]) > size[0]), side[1] * (abs(o[1]) > size[1]), side[2] * (abs(o[2]) > size[2]))
+    is_inside = side[0] == 0 and side[1] == 0 and side[2] == 0
+    for i in range(len(rays)):
+        d, near = turned(T, (rays[i, 0], rays[i, 1], rays[i, 2])), distance[i]
+        x, on = near, 0
+        if kind == _BOX:
+            s0, s1, s2 = side
+            if is_inside:
+                s0, s1, s2 = -np.sign(d[0]), -np.sign(d[1]), -np.sign(d[2])
+            f = -1.0 if is_inside else 1.0
+            x = _on_side(f * s0, s0 * d[0], o[0], d[0], size[0], o[1], d[1], size[1], o[2], d[2], size[2], near)
+            y = _on_side(f * s1, s1 * d[1], o[1], d[1], size[1], o[0], d[0], size[0], o[2], d[2], size[2], x)
+            z = _on_side(f * s2, s2 * d[2], o[2], d[2], size[2], o[0], d[0], size[0], o[1], d[1], size[1], y)
+            x, on = z, 2 if z < y else (1 if y < x else 0)
+            on = on - 3 if is_inside else on
+        elif kind == _PLANE:
+            if d[2] <= -_PARALLEL and o[2] >= 0:
+                x = -o[2] / d[2]
+                for k in range(2):
+                    if size[k] > 0 and abs(o[k] + x * d[k]) > size[k]:
+                        x = near
+        else:
+            x, on = meet_curved(kind, size, o, d)
+            if x < 0:
                 continue
-            d = S[k, 0] * u + S[k, 1] * v + S[k, 2]
-            reach = size[k] - _TOLERANCE_M
-            if kind == _PLANE:
-                if abs(o[k] + enters * d) > reach:
-                    return np.inf
-            elif abs(d) < 1e-12:
-                if abs(o[k]) > reach:
-                    return np.inf
-            else:
-                first, second = (-reach - o[k]) / d, (reach - o[k]) / d
-                enters, leaves = max(enters, min(first, second)), min(leaves, max(first, second))
-        if enters <= 0 or enters > leaves:
-            return np.inf
-        deepest = max(deepest, enters)
-    return deepest
+        if x < near:
+            distance[i], geom[i], face[i] = x, g, on
 
 
-@kernel
-def put(chosen: Int32Array, boxes: Boxes, position_world: FloatArray, places: ModelGeoms) -> None:
-    """Copy the `chosen` (K,) geoms into the first places of a small model, group 0; the others go to group 1."""
-    kind, size_m, _, _, R_world_geom = boxes
-    to_kind, to_size, to_position, to_R, to_group = places
-    to_group[:] = 1
-    for i in range(len(chosen)):
-        g = chosen[i]
-        to_kind[i], to_group[i] = kind[g], 0
-        to_size[i], to_position[i] = size_m[g], position_world[g]
-        for k in range(9):
-            to_R[i, k] = R_world_geom[g, k // 3, k % 3]
+@kernel(error_model="numpy")
+def _on_side(
+    side: float, facing: float, o: float, d: float, half: float,
+    o1: float, d1: float, half1: float, o2: float, d2: float, half2: float, limit: float,
+) -> float:  # fmt: skip
+    """Where a ray meets one of a box's sides; `limit` where it does not meet it before. 1, 2: the other two axes."""
+    if facing < -_PARALLEL:
+        x = (side * half - o) / d
+        if x < limit and abs(o1 + x * d1) <= half1 and abs(o2 + x * d2) <= half2:
+            return x
+    return limit
 
 
-@kernel
-def gather(hits: Hits, rays_world: Any, tile: Any, origin: Any, chosen: Any, view: View) -> None:
-    """Write what a tile's rays hit into a view.
+@kernel(error_model="numpy")
+def roots(a: float, b: float, c: float) -> Any:
+    """Both solutions of a x² + 2 b x + c = 0, the lesser first; -1 where there is none."""
+    square = b * b - a * c
+    if square < _PARALLEL:
+        return -1.0, -1.0
+    root = np.sqrt(square)
+    return (-b - root) / a, (-b + root) / a
 
-    `hits` are MuJoCo's answers for `rays_world` (N, 3) from `origin` (3,). A hit surface is carried along its tangent
-    plane to where the row's own origin sees it: exact for flat ones; where the ray grazes it, the distance stays as it
-    was. `chosen` (K,) are the indices of what was cast at. Where nothing is hit, the view stays.
+
+@kernel(error_model="numpy")
+def meet_curved(kind: int, size: Any, o: Any, d: Any) -> Any:
+    """Where a ray from o along d meets what is curved, -1 if nowhere, and at which end: -1, 1, or 0 between them."""
+    if kind in (_SPHERE, _ELLIPSOID):
+        s, square = (1.0, 1.0, 1.0), size[0] * size[0]
+        if kind == _ELLIPSOID:
+            s, square = (1 / (size[0] * size[0]), 1 / (size[1] * size[1]), 1 / (size[2] * size[2])), 1.0
+        first, second = roots(
+            s[0] * d[0] * d[0] + s[1] * d[1] * d[1] + s[2] * d[2] * d[2],
+            s[0] * d[0] * o[0] + s[1] * d[1] * o[1] + s[2] * d[2] * o[2],
+            s[0] * o[0] * o[0] + s[1] * o[1] * o[1] + s[2] * o[2] * o[2] - square,
+        )
+        return (first if first >= 0 else second), 0
+    across, along = d[0] * d[0] + d[1] * d[1], d[0] * o[0] + d[1] * o[1]
+    from_axis = o[0] * o[0] + o[1] * o[1]
+    first, second = roots(across, along, from_axis - size[0] * size[0])
+    best, at = (first if first >= 0 else second), 0
+    if abs(o[2] + best * d[2]) > size[1]:
+        best = -1.0
+    for end in (-1, 1):
+        if kind == _CYLINDER:
+            first = (end * size[1] - o[2]) / d[2]
+            x, y = o[0] + first * d[0], o[1] + first * d[1]
+            if abs(d[2]) <= _PARALLEL or x * x + y * y > size[0] * size[0]:
+                first = -1.0
+            second = first
+        else:
+            up = o[2] - end * size[1]
+            square = from_axis + up * up - size[0] * size[0]
+            first, second = roots(across + d[2] * d[2], along + d[2] * up, square)
+            first = first if end * (o[2] + first * d[2]) >= size[1] else -1.0
+            second = second if end * (o[2] + second * d[2]) >= size[1] else -1.0
+        nearer = first if first >= 0 else second
+        if nearer >= 0 and (best < 0 or nearer < best):
+            best, at = nearer, end
+    return best, at
+
+
+@kernel(error_model="numpy")
+def normal_at(g: int, boxes: Boxes, origin: Any, ray: Any, distance: float, face: int) -> Any:
+    """Outward unit normal where a ray meets a geom."""
+    kind, T, size = boxes.kind[g], transposed(boxes.R_world_geom, g), row_of(boxes.size_m, g)
+    if kind == _PLANE:
+        return T[6], T[7], T[8]
+    center, d = row_of(boxes.center, g), turned(T, ray)
+    o = turned(T, (origin[0] - center[0], origin[1] - center[1], origin[2] - center[2]))
+    x, y, z = o[0] + distance * d[0], o[1] + distance * d[1], o[2] + distance * d[2]
+    if kind == _BOX:
+        x, y, z = (x if face % 3 == 0 else 0.0), (y if face % 3 == 1 else 0.0), (z if face % 3 == 2 else 0.0)
+    elif kind == _ELLIPSOID:
+        x, y, z = x / (size[0] * size[0]), y / (size[1] * size[1]), z / (size[2] * size[2])
+    elif kind == _CYLINDER:
+        x, y, z = (0.0, 0.0, float(face)) if face else (x, y, 0.0)
+    elif kind == _CAPSULE:
+        z = z - face * size[1] if face else 0.0
+    long = np.sqrt(x * x + y * y + z * z)
+    return turned((T[0], T[3], T[6], T[1], T[4], T[7], T[2], T[5], T[8]), (x / long, y / long, z / long))
+
+
+@kernel(error_model="numpy")
+def gather(hits: Any, boxes: Boxes, rays_world: Any, tile: Any, origin: Any, view: View) -> None:
+    """Write what the rays of a part of a tile hit into a view.
+
+    `rays_world` (N, 3) begin at `origin` (3,). A hit surface is carried along its tangent plane to where the row's own
+    origin sees it: exact for flat ones; where the ray grazes it, the distance stays as it was.
     """
-    hit, distance, normal = hits
     depth_m, geom, normal_world, T_world_rows, _ = view
-    i = -1
+    (distance, hit, face), i = hits, -1
     for row in range(tile[0], tile[1]):
+        here = place(T_world_rows, row)
+        away = (origin[0] - here[0], origin[1] - here[1], origin[2] - here[2])
         for column in range(tile[2], tile[3]):
             i += 1
-            z = distance[i]
-            if hit[i] < 0 or z < 0:
+            z, g = distance[i], hit[i]
+            if g < 0:
                 continue
-            n, ray = normal[i], rays_world[i]
-            across, carried, square = 0.0, 0.0, 0.0
-            for k in range(3):
-                across += n[k] * ray[k]
-                carried += n[k] * (origin[k] - T_world_rows[row, k, 3])
-                square += ray[k] * ray[k]
+            ray = (rays_world[i, 0], rays_world[i, 1], rays_world[i, 2])
+            n = normal_at(g, boxes, origin, ray, z, face[i])
+            across = n[0] * ray[0] + n[1] * ray[1] + n[2] * ray[2]
+            square = ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]
             if abs(across) > _GRAZING * np.sqrt(square):
-                z += carried / across
+                z += (n[0] * away[0] + n[1] * away[1] + n[2] * away[2]) / across
             if z > 0:
-                depth_m[row, column], geom[row, column] = z, chosen[hit[i]]
+                depth_m[row, column], geom[row, column] = z, g
                 for k in range(3):
                     normal_world[row, column, k] = n[k]
 
@@ -256,32 +345,28 @@ def is_same_face(one: int, n: Any, other: int, m: Any) -> Any:
 
 
 @kernel
-def three(vectors: Any, v: int, u: int) -> Any:
-    """A pixel's normal or ray as three numbers."""
-    return float(vectors[v, u, 0]), float(vectors[v, u, 1]), float(vectors[v, u, 2])
+def find(geom: Any, normal_world: Any, tiles: Any) -> Any:
+    """Rows and columns (N, 2) of pixels with another face above, below, on the left or the right.
 
-
-@kernel
-def find(geom: Any, normal_world: Any, tile: Any) -> Any:
-    """Rows and columns (N, 2) of a tile's pixels with another face above, below, on the left or the right.
-
-    `geom` (H, W) and `normal_world` (H, W, 3) are of the whole view; `tile` is its rows from `tile`[0] to `tile`[1] and
-    columns from `tile`[2] to `tile`[3], the last left out. A straight edge through a pixel parts it from at least one
+    They come tile by tile of `tiles` (T, 4), which cover the whole view's `geom` (H, W) and `normal_world` (H, W, 3);
+    the second answer (T + 1,) is where each tile's begin. A straight edge through a pixel parts it from at least one
     of those four, if nothing else is near.
     """
     height, width = geom.shape
-    found = np.empty(((tile[1] - tile[0]) * (tile[3] - tile[2]), 2), np.int32)
+    found, ends = np.empty((height * width, 2), np.int32), np.zeros(len(tiles) + 1, np.int64)
     count = 0
-    for v in range(tile[0], tile[1]):
-        for u in range(tile[2], tile[3]):
-            g, n = geom[v, u], three(normal_world, v, u)
-            for a, b in ((v - 1, u), (v + 1, u), (v, u - 1), (v, u + 1)):
-                inside = 0 <= a < height and 0 <= b < width
-                if inside and not is_same_face(g, n, geom[a, b], three(normal_world, a, b)):
-                    found[count, 0], found[count, 1] = v, u
-                    count += 1
-                    break
-    return found[:count]
+    for t in range(len(tiles)):
+        for v in range(tiles[t, 0], tiles[t, 1]):
+            for u in range(tiles[t, 2], tiles[t, 3]):
+                g, n = geom[v, u], three(normal_world, v, u)
+                for a, b in ((v - 1, u), (v + 1, u), (v, u - 1), (v, u + 1)):
+                    inside = 0 <= a < height and 0 <= b < width
+                    if inside and not is_same_face(g, n, geom[a, b], three(normal_world, a, b)):
+                        found[count, 0], found[count, 1] = v, u
+                        count += 1
+                        break
+        ends[t + 1] = count
+    return found[:count], ends
 
 
 @kernel
@@ -544,6 +629,12 @@ def albedo_on_geom(g: int, p: Any, n: Any, step_u: Any, step_v: Any, things: Thi
         height_w = max(abs(step_u[2]) + abs(step_v[2]), _LEAST_FOOTPRINT_M)
         colour = used_wall(colour, s, p[2], 2 * ht if face != _CURVED else 0.0, ws, height_w, int(looks[g, 1]))
     return colour
+
+
+@kernel(error_model="numpy")
+def row_of(vectors: Any, g: int) -> Any:
+    """A geom's vector as three numbers."""
+    return vectors[g, 0], vectors[g, 1], vectors[g, 2]
 
 
 @kernel(error_model="numpy")

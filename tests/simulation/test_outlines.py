@@ -213,9 +213,11 @@ def test_threads_do_not_change_a_byte(rng: np.random.Generator) -> None:
 
 def test_compiled_search_is_plain_search(rng: np.random.Generator) -> None:
     view = Scene(cluttered(rng)).cast(PinholeCamera(24, 18, 20, 20, 11.5, 8.5), looking())
-    tile = np.array([0, 18, 3, 24])
-    pixels = kernels.find(view.geom, view.normal_world, tile)
-    np.testing.assert_array_equal(pixels, plain(kernels).find(view.geom, view.normal_world, tile))
+    tiles = np.array([[0, 10, 3, 24], [10, 18, 3, 24]])
+    pixels, ends = kernels.find(view.geom, view.normal_world, tiles)
+    np.testing.assert_array_equal(pixels, plain(kernels).find(view.geom, view.normal_world, tiles)[0])
+    assert (pixels[: ends[1], 0] < 10).all()
+    assert (pixels[ends[1] :, 0] >= 10).all()
     np.testing.assert_array_equal(kernels.spread(view.rays, pixels), plain(kernels).spread(view.rays, pixels))
     assert len(pixels) > 50
     assert (pixels[:, 1] >= 3).all()

@@ -73,7 +73,7 @@ def test_rows_are_read_one_after_the_other():
     frames = renderer(driven=driven)
     shutter_s = camera_model("kinect-v1").rolling_shutter_s
     assert frames.calibration.rolling_shutter_s == shutter_s > 0
-    T_world_camera = frames.row_poses(0.5)
+    T_world_camera = frames.moment(0.5).T_world_camera
     ends_s = 0.5 + shutter_s * np.array([-0.5, 0.5])
     ends = driven.truth.at(ends_s) @ SETTINGS.robot.T_base_camera
     np.testing.assert_allclose(T_world_camera[[0, -1]], ends, atol=1e-12)
@@ -83,7 +83,7 @@ def test_rows_are_read_one_after_the_other():
 
 def test_a_robot_stands_before_it_starts():
     driven = drive()
-    before = renderer(driven=driven).row_poses(0.0)[:24]
+    before = renderer(driven=driven).moment(0.0).T_world_camera[:24]
     np.testing.assert_allclose(before, np.broadcast_to(before[0], before.shape))
     np.testing.assert_allclose(before[0], driven.truth.T_frame_body[0] @ SETTINGS.robot.T_base_camera)
 
@@ -94,7 +94,7 @@ def test_the_floor_is_seen_where_it_is():
     rays = not_none(frames.calibration.color).rays()[-8:]
     for index in (0, 5, 10):
         p_camera = rays * frames.frame(index).depth_m[-8:, :, None]
-        p_world = se3.apply(frames.row_poses(frames.stamp_s(index))[0], p_camera.reshape(-1, 3))
+        p_world = se3.apply(frames.moment(frames.stamp_s(index)).T_world_camera[0], p_camera.reshape(-1, 3))
         above_m = np.abs(p_world[:, 2, None] - [0, COVERING_M]).min(axis=1)
         np.testing.assert_allclose(above_m, 0, atol=1e-5)
 

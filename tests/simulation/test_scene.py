@@ -150,10 +150,11 @@ def test_no_geom_is_missed_among_hundreds(rng: np.random.Generator) -> None:
         view = scene.cast(camera, T)
         rays, origin, geom = camera.rays() @ T[:3, :3].T, np.ascontiguousarray(T[:3, 3]), np.zeros(1, np.int32)
         for row, column in np.ndindex(36, 48):
-            ray = np.ascontiguousarray(rays[row, column])
-            far = mujoco.mj_ray(scene.model, scene.data, origin, ray, None, True, -1, geom)
+            ray, normal = np.ascontiguousarray(rays[row, column]), np.zeros(3)
+            far = mujoco.mj_ray(scene.model, scene.data, origin, ray, None, True, -1, geom, normal)
             assert view.geom[row, column] == geom[0]
             assert view.depth_m[row, column] == pytest.approx(max(far, 0), rel=1e-6)
+            np.testing.assert_allclose(view.normal_world[row, column], normal if far >= 0 else 0, atol=1e-6)
 
 
 def test_threads_do_not_change_a_bit(rng: np.random.Generator) -> None:
@@ -231,7 +232,7 @@ def chosen_by(scene: Scene, bounds: tuple[float, float, float, float]) -> list[s
     T = looking()
     R, origin = np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])
     boxes = kernels.Boxes(g.kind, g.size_m, g.position_world, half, g.R_world_geom)
-    arguments = (boxes, R, origin, np.array(bounds))
+    arguments = (boxes, np.arange(len(half), dtype=np.int32), R, origin, np.array(bounds))
     chosen = kernels.choose(*arguments)
     np.testing.assert_array_equal(chosen, plain(kernels).choose(*arguments))
     return [g.names[index] for index in chosen]

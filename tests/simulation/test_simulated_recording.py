@@ -66,7 +66,7 @@ def test_calibration_is_what_a_user_would_measure_and_truth_what_is(recording):
 
 def test_truth_of_the_camera_follows_from_that_of_the_base(recording):
     camera = express_for("camera", recording.ground_truth, recording.calibration)
-    middle_row = recording.renderer.row_poses(0.7)[23:25]
+    middle_row = recording.renderer.moment(0.7).T_world_camera[23:25]
     np.testing.assert_allclose(camera.at(0.7)[0, :3, 3], middle_row[:, :3, 3].mean(axis=0), atol=1e-4)
 
 

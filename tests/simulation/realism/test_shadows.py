@@ -28,7 +28,9 @@ LAMP = '<geom name="lamp" type="box" pos="3 0 2.8" size="0.3 0.3 0.02" material=
 
 
 def covered(p: FloatArray, box: FloatArray, is_round: bool = False, module: object = kernels) -> float:
-    return float(module.covered(tuple(p), tuple(LAMP_M - p), HALF_M, box, is_round))  # type: ignore[attr-defined]
+    d = LAMP_M - p
+    level = float(np.hypot(d[0], d[1]))
+    return float(module.covered(tuple(p), tuple(d), level, HALF_M, box, is_round))  # type: ignore[attr-defined]
 
 
 def test_a_boards_shadow_ends_where_lines_from_the_lamp_over_its_edge_meet_the_floor() -> None:
@@ -82,7 +84,7 @@ def test_a_round_things_shadow_is_as_wide_as_it_is_from_any_side() -> None:
         ahead, aside = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
         p = 2.0 * ahead
         shares.append([float(kernels.covered(tuple(p + y * aside), tuple(-3 * ahead - y * aside + [0, 0, 9]),
-                       (1e-6, 1e-6), post, True)) for y in (0.0, 0.2, 0.4)])  # fmt: skip
+                       np.hypot(3, y), (1e-6, 1e-6), post, True)) for y in (0.0, 0.2, 0.4)])  # fmt: skip
     np.testing.assert_allclose(shares, [shares[0]] * 7, atol=1e-6)
 
 
