@@ -9,6 +9,7 @@ import typer
 
 from wheelsight._version import __version__
 from wheelsight.app.cli import (
+    assist,
     drive,
     evaluate,
     info,
@@ -107,6 +108,7 @@ _COMMANDS: tuple[tuple[str, tuple[tuple[Any, str, str], ...]], ...] = (
         (
             (drive.drive, "drive", "A robot goes to places of a map, or explores"),
             (serve.serve, "serve", "A page to see a robot and lead it"),
+            (assist.assist, "assist", "A person drives by a stick, and the robot helps"),
         ),
     ),
     ("Many recordings", ((batch, "batch", "Many recordings by several settings, one table"),)),
