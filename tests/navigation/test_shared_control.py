@@ -52,7 +52,7 @@ class Seat:
 
 
 @pytest.mark.parametrize("level", AssistLevel)
-def test_a_stick_that_is_let_go_moves_nothing(level: AssistLevel) -> None:
+def test_a_stick_that_is_released_moves_nothing(level: AssistLevel) -> None:
     seat = Seat(level)
     assert all(feedback.command.is_stop for feedback in seat.hold(2.0, 0.0))
     assert seat.robot.base.stands

@@ -196,7 +196,7 @@ class SpeedVariances:
     variances: FloatArray
 
 
-# Deflection below which a stick is let go, as a share of the full one.
+# Deflection below which a stick is released, as a share of the full one.
 _DEAD_ZONE = 0.05
 
 
@@ -222,6 +222,6 @@ class StickPosition:
         return math.isfinite(self.stamp_s) and all(abs(value) <= 1 for value in (self.forward, self.left))
 
     @property
-    def is_let_go(self) -> bool:
+    def is_released(self) -> bool:
         """Whether it is within the dead zone."""
         return max(abs(self.forward), abs(self.left)) < _DEAD_ZONE

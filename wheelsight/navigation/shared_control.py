@@ -28,7 +28,7 @@ from wheelsight.navigation.perception import DepthViewer
 from wheelsight.navigation.senses import WhereNow
 from wheelsight.navigation.settings import NavigationSettings, outline_of
 
-# Age of a stick's position beyond which it counts as let go: of a page or joystick that sends at 20 Hz, five positions.
+# Age of a stick's position beyond which it counts as released: of a page or joystick that sends at 20 Hz, five positions.
 STICK_AGE_S = 0.25
 # Turn rates that steering may add to the person's in the first part of the way ahead, rad/s, and their number. At 0.5
 # m/s the outermost one leaves the person's way by 0.4 m after a metre. More would be another way than the one that the
@@ -205,7 +205,7 @@ class SharedControl:
 class Assist(OneCaller):
     """Drives one robot by a stick; call `step` once per control period, and `move` for each position of the stick.
 
-    It needs wheels and a depth camera, neither a map nor a place in one. A stick that is let go, or whose positions do
+    It needs wheels and a depth camera, neither a map nor a place in one. A stick that is released, or whose positions do
     not come, stops the robot. It never drives backward by itself.
 
     Args:
@@ -240,7 +240,7 @@ class Assist(OneCaller):
 
     @one_at_a_time
     def move(self, position: StickPosition) -> None:
-        """Take a position of the stick. One that is not sound counts as let go."""
+        """Take a position of the stick. One that is not sound counts as released."""
         self._stick = position if position.is_sound else StickPosition(self._robot.now_s)
 
     @property
@@ -291,9 +291,9 @@ class Assist(OneCaller):
         return feedback
 
     def _intended(self, now_s: float) -> VelocityCommand:
-        """Return the person's command; a stop if the stick is let go, or its newest position is old."""
+        """Return the person's command; a stop if the stick is released, or its newest position is old."""
         stick, limits = self._stick, self.settings.limits
-        if stick.is_let_go or not 0 <= now_s - stick.stamp_s + CONTROL_PERIOD_S <= STICK_AGE_S + CONTROL_PERIOD_S:
+        if stick.is_released or not 0 <= now_s - stick.stamp_s + CONTROL_PERIOD_S <= STICK_AGE_S + CONTROL_PERIOD_S:
             return STOP
         most_m_s = limits.forward_m_s if stick.forward > 0 else limits.backward_m_s
         return VelocityCommand(stick.forward * most_m_s, stick.left * limits.turn_rad_s)

@@ -54,11 +54,11 @@ class AssistOptions(RobotOptions, SettingsOptions, StickOptions):
 def assist(options: AssistOptions) -> None:
     """Drive a robot by a stick with its help: it slows, stops, and steers toward a free way. It needs no map.
 
-    The help never goes faster than the stick, never drives with the stick let go, and never backward by itself. Each
+    The help never goes faster than the stick, never drives with the stick released, and never backward by itself. Each
     change of what it does is printed, with the reason. docs/assist.md has the levels and the override.
 
-    Ctrl-C stops the robot. Exit code 0: the stick's file is over, or Ctrl-C; 1: the joystick is gone; 2: what was
-    handed in is wrong.
+    Ctrl-C stops the robot. Exit code 0: the stick's file is over, or Ctrl-C; 1: the joystick is gone; 2: wrong
+    options.
 
     [bold]Examples[/bold]
 

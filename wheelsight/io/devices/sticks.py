@@ -87,7 +87,7 @@ class Joystick(Closing):
 class StickLog(Closing):
     """Positions of a stick from a text file: seconds since the begin, forward, left and optionally 1 for the override.
 
-    A position stays until the next one; after the last one the stick is let go, and then it is gone.
+    A position stays until the next one; after the last one the stick is released, and then it is gone.
 
     Raises RecordingError for a file that cannot be read, or for a line with other content.
     """
