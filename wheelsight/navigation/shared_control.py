@@ -28,7 +28,7 @@ from wheelsight.navigation.perception import DepthViewer
 from wheelsight.navigation.senses import WhereNow
 from wheelsight.navigation.settings import NavigationSettings, outline_of
 
-# Age of a stick's position beyond which it counts as released: of a page or joystick that sends at 20 Hz, five positions.
+# Age of a stick's position beyond which it counts as released: five positions of a stick that sends at 20 Hz.
 STICK_AGE_S = 0.25
 # Turn rates that steering may add to the person's in the first part of the way ahead, rad/s, and their number. At 0.5
 # m/s the outermost one leaves the person's way by 0.4 m after a metre. More would be another way than the one that the
@@ -205,8 +205,8 @@ class SharedControl:
 class Assist(OneCaller):
     """Drives one robot by a stick; call `step` once per control period, and `move` for each position of the stick.
 
-    It needs wheels and a depth camera, neither a map nor a place in one. A stick that is released, or whose positions do
-    not come, stops the robot. It never drives backward by itself.
+    It needs wheels and a depth camera, neither a map nor a place in one. A released stick, or one whose positions do not
+    come, stops the robot. It never drives backward by itself.
 
     Args:
         robot: the robot to drive; the caller opens and closes it.
