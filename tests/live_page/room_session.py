@@ -11,8 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from navigation.rooms import RoomRobot, StandInLocalization, Walls, walls_about
+from navigation.rooms import StandInLocalization
 
+from benchmarks.plain_rooms import RoomRobot, Walls, walls_about
 from wheelsight.app.page import Driven, Session, Watch
 from wheelsight.core.errors import MapError
 from wheelsight.core.geometry import FloatArray

@@ -27,8 +27,8 @@ from localizer.made_apart import (
     ticks,
 )
 from narrowing import not_none
-from navigation.rooms import WHEELS
 
+from benchmarks.plain_rooms import WHEELS
 from wheelsight.config import load_config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import ConfigError, DeviceError, MapError, WheelsightError

@@ -8,10 +8,11 @@ from typing import Literal
 import numpy as np
 import pytest
 import shapely
-from navigation.rooms import CALIBRATION, CELL_M, RoomRobot, StandInLocalization, Walls
+from navigation.rooms import StandInLocalization
 from navigation.test_collision_monitor import NOTHING, Ride
 from navigation.unicycle import CHAIR, Camera
 
+from benchmarks.plain_rooms import CALIBRATION, CELL_M, RoomRobot, Walls
 from wheelsight.core.messages import STOP, RgbdFrame, VelocityCommand
 from wheelsight.mapping import CellKind, OccupancyGrid
 from wheelsight.navigation import CellState, CostmapSettings, KnownFloor, NavigationSettings

@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as examples
 from hypothesis import strategies as st
-from navigation.unicycle import CHAIR, Camera, Unicycle, clearance_m
+from navigation.unicycle import CHAIR, Camera, clearance_m
 from scipy.stats import qmc
 
+from benchmarks.plain_rooms import Unicycle
 from benchmarks.plain_views import view_of_points
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import FloatArray

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 from grids import mostly_slow
 from navigation.test_controllers import WAYS
-from navigation.unicycle import CHAIR, NOBODY, Camera, Unicycle, centres_of, clearance_m, field_of
+from navigation.unicycle import CHAIR, NOBODY, Camera, centres_of, clearance_m, field_of
 
+from benchmarks.plain_rooms import Unicycle
 from wheelsight.core.estimates import Status
 from wheelsight.navigation import CollisionMonitor, ControlReason, MonitorState, MppiController, VelocityRamp
 

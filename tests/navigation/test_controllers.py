@@ -14,7 +14,6 @@ from navigation.unicycle import (
     NOBODY,
     Drive,
     Path,
-    Unicycle,
     centres_of,
     clearance_m,
     closed_loop,
@@ -23,6 +22,7 @@ from navigation.unicycle import (
     with_door,
 )
 
+from benchmarks.plain_rooms import Unicycle
 from wheelsight.core.geometry import BoolArray, FloatArray
 from wheelsight.core.messages import STOP
 from wheelsight.navigation import Costmap, NavigationSettings, Plan, RobotLimits

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from navigation.rooms import Ride, Walls
+from navigation.rooms import Ride
 from patched import patched
 
+from benchmarks.plain_rooms import Walls
 from wheelsight.core.geometry import FloatArray
 from wheelsight.navigation import NavigationSettings, PeopleSettings
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import CAMERA, SENSES_M, Ride, Walls, walls_about
+from navigation.rooms import Ride
 from navigation.unguarded import FULL, Asks, without_monitor
 
+from benchmarks.plain_rooms import CAMERA, SENSES_M, Walls, walls_about
 from wheelsight.core.geometry import FloatArray
 from wheelsight.navigation import MonitorReason, MonitorState, NavigationSettings
 from wheelsight.navigation.controllers import ControlResult

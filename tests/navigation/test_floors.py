@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import CALIBRATION, Walls
 from numpy.testing import assert_array_equal
 
+from benchmarks.plain_rooms import CALIBRATION, Walls
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.keyframes import Keyframe, KeyframeId, KeyframeStore
 from wheelsight.mapping import CellKind, OccupancyGrid

@@ -7,8 +7,9 @@ import re
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import Ride, Walls, is_near, walls_about
+from navigation.rooms import Ride, is_near
 
+from benchmarks.plain_rooms import Walls, walls_about
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import DepthNoise
 from wheelsight.core.errors import ArgumentError

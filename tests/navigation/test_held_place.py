@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import WHEELS
 from navigation.test_where_now import SPEED_M_S, ticks
 
+from benchmarks.plain_rooms import WHEELS
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import se2, se3
 from wheelsight.estimation import FusedEstimate

@@ -10,9 +10,10 @@ import grids
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import CELL_M, Ride, Walls, walls_about
+from navigation.rooms import Ride
 from patched import patched
 
+from benchmarks.plain_rooms import CELL_M, Walls, walls_about
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.estimates import Status
 from wheelsight.core.robots import RobotLimits

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 from documentation_blocks import python_blocks
 from narrowing import not_none
-from navigation.rooms import Ride, RoomRobot, StandInLocalization, Walls, is_near, walls_about
+from navigation.rooms import Ride, StandInLocalization, is_near
 
+from benchmarks.plain_rooms import RoomRobot, Walls, walls_about
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.messages import Event, VelocityCommand
 from wheelsight.navigation import Feedback, KnownFloor, NavigationReason, NavigationState, Navigator

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from narrowing import not_none
-from navigation.rooms import Ride, Walls
+from navigation.rooms import Ride
 from patched import patched
 
+from benchmarks.plain_rooms import Walls
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.messages import STOP, VelocityCommand
 from wheelsight.navigation import (

@@ -7,9 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from navigation.rooms import Ride, Walls, walls_about
+from navigation.rooms import Ride
 from patched import patched
 
+from benchmarks.plain_rooms import Walls, walls_about
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.messages import STOP, VelocityCommand

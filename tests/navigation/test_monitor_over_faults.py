@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import Ride, Walls, walls_about
+from navigation.rooms import Ride
 from navigation.unguarded import FULL, Asks, without_monitor
 from navigation.unicycle import clearance_m, field_of
 
+from benchmarks.plain_rooms import Walls, walls_about
 from wheelsight.core.estimates import Estimate
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.messages import STOP, Event, VelocityCommand

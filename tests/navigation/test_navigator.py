@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import Ride, Walls, is_near, walls_about
+from navigation.rooms import Ride, is_near
 from patched import patched
 
+from benchmarks.plain_rooms import Walls, walls_about
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.estimates import Estimate, Status
 from wheelsight.core.geometry import se3

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import Ride, RoomRobot, StandInLocalization, Walls, is_near, walls_about
+from navigation.rooms import Ride, StandInLocalization, is_near
 
+from benchmarks.plain_rooms import RoomRobot, Walls, walls_about
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.messages import VelocityCommand

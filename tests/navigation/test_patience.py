@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import Ride, Walls, is_near, walls_about
+from navigation.rooms import Ride, is_near
 from patched import patched
 
+from benchmarks.plain_rooms import Walls, walls_about
 from wheelsight.navigation import BehaviourSettings, NavigationReason, NavigationSettings, NavigatorSettings
 from wheelsight.navigation.perception import Person
 

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import Ride, Walls, walls_about
+from navigation.rooms import Ride
 
+from benchmarks.plain_rooms import Walls, walls_about
 from wheelsight.core.estimates import Status
 from wheelsight.navigation import (
     BehaviourSettings,

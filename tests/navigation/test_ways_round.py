@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from narrowing import not_none
-from navigation.rooms import Ride, Walls, is_near, walls_about
+from navigation.rooms import Ride, is_near
 
+from benchmarks.plain_rooms import Walls, walls_about
 from wheelsight.navigation import BehaviourSettings, NavigationSettings
 
 SIZE_M = (8.0, 12.0)

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import WHEELS
 from scipy.stats import chi2
 
+from benchmarks.plain_rooms import WHEELS
 from wheelsight.core.estimates import Estimate, Status
 from wheelsight.core.geometry import se3
 from wheelsight.core.messages import WheelTicks

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 from narrowing import not_none
-from navigation.rooms import CALIBRATION, Ride, Walls, is_near, walls_about
+from navigation.rooms import Ride, is_near
 from navigation.test_floors import CHAIR, Seen
 
+from benchmarks.plain_rooms import CALIBRATION, Walls, walls_about
 from wheelsight.core.errors import MapError
 from wheelsight.core.estimates import Estimate
 from wheelsight.core.geometry import se3

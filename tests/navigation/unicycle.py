@@ -7,52 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from benchmarks.plain_rooms import Unicycle
 from benchmarks.plain_views import view_of_points
 from wheelsight.core.geometry import BoolArray, FloatArray
 from wheelsight.core.messages import VelocityCommand
-from wheelsight.navigation import Footprint, RobotLimits
+from wheelsight.navigation import Footprint
 from wheelsight.navigation.clearance_kernels import CostField
-from wheelsight.navigation.controllers import Controller, ControlReason, DrivenPath, MotionState
+from wheelsight.navigation.controllers import Controller, ControlReason, DrivenPath
 from wheelsight.navigation.perception import DepthView
 
 CHAIR = Footprint.rectangle(0.8, 0.3, 0.6)
 NOBODY = np.empty((0, 5))
 RESOLUTION_M = 0.05
-_PARTS = 10
-
-
-class Unicycle:
-    """Speeds follow commands by a first-order lag, within limits of acceleration, braking and turns."""
-
-    def __init__(
-        self, pose: tuple[float, float, float], limits: RobotLimits | None = None, lag_s: float = 0.15
-    ) -> None:
-        self.pose = np.array(pose, float)
-        self.forward_m_s, self.turn_rad_s = 0.0, 0.0
-        self._limits, self._lag_s = limits or RobotLimits(), lag_s
-
-    @property
-    def state(self) -> MotionState:
-        return MotionState(self.pose.copy(), self.forward_m_s, self.turn_rad_s)
-
-    @property
-    def stands(self) -> bool:
-        return abs(self.forward_m_s) < 0.005 and abs(self.turn_rad_s) < 0.005
-
-    def step(self, command: VelocityCommand, period_s: float = 0.05) -> None:
-        """Go on by a period, in short pieces of arcs."""
-        limits, step_s = self._limits, period_s / _PARTS
-        share = 1 - np.exp(-step_s / self._lag_s) if self._lag_s else 1.0
-        for _ in range(_PARTS):
-            change = share * (command.forward_m_s - self.forward_m_s)
-            grows = self.forward_m_s * change >= 0
-            most = (limits.acceleration_m_s2 if grows else limits.braking_m_s2) * step_s
-            self.forward_m_s += float(np.clip(change, -most, most))
-            most = limits.turn_acceleration_rad_s2 * step_s
-            self.turn_rad_s += float(np.clip(share * (command.turn_rad_s - self.turn_rad_s), -most, most))
-            yaw = self.pose[2] + self.turn_rad_s * step_s / 2
-            way = self.forward_m_s * step_s
-            self.pose += [way * np.cos(yaw), way * np.sin(yaw), self.turn_rad_s * step_s]
 
 
 @dataclass(frozen=True)

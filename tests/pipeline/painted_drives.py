@@ -8,10 +8,11 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from navigation.rooms import CELL_M, MOUNT, WHEELS, Ride, RoomRobot, StandInLocalization, Wall, Walls
+from navigation.rooms import Ride, StandInLocalization
 from places.seen_room import frame_at, kept, seen
 from synthetic import BOXES, CAMERA, ROOM
 
+from benchmarks.plain_rooms import CELL_M, MOUNT, WHEELS, RoomRobot, Wall, Walls
 from wheelsight.config import KnownMapSettings, load_config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.geometry import se3

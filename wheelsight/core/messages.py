@@ -194,3 +194,34 @@ class SpeedVariances:
 
     stamps_s: FloatArray
     variances: FloatArray
+
+
+# Deflection below which a stick is released, as a share of the full one.
+_DEAD_ZONE = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class StickPosition:
+    """Position of a stick.
+
+    Attributes:
+        stamp_s: by the robot's clock.
+        forward: from -1, fully back, to 1.
+        left: from -1, fully right, to 1.
+        has_override: whether the switch for full control is held.
+    """
+
+    stamp_s: float
+    forward: float = 0.0
+    left: float = 0.0
+    has_override: bool = False
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether all numbers are finite, and within -1 and 1."""
+        return math.isfinite(self.stamp_s) and all(abs(value) <= 1 for value in (self.forward, self.left))
+
+    @property
+    def is_released(self) -> bool:
+        """Whether it is within the dead zone."""
+        return max(abs(self.forward), abs(self.left)) < _DEAD_ZONE

@@ -99,6 +99,10 @@ class MonitorReason(StrEnum):
     UNCONFIRMED = "the camera has not confirmed the place in the map"
 
 
+# Reasons for which a robot that only stops stands instead of going slower.
+_STOP_FOR = (MonitorReason.OBSTACLE, MonitorReason.NEVER_SEEN)
+
+
 @dataclass(frozen=True, slots=True)
 class MonitorResult:
     """Result of a check.
@@ -141,18 +145,24 @@ class ControlChain:
         *,
         stands_by_itself: bool,
         silent: MonitorReason | None = None,
+        is_unchecked: bool = False,
+        stops_only: bool = False,
     ) -> None:
         """Compute the command of a period.
 
         Args:
             stands_by_itself: whether the robot has stopped by itself, and does not obey.
             silent: the part that does not answer; with one the command is a stop.
+            is_unchecked: whether a person drives past obstacles on his own responsibility.
+            stops_only: whether the robot stands where it would have to go slower for an obstacle or unseen floor.
         """
         if stands_by_itself:
             # A ramp down during its own stop would look like disobedience, and would delay the stop command.
             self._ramp.follow(STOP)
         ramped = self._ramp.step(asked.forward_m_s, asked.turn_rad_s, CONTROL_PERIOD_S)
-        self.checked = self.monitor.check(ramped, now_s, status, silent)
+        self.checked = self.monitor.check(ramped, now_s, status, silent, is_unchecked=is_unchecked)
+        if stops_only and self.checked.state is MonitorState.SLOWED and self.checked.reason in _STOP_FOR:
+            self.checked = MonitorResult(STOP, MonitorState.STOPPED, self.checked.reason)
         if self.checked.state is not MonitorState.FREE:
             self._ramp.follow(self.checked.command)
         if self.checked.state is MonitorState.STOPPED:
@@ -244,13 +254,24 @@ class CollisionMonitor:
         return bool(np.isfinite(self._any_frame_s) and now_s - self._any_frame_s > SILENT_S)
 
     def check(
-        self, asked: VelocityCommand, now_s: float, status: Status, silent: MonitorReason | None = None
+        self,
+        asked: VelocityCommand,
+        now_s: float,
+        status: Status,
+        silent: MonitorReason | None = None,
+        *,
+        is_unchecked: bool = False,
     ) -> MonitorResult:
-        """Return the command that may be driven. Call it once per period, even for a stop."""
+        """Return the command that may be driven. Call it once per period, even for a stop.
+
+        With `is_unchecked` only invalid numbers and disobedient wheels stop the robot.
+        """
         reason = silent or self._why_stand(asked, now_s, status)
+        if is_unchecked and reason not in (MonitorReason.INVALID, MonitorReason.WHEELS_OFF):
+            reason = None
         if reason is not None:
             result = MonitorResult(STOP, MonitorState.STOPPED, reason)
-        elif asked.is_stop:
+        elif asked.is_stop or is_unchecked:
             result = MonitorResult(asked, MonitorState.FREE)
         else:
             share, reason = self._share(asked, now_s, status)

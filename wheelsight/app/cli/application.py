@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from wheelsight._version import __version__
-from wheelsight.app.cli import drive, evaluate, info, maps, record, run, serve, simulate, wheels
+from wheelsight.app.cli import assist, drive, evaluate, info, maps, record, run, serve, simulate, wheels
 from wheelsight.app.cli.compiling import warm_up_warm_up
 from wheelsight.app.cli.console import INPUT_IS_WRONG, CliCommand, Group, prepare_streams, print_error
 from wheelsight.app.cli.run_options import config_config
@@ -97,6 +97,7 @@ _COMMANDS: tuple[tuple[str, tuple[tuple[Any, str, str], ...]], ...] = (
         (
             (drive.drive, "drive", "A robot goes to places of a map, or explores"),
             (serve.serve, "serve", "A page to see a robot and lead it"),
+            (assist.assist, "assist", "A person drives by a stick, and the robot helps"),
         ),
     ),
     ("Many recordings", ((batch, "batch", "Many recordings by several settings, one table"),)),
