@@ -32,8 +32,19 @@ from wheelsight_export.sources import (
     upright,
     upright_points,
 )
+from wheelsight_export.topics import (
+    COLOR,
+    DIAGNOSTICS_TOPIC,
+    MAP,
+    MAP_TOPIC,
+    ODOM,
+    ODOM_TOPIC,
+    POINTS_TOPIC,
+    TF,
+    TRUTH_TOPIC,
+    WAY_TOPIC,
+)
 
-MAP, ODOM = "map", "odom"
 DEFAULT_VOXEL_M = 0.05
 # The diagnostic level of each status.
 _LEVELS = {"tracking": 0, "coasting": 1, "initializing": 1, "failing": 2, "lost": 2}
@@ -183,7 +194,7 @@ class _Writing:
             known = None if C is None else C[row]
             yield Sent(stamp_s, ODOM_TOPIC, self.make.odometry(stamp_s, (ODOM, child), T, moving[row], known))
             joined = [(MAP, ODOM, at[stamp_s])] if stamp_s in at and self.fixed == MAP else []
-            yield Sent(stamp_s, "/tf", self.make.transforms(stamp_s, [*joined, (ODOM, child, T)]))
+            yield Sent(stamp_s, TF, self.make.transforms(stamp_s, [*joined, (ODOM, child, T)]))
 
     def _statuses(self) -> Iterator[Sent]:
         rows = sorted(self.source.status(), key=lambda row: row.stamp_s)
@@ -213,10 +224,8 @@ class _Writing:
 # RViz: RViz 2 for bags of ROS 2, and RViz 1, whose classes have other names, for bags of ROS 1.
 
 
-ODOM_TOPIC, DIAGNOSTICS_TOPIC, MAP_TOPIC, POINTS_TOPIC = "/odom", "/diagnostics", "/map", "/map_points"
-WAY_TOPIC, TRUTH_TOPIC = "/trajectory", "/ground_truth"
 _WAYS = {WAY_TOPIC: (0, 114, 178), TRUTH_TOPIC: (0, 158, 115)}  # red, green, blue (Okabe & Ito 2008)
-_COLOR_IMAGES = ("/camera/color/image_raw", "/camera/color/image_raw/compressed")
+_COLOR_IMAGES = (f"{COLOR}/image_raw", f"{COLOR}/image_raw/compressed")
 _LINE_M = 0.04
 _POINT_PX = 3
 
