@@ -26,6 +26,7 @@ class Flow(Enum):
     RELIABLE = "reliable, the last ten messages"
     LATCHED = "reliable and transient local, the last message"
     INPUT = "received: reliable, the last message"
+    COMMAND = "received: best effort, the last message"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +79,7 @@ TOPICS: dict[str, Topic] = {
         Topic(POINTS_TOPIC, "sensor_msgs/msg/PointCloud2", Flow.LATCHED),
         Topic(WAY_TOPIC, "nav_msgs/msg/Path", Flow.LATCHED, is_live=False),
         Topic(TRUTH_TOPIC, "nav_msgs/msg/Path", Flow.LATCHED, is_live=False),
-        Topic(VELOCITY_TOPIC, "geometry_msgs/msg/Twist", Flow.INPUT),
+        Topic(VELOCITY_TOPIC, "geometry_msgs/msg/Twist", Flow.COMMAND),
         Topic(GOAL_TOPIC, "geometry_msgs/msg/PoseStamped", Flow.INPUT),
         Topic(INITIAL_TOPIC, "geometry_msgs/msg/PoseWithCovarianceStamped", Flow.INPUT),
         Topic(CLICKED_TOPIC, "geometry_msgs/msg/PointStamped", Flow.INPUT),

@@ -370,7 +370,7 @@ class _Client:
 
 
 def _is_sent(topic: Topic) -> bool:
-    return topic.is_live and topic.flow is not Flow.INPUT
+    return topic.is_live and topic.name not in INPUTS
 
 
 def _is_any(host: str) -> bool:

@@ -37,7 +37,7 @@ _REST_S = 1.0
 _OLD_S = 5.0
 _FARTHEST_M = 1e4
 _LONGEST = 120  # characters of a refusal
-INPUTS = {name: topic for name, topic in TOPICS.items() if topic.flow is Flow.INPUT}
+INPUTS = {name: topic for name, topic in TOPICS.items() if topic.flow in (Flow.INPUT, Flow.COMMAND)}
 
 
 class Led(Protocol):
@@ -126,9 +126,7 @@ class Inputs:
 
     def _do(self, topic: str, message: Any) -> None:
         if self._led is None:
-            raise ArgumentError(
-                "this drive has its own goals", fix="drive without --to, or serve, takes them from others"
-            )
+            raise ArgumentError("no robot is led here", fix="wheelsight serve, or drive without --to, takes goals")
         if topic == STOP_TOPIC:
             self._led.stop("another program pressed stop")
             return
