@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 
 from live_page.room_session import Served, room_session
 from navigation.rooms import CALIBRATION
@@ -45,19 +46,16 @@ class Linked(Served):
 
 
 @contextmanager
-def linked(settings: LinkSettings, **how: object) -> Iterator[Linked]:
+def linked(settings: LinkSettings, **how: Any) -> Iterator[Linked]:
     """In real time."""
     settings.check()
     notes, problems = list[str](), list[str]()
-    stamps = [0.0]
-    with open_bridge(
-        settings,
-        CALIBRATION,
-        is_simulated=True,
-        robot_s=lambda: stamps[0],
-        on_problem=problems.append,
-        on_note=notes.append,
-    ) as bridge:
-        with room_session(watch=bridge, **how) as served:  # type: ignore[arg-type]
-            bridge.lead(served.session)
-            yield Linked(served.session, served.robot, served.maps, bridge, notes, problems)
+    bridges = list[Bridge]()
+    how_linked: Any = {"is_simulated": True, "on_problem": problems.append, "on_note": notes.append}
+    with (
+        open_bridge(settings, CALIBRATION, robot_s=lambda: bridges[0].stamp_s, **how_linked) as bridge,
+        room_session(watch=bridge, **how) as served,
+    ):
+        bridges.append(bridge)
+        bridge.lead(served.session)
+        yield Linked(served.session, served.robot, served.maps, bridge, notes, problems)

@@ -3,6 +3,9 @@
 `python dds_peer.py DOMAIN [NAMESPACE]` reads commands as lines of JSON, and writes what it received as lines of JSON.
 """
 
+# mypy: ignore-errors
+# Cyclone's metaclass takes the fields' types at run time, from annotations that mypy takes for wrong.
+
 import json
 import sys
 import threading
@@ -203,48 +206,58 @@ def message(topic: str, said: dict[str, Any]) -> Any:
     )
 
 
-def main() -> None:
-    domain_id, namespace = int(sys.argv[1]), sys.argv[2] if len(sys.argv) > 2 else ""
-    domain = Domain(domain_id, LOOPBACK)
-    participant = DomainParticipant(domain_id)
-    readers = {
-        name: DataReader(participant, Topic(participant, f"rt{namespace}/{name}", kind), qos=Qos(*qos))
-        for name, (kind, qos) in TAKEN.items()
-    }
-    writers = {
-        name: DataWriter(participant, Topic(participant, f"rt{namespace}/{name}", kind), qos=Qos(RELIABLE))
-        for name, kind in GIVEN.items()
-    }
-    flowing: dict[str, Any] = {}
+def say(**said: Any) -> None:
+    sys.stdout.write(json.dumps(said) + "\n")
+    sys.stdout.flush()
 
-    def take() -> None:
+
+class Program:
+    """Takes all topics in one thread, and gives those that flow in another."""
+
+    def __init__(self, domain: int, namespace: str) -> None:
+        self._domain, self._participant = Domain(domain, LOOPBACK), DomainParticipant(domain)
+        self._prefix, self._flowing = f"rt{namespace}/", {}
+        self._readers = {
+            name: DataReader(self._participant, self._topic(name, kind), qos=Qos(*qos))
+            for name, (kind, qos) in TAKEN.items()
+        }
+        self._writers = {
+            name: DataWriter(self._participant, self._topic(name, kind), qos=Qos(RELIABLE))
+            for name, kind in GIVEN.items()
+        }
+        for work in (self._take, self._flow):
+            threading.Thread(target=work, daemon=True).start()
+
+    def _topic(self, name: str, kind: Any) -> Topic:
+        return Topic(self._participant, f"{self._prefix}{name}", kind)
+
+    def do(self, said: dict[str, Any]) -> None:
+        topic = said["topic"]
+        if said.get("every_s") is not None:
+            self._flowing[topic] = (said, said["every_s"])
+        elif said.get("ends"):
+            self._flowing.pop(topic, None)
+        else:
+            self._writers[topic].write(message(topic, said))
+
+    def _take(self) -> None:
         while True:
-            for name, reader in readers.items():
+            for name, reader in self._readers.items():
                 for sample in reader.take(1):
                     if isinstance(sample, TAKEN[name][0]):
-                        print(json.dumps({"topic": name, "message": plain(sample)}), flush=True)
+                        say(topic=name, message=plain(sample))
             time.sleep(0.005)
 
-    def flow() -> None:
+    def _flow(self) -> None:
         while True:
-            for topic, (said, every_s) in list(flowing.items()):
-                writers[topic].write(message(topic, said))
+            for topic, (said, every_s) in list(self._flowing.items()):
+                self._writers[topic].write(message(topic, said))
                 time.sleep(every_s)
-            time.sleep(0 if flowing else 0.01)
-
-    for work in (take, flow):
-        threading.Thread(target=work, daemon=True).start()
-    print(json.dumps({"topic": "ready"}), flush=True)
-    for line in sys.stdin:
-        said = json.loads(line)
-        if said.get("every_s") is not None:
-            flowing[said["topic"]] = (said, said["every_s"])
-        elif said.get("ends"):
-            flowing.pop(said["topic"], None)
-        else:
-            writers[said["topic"]].write(message(said["topic"], said))
-    del domain
+            time.sleep(0 if self._flowing else 0.01)
 
 
 if __name__ == "__main__":
-    main()
+    program = Program(int(sys.argv[1]), sys.argv[2] if len(sys.argv) > 2 else "")
+    say(topic="ready")
+    for line in sys.stdin:
+        program.do(json.loads(line))

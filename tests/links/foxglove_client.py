@@ -1,4 +1,4 @@
-"""A client of Foxglove's websocket protocol, written from its description alone, and the CDR reader of `mcap`'s tools."""
+"""A client of Foxglove's websocket protocol, written from its description, with the CDR reader of `mcap`'s tools."""
 
 from __future__ import annotations
 
