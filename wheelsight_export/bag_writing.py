@@ -701,7 +701,7 @@ class Messages:
         def marker(space: str, number: int, how: tuple[int, int], T: FloatArray, size: FloatArray, look: Any) -> Any:
             color, points = look
             about = (self.header(stamp_s, frame), space, number, *how, self.pose(T), self._vector(size))
-            rest = (color, forever, False, points, [], "", texture, [], "", "", mesh, False)
+            rest: tuple[Any, ...] = (color, forever, False, points, [], "", texture, [], "", "", mesh, False)
             return self._make("visualization_msgs/msg/Marker", *about, *rest)
 
         made = [marker("", 0, (0, _DELETE_ALL), np.eye(4), np.zeros(3), (none, []))]

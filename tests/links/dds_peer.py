@@ -16,7 +16,7 @@ from typing import Any
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import array, float32, float64, int8, int32, sequence, uint32
+from cyclonedds.idl.types import array, float32, float64, int8, int32, sequence, uint8, uint32
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -162,7 +162,7 @@ class String(IdlStruct, typename="std_msgs::msg::dds_::String_"):
 
 @dataclass
 class Empty(IdlStruct, typename="std_msgs::msg::dds_::Empty_"):
-    structure_needs_at_least_one_member: int8 = 0
+    structure_needs_at_least_one_member: uint8 = 0
 
 
 # As RViz and Nav2 subscribe: maps and static transforms transient local, sensors best effort.

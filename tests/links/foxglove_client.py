@@ -84,6 +84,14 @@ class FoxgloveClient:
             self.read(0.05)
         raise AssertionError(f"it did not come to be: {self.statuses[-3:]}, {[*self.messages]}")
 
+    def until_told(self) -> None:
+        """Until it knows the server and its channels."""
+        self.until(lambda: self.about and self.channels)
+
+    def until_warned(self, problem: str) -> None:
+        """Until the server has warned of a problem."""
+        self.until(lambda: problem in " ".join(self.statuses))
+
     def last(self, topic: str) -> Any:
         return self.until(lambda: self.messages.get(topic))[-1][1]
 

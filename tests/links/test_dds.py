@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import queue
+import resource
+import signal
 import subprocess
 import sys
 import threading
@@ -18,6 +20,7 @@ import pytest
 from links.bridged import linked
 from live_page.room_session import ROOM, SIZE_M
 
+from wheelsight.core.errors import ConfigError
 from wheelsight_ros2 import LinkSettings
 
 pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
@@ -28,8 +31,8 @@ LONGEST_S = 30.0
 class DdsProgram:
     """The other process."""
 
-    def __init__(self, namespace: str = "") -> None:
-        command = [sys.executable, str(Path(__file__).with_name("dds_peer.py")), str(DOMAIN), namespace]
+    def __init__(self, domain: int, namespace: str) -> None:
+        command = [sys.executable, str(Path(__file__).with_name("dds_peer.py")), str(domain), namespace]
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.received: dict[str, list[Any]] = {}
         self._lines: queue.Queue[str] = queue.Queue()
@@ -60,10 +63,16 @@ class DdsProgram:
     def last(self, topic: str) -> Any:
         return self.until(lambda: self.received.get(topic))[-1]
 
+    def state(self) -> dict[str, Any]:
+        return dict(json.loads(self.last("wheelsight/status")["data"]))
+
+    def until_refused(self, problem: str) -> None:
+        self.until(lambda: problem in self.state()["refused"])
+
 
 @contextmanager
-def program(namespace: str = "") -> Iterator[DdsProgram]:
-    made = DdsProgram(namespace)
+def program(domain: int = DOMAIN, namespace: str = "") -> Iterator[DdsProgram]:
+    made = DdsProgram(domain, namespace)
     try:
         yield made
     finally:
@@ -90,3 +99,74 @@ def test_another_process_takes_odom_map_and_tf_and_drives_the_robot() -> None:
         other.say("cmd_vel", ends=True)
         served.until_stands()
         assert served.problems == []
+
+
+def test_a_goal_is_driven_to_and_stop_stops() -> None:
+    settings = LinkSettings(ros2="dds", domain=DOMAIN + 1, namespace="/chair")
+    with linked(settings) as served, program(DOMAIN + 1, "/chair") as other:
+        other.last("odom")
+        other.say("goal_pose", x=5.0, y=3.0)
+        other.until(lambda: other.state()["state"] == "arrived")
+        position = other.last("wheelsight/pose")["pose"]["pose"]["position"]
+        assert (position["x"], position["y"]) == pytest.approx((5.0, 3.0), abs=0.2)
+        other.say("goal_pose", x=1.5, y=3.0, qz=1.0, qw=0.0)
+        other.until(lambda: other.state()["state"] == "driving" and abs(served.robot.base.forward_m_s) > 0.2)
+        other.say("wheelsight/stop")
+        served.until_stopped()
+        served.until_stands()
+        assert served.session.switch.reason == "another program pressed stop"
+        assert served.problems == []
+
+
+def test_nonsense_is_refused_while_the_robot_goes_on() -> None:
+    with linked(LinkSettings(ros2="dds", domain=DOMAIN + 2)) as served, program(DOMAIN + 2) as other:
+        other.last("odom")
+        other.say("goal_pose", x=5.0, y=3.0)
+        other.until(lambda: other.state()["state"] == "driving")
+        for topic, said, problem in (
+            ("cmd_vel", {"v": "nan", "w": 0.0}, "linear.x is nan"),
+            ("goal_pose", {"x": 1.0, "y": 1.0, "sec": 9999}, "s ahead"),
+            ("goal_pose", {"x": 1.0, "y": 1.0, "frame": "odom"}, "frame_id is 'odom'"),
+            ("goal_pose", {"x": "inf", "y": 1.0}, "position.x is inf"),
+            ("initialpose", {"x": 1.0, "y": 1.0, "qw": 0.0}, "no unit quaternion"),
+        ):
+            other.say(topic, **said)
+            other.until_refused(problem)
+        other.until(lambda: other.state()["state"] == "arrived")
+        assert served.robot.stops_s == []
+
+
+def test_a_flood_that_ends_by_a_kill_leaves_the_robot_standing() -> None:
+    with linked(LinkSettings(ros2="dds", domain=DOMAIN + 3)) as served:
+        with program(DOMAIN + 3) as other:
+            other.last("odom")
+            other.say("cmd_vel", v=0.3, w=0.0, every_s=0.0)
+            other.until(lambda: served.robot.base.forward_m_s > 0.25)
+            before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+            other.until(lambda: other.last("odom")["pose"]["pose"]["position"]["x"] > 3.0)
+            assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000  # kB
+            other.process.kill()
+            other.process.wait()
+        served.until_stands()
+        served.until(lambda told: told["state"] == "idle")
+
+
+def test_a_program_that_stands_still_does_not_hold_the_robot_up() -> None:
+    """A stopped process acknowledges nothing."""
+    with linked(LinkSettings(ros2="dds", domain=DOMAIN + 4)) as served, program(DOMAIN + 4) as other:
+        other.last("map")
+        other.process.send_signal(signal.SIGSTOP)
+        began_s, at_s = time.monotonic(), served.robot.now_s
+        while time.monotonic() < began_s + 4:
+            time.sleep(0.1)
+        assert served.robot.now_s - at_s > 2
+        other.process.send_signal(signal.SIGCONT)
+        other.received.clear()
+        other.last("odom")
+        assert served.problems == []
+
+
+def test_an_interface_that_is_none_is_said() -> None:
+    settings = LinkSettings(ros2="dds", domain=DOMAIN + 5, interface="nowhere0")
+    with pytest.raises(ConfigError, match="DDS cannot use nowhere0"), linked(settings):
+        pass

@@ -34,7 +34,7 @@ def velocity(forward_m_s: Any, turn_rad_s: Any = 0.0) -> dict[str, Any]:
 
 
 def state(client: FoxgloveClient) -> dict[str, Any]:
-    return json.loads(client.last(STATUS).data)  # type: ignore[no-any-return]
+    return json.loads(client.last(STATUS).data)
 
 
 def test_channels_schemas_and_messages_are_read_and_a_goal_is_driven_to(served: Linked) -> None:
@@ -130,9 +130,9 @@ def test_nonsense_is_refused_and_the_robot_goes_on_by_its_own_plan(served: Linke
             (9, {"header": HEADER, "pose": PLACE}, "was not advertised"),
         ):
             client.publish(number, said)
-            client.until(lambda problem=problem: problem in " ".join(client.statuses))
+            client.until_warned(problem)
         client.until(lambda: state(client)["counts"] == {"/cmd_vel": 5, "/goal_pose": 1})
-        for said, problem in (
+        wrong: tuple[tuple[Any, str], ...] = (
             ({"op": "advertise", "channels": [{"id": 5, "topic": "/odom", "encoding": "cdr"}]}, "is no input"),
             (
                 {
@@ -144,9 +144,10 @@ def test_nonsense_is_refused_and_the_robot_goes_on_by_its_own_plan(served: Linke
             ({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 9999}]}, "no channel 9999"),
             ({"op": "unknown"}, "is not known here"),
             ([1], "a message of no sense"),
-        ):
-            client.say(said)
-            client.until(lambda problem=problem: problem in " ".join(client.statuses))
+        )
+        for asked, problem in wrong:
+            client.say(asked)
+            client.until_warned(problem)
         client.connection.send(b"\x05nonsense")
         client.until(lambda: state(client)["state"] == "arrived")
     assert served.robot.stops_s == []
@@ -251,7 +252,7 @@ def test_without_the_token_nothing_is_shown(served: Linked, query: str) -> None:
 def test_there_is_room_for_eight(served: Linked) -> None:
     clients = [FoxgloveClient(served.address) for _ in range(8)]
     for client in clients:
-        client.until(lambda client=client: client.channels)
+        client.until_told()
     with pytest.raises(InvalidStatus) as refused:
         FoxgloveClient(served.address)
     assert refused.value.response.status_code == 503
@@ -298,7 +299,7 @@ def test_the_sdks_own_server_speaks_alike_and_lets_strangers_in(served: Linked) 
         address = f"ws://127.0.0.1:{server.port}/?token=wrong"
         with FoxgloveClient(address, origin="https://evil.example") as theirs, FoxgloveClient(served.address) as ours:
             for client in (theirs, ours):
-                client.until(lambda client=client: client.about and client.channels)
+                client.until_told()
             assert ours.about.keys() <= theirs.about.keys() | {"metadata"}
             assert ours.about["capabilities"] == theirs.about["capabilities"]
             assert set(ours.about["supportedEncodings"]) == set(theirs.about["supportedEncodings"])
