@@ -136,13 +136,16 @@ class LiveTopics:
         if track.odometry not in answers or track.last is None:
             return
         estimate, answer = track.last, answers[track.odometry]
-        if estimate.T_odom_body is not None and estimate.T_map_body is not None:
+        if estimate.T_odom_body is not None:
+            at_s = estimate.stamp_s
             T_odom, C_odom = self._upright(estimate.T_odom_body, estimate.covariance)
-            T_map, C_map = self._upright(estimate.T_map_body, covariance_in_map(estimate))
-            joined = [(MAP, ODOM, se3.compose(T_map, se3.invert(T_odom))), (ODOM, body_frame(self._body), T_odom)]
-            yield Sent(stamp_s, TF, self.make.transforms(stamp_s, joined))
-            yield self._odometry(stamp_s, T_odom, C_odom, self._twist(stamp_s, T_odom))
-            yield Sent(stamp_s, POSE_TOPIC, self.make.posed(stamp_s, MAP, T_map, C_map))
+            joined = [(ODOM, body_frame(self._body), T_odom)]
+            if estimate.T_map_body is not None:
+                T_map, C_map = self._upright(estimate.T_map_body, covariance_in_map(estimate))
+                joined.insert(0, (MAP, ODOM, se3.compose(T_map, se3.invert(T_odom))))
+                yield Sent(at_s, POSE_TOPIC, self.make.posed(at_s, MAP, T_map, C_map))
+            yield Sent(at_s, TF, self.make.transforms(at_s, joined))
+            yield self._odometry(at_s, T_odom, C_odom, self._twist(at_s, T_odom))
         reason = "; ".join(filter(None, [str(answer.reason or ""), answer.note, *answer.flags]))
         words = {"track": track.odometry, "status": str(answer.status), "reason": reason}
         level = _LEVELS.get(estimate.status, _WARNING)
