@@ -25,7 +25,7 @@ from wheelsight.app.page import is_loopback
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.runtime import needed
 from wheelsight_export.bag_writing import Messages
-from wheelsight_export.topics import TOPICS, Flow, Topic
+from wheelsight_export.topics import TOPICS, VELOCITY_TOPIC, Flow, Topic
 from wheelsight_ros2.inputs import INPUTS, Inputs
 
 SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
@@ -40,7 +40,7 @@ _TOKEN_BYTES, _SHORTEST_TOKEN = 24, 16
 _MESSAGE, _STATUS_WARNING = 1, 1
 _TWIST = "geometry_msgs/msg/TwistStamped"
 # Types that are accepted on a topic besides its own, and the field that has it.
-_ALSO = {("/cmd_vel", _TWIST): "twist"}
+_ALSO = {(VELOCITY_TOPIC, _TWIST): "twist"}
 
 
 def address_of(text: str) -> tuple[str, int]:
