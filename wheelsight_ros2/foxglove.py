@@ -33,7 +33,7 @@ _HOST = "127.0.0.1"
 _MOST_CLIENTS, _MOST_BYTES, _MOST_CHANNELS = 8, 65_536, 64
 # From one client, after a burst of twice as many: a stick at 100 Hz, and clicks. Invalid ones before it is sent away.
 _MESSAGES_A_S, _MOST_BAD = 200.0, 20
-# A client that takes nothing, or does not answer a ping, for so long is sent away.
+# A client that takes nothing, or does not answer a ping, for this time is sent away.
 _SEND_S, _PING_S = 2.0, 5.0
 _STARTS_S, _ENDS_S = 10.0, 5.0
 _TOKEN_BYTES, _SHORTEST_TOKEN = 24, 16

@@ -61,7 +61,7 @@ def test_a_robot_that_others_lead_needs_a_map_and_no_goal(tmp_path: Path) -> Non
         check(DriveOptions(sim="flat", foxglove="0"))
     for more in ({"back": True}, {"out": tmp_path / "out"}):
         with pytest.raises(ConfigError, match="that other programs lead"):
-            check(DriveOptions(**how, ros2="dds", **more))  # type: ignore[arg-type]
+            check(DriveOptions(**how, ros2="dds", **more))
 
 
 def test_each_topic_is_described_once() -> None:
