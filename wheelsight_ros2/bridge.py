@@ -165,7 +165,7 @@ class LinkSettings:
         ros2: "dds" or "zenoh"; None for none.
         domain: of ROS 2.
         namespace: before all topics of ROS 2, such as "/chair".
-        interface: network interface or address of ROS 2; None for this computer alone.
+        interface: network interface or address of DDS, or zenoh's router; None for this computer alone.
     """
 
     foxglove: str | None = None
@@ -196,12 +196,15 @@ class LinkSettings:
             if self.interface is not None or self.namespace or self.domain:
                 raise ConfigError("--domain, --namespace and --interface are of ROS 2", fix="--ros2 dds, or leave out")
             return
-        if self.ros2 != "dds":
-            raise ConfigError(f"--ros2 is {self.ros2!r}", fix="dds")
-        needed("cyclonedds")
+        if self.ros2 not in ("dds", "zenoh"):
+            raise ConfigError(f"--ros2 is {self.ros2!r}", fix="dds or zenoh")
+        needed("cyclonedds" if self.ros2 == "dds" else "zenoh")
         from wheelsight_ros2.dds import check_names
+        from wheelsight_ros2.zenoh import endpoint_of
 
         check_names(self.domain, self.namespace)
+        if self.ros2 == "zenoh":
+            endpoint_of(self.interface)
 
 
 @contextmanager
@@ -260,11 +263,13 @@ def open_bridge(
                 on_problem("what Foxglove sends and receives is not encrypted: on a network that you trust alone")
         if settings.ros2 is not None:
             from wheelsight_ros2.dds import DdsPeer
+            from wheelsight_ros2.zenoh import ZenohPeer
 
-            dds = DdsPeer(settings.domain, settings.namespace, settings.interface, receive)
-            opened.callback(dds.close)
-            peers.append(dds)
-            on_note(f"ROS 2: {dds.name}")
+            kind = DdsPeer if settings.ros2 == "dds" else ZenohPeer
+            node = kind(settings.domain, settings.namespace, settings.interface, receive)
+            opened.callback(node.close)
+            peers.append(node)
+            on_note(f"ROS 2: {node.name}")
             if settings.interface is not None:
                 on_problem("ROS 2 asks for no token: each computer of that network can move the robot")
         topics = LiveTopics(calibration, wants, is_simulated=is_simulated, settings=navigation)

@@ -22,11 +22,11 @@ from wheelsight_export.bag_writing import Messages
 from wheelsight_export.topics import TOPICS, Flow, Topic
 
 # Messages of a topic are taken at most so often: of a flood the newest.
-_TAKE_S = 0.01
+TAKE_S = 0.01
 _WAIT_S, _ENDS_S = 0.2, 5.0
 # How long a writer may wait for a reader that does not acknowledge: the robot's thread must not.
 _BLOCKING_S = 0.001
-_DEPTH, _MOST_DOMAIN = 10, 232
+DEPTH, _MOST_DOMAIN = 10, 232
 _MS = 1_000_000
 _NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)*")
 # Programs on this computer that are found without multicast, which the loopback interface has not.
@@ -112,7 +112,7 @@ class DdsPeer:
         reliable = policy.Reliability.Reliable(round(_BLOCKING_S * 1000 * _MS))
         kinds = {
             Flow.SENSOR: (policy.Reliability.BestEffort, policy.Durability.Volatile, 1),
-            Flow.RELIABLE: (reliable, policy.Durability.Volatile, _DEPTH),
+            Flow.RELIABLE: (reliable, policy.Durability.Volatile, DEPTH),
             Flow.LATCHED: (reliable, policy.Durability.TransientLocal, 1),
             Flow.INPUT: (reliable, policy.Durability.Volatile, 1),
             Flow.COMMAND: (policy.Reliability.BestEffort, policy.Durability.Volatile, 1),
@@ -136,7 +136,7 @@ class DdsPeer:
                     for sample in reader.take(1):
                         if isinstance(sample, _Received):
                             self._on_cdr(topic.name, topic.type, sample.data)
-            time.sleep(_TAKE_S)
+            time.sleep(TAKE_S)
 
 
 def configuration(interface: str | None) -> str:

@@ -268,7 +268,7 @@ def test_there_is_room_for_eight(served: Linked) -> None:
         (LinkSettings(foxglove="0", token="short"), "--link-token can be guessed"),
         (LinkSettings(token=TOKEN), "--link-token is of Foxglove's server"),
         (LinkSettings(namespace="/chair"), "--domain, --namespace and --interface are of ROS 2"),
-        (LinkSettings(ros2="fast"), "--ros2 is 'fast' (dds)"),
+        (LinkSettings(ros2="fast"), "--ros2 is 'fast' (dds or zenoh)"),
         (LinkSettings(ros2="dds", domain=300), "--domain is 300"),
         (LinkSettings(ros2="dds", namespace="chair"), "--namespace is 'chair'"),
     ],

@@ -191,6 +191,7 @@ _EXTRAS = {
     "uvicorn": ("uvicorn", "starlette uvicorn websockets"),
     "websockets": ("websockets", "starlette uvicorn websockets"),
     "skops": ("skops", "scikit-learn skops"),
+    "zenoh": ("Zenoh", "eclipse-zenoh rosbags"),
 }
 
 

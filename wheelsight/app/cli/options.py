@@ -212,13 +212,13 @@ LinkToken = Annotated[
     str | None,
     option("What Foxglove's address must hold; 16 letters and digits at least.", "TEXT", "a new one", _LINKS),
 ]
-Ros2 = Annotated[str | None, option("Be a node of ROS 2, over dds.", "NAME", "none", _LINKS, flag="--ros2")]
+Ros2 = Annotated[str | None, option("Be a node of ROS 2, over dds or zenoh.", "NAME", "none", _LINKS, flag="--ros2")]
 Domain = Annotated[int, option("Of ROS 2.", panel=_LINKS, min=0, max=232)]
 Namespace = Annotated[str, option("Before all topics of ROS 2, such as /chair.", "NAME", "none", _LINKS)]
 Interface = Annotated[
     str | None,
     option(
-        "Network of ROS 2, by its name or address. Each computer there can move the robot.",
+        "Network of dds, by its name or address, or address of zenoh's router. Each computer there can move the robot.",
         "NAME|ADDRESS",
         "this computer alone",
         _LINKS,
