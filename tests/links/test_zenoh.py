@@ -65,7 +65,7 @@ def decoded(sample: Any, type_: str) -> Any:
 
 def test_topics_are_taken_and_commands_drive_the_robot() -> None:
     with met() as (served, session):
-        odometry, maps = [], []
+        odometry, maps = list[Any](), list[Any]()
         odom = session.declare_subscriber(f"{DOMAIN}/odom/nav_msgs::msg::dds_::Odometry_/*", odometry.append)
         until(lambda: len(odometry) > 5)
         # A sequence number, a time, and 16 bytes of a source behind their count.
