@@ -170,6 +170,7 @@ def test_map_plan_images_joints_and_words_are_sent(driven: tuple[Kept, list[Feed
     assert set(kept.messages) <= {topic.name for topic in TOPICS.values() if topic.is_live}
 
 
+@pytest.mark.slow
 def test_a_peer_that_fails_is_left_out_and_the_others_go_on() -> None:
     bad, good, problems = Kept(fails_at="/odom"), Kept(), list[str]()
     bridge = bridge_to(bad, good, on_problem=problems.append)
@@ -180,6 +181,7 @@ def test_a_peer_that_fails_is_left_out_and_the_others_go_on() -> None:
     assert len(good.messages["/odom"]) > 50
 
 
+@pytest.mark.slow
 def test_messages_that_cannot_be_made_end_the_bridge_and_not_the_drive(monkeypatch: pytest.MonkeyPatch) -> None:
     problems, kept = list[str](), Kept()
     bridge = bridge_to(kept, on_problem=problems.append)
@@ -190,6 +192,7 @@ def test_messages_that_cannot_be_made_end_the_bridge_and_not_the_drive(monkeypat
     assert problem.startswith("nothing is sent to other programs any more: ZeroDivisionError")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mounted", [True, False])
 def test_a_run_is_sent_with_its_poses_and_its_map(tmp_path: Path, *, mounted: bool) -> None:
     make_room_drive(tmp_path / "drive", mounted=mounted, with_truth=False)

@@ -39,6 +39,7 @@ def test_the_layout_shows_and_leads_by_topics_that_there_are() -> None:
     assert all(panel in shared for panel in layout["configById"])
 
 
+@pytest.mark.slow
 def test_a_run_says_its_address_and_ends_as_without_it(tmp_path: Path) -> None:
     write_recording(tmp_path / "drive", wheel_recording(100))
     asked = ["run", str(tmp_path / "drive"), "--odometry", "wheels", "--out", str(tmp_path / "out")]

@@ -83,6 +83,7 @@ def program(domain: int = DOMAIN, namespace: str = "") -> Iterator[DdsProgram]:
             pipe.close()
 
 
+@pytest.mark.slow
 def test_another_process_takes_odom_map_and_tf_and_drives_the_robot() -> None:
     with linked(LinkSettings(ros2="dds", domain=DOMAIN)) as served, program() as other:
         grid = other.last("map")  # transient local: it came after the map was sent
@@ -101,6 +102,7 @@ def test_another_process_takes_odom_map_and_tf_and_drives_the_robot() -> None:
         assert served.problems == []
 
 
+@pytest.mark.slow
 def test_a_goal_is_driven_to_and_stop_stops() -> None:
     settings = LinkSettings(ros2="dds", domain=DOMAIN + 1, namespace="/chair")
     with linked(settings) as served, program(DOMAIN + 1, "/chair") as other:
@@ -118,6 +120,7 @@ def test_a_goal_is_driven_to_and_stop_stops() -> None:
         assert served.problems == []
 
 
+@pytest.mark.slow
 def test_nonsense_is_refused_while_the_robot_goes_on() -> None:
     with linked(LinkSettings(ros2="dds", domain=DOMAIN + 2)) as served, program(DOMAIN + 2) as other:
         other.last("odom")
@@ -136,6 +139,7 @@ def test_nonsense_is_refused_while_the_robot_goes_on() -> None:
         assert served.robot.stops_s == []
 
 
+@pytest.mark.slow
 def test_a_flood_that_ends_by_a_kill_leaves_the_robot_standing() -> None:
     with linked(LinkSettings(ros2="dds", domain=DOMAIN + 3)) as served:
         with program(DOMAIN + 3) as other:
@@ -151,6 +155,7 @@ def test_a_flood_that_ends_by_a_kill_leaves_the_robot_standing() -> None:
         served.until(lambda told: told["state"] == "idle")
 
 
+@pytest.mark.slow
 def test_a_program_that_stands_still_does_not_hold_the_robot_up() -> None:
     """A stopped process acknowledges nothing."""
     with linked(LinkSettings(ros2="dds", domain=DOMAIN + 4)) as served, program(DOMAIN + 4) as other:

@@ -98,6 +98,7 @@ def test_a_stick_drives_and_the_robot_stops_when_its_program_vanishes(served: Li
     served.until(lambda told: told["state"] == "idle")
 
 
+@pytest.mark.slow
 def test_a_stick_before_a_wall_is_held_by_the_collision_monitor(served: Linked) -> None:
     with FoxgloveClient(served.address) as client:
         client.advertise(7, "/cmd_vel", "geometry_msgs/Twist")
@@ -111,6 +112,7 @@ def test_a_stick_before_a_wall_is_held_by_the_collision_monitor(served: Linked) 
         assert served.robot.commands[-1].is_stop
 
 
+@pytest.mark.slow
 def test_nonsense_is_refused_and_the_robot_goes_on_by_its_own_plan(served: Linked) -> None:
     with FoxgloveClient(served.address) as client:
         client.subscribe(STATUS)
@@ -183,6 +185,7 @@ def test_a_client_that_sends_nonsense_again_and_again_is_sent_away(served: Linke
     assert any("make no sense" in line for line in served.problems)
 
 
+@pytest.mark.slow
 def test_a_client_that_never_reads_is_sent_away_while_others_are_served() -> None:
     problems, make = list[str](), Messages(is_ros1=False)
     server = FoxgloveServer("0", TOKEN, Inputs(lambda: 0.0), lambda *_: None, problems.append)

@@ -113,6 +113,7 @@ def test_the_graph_has_the_node_with_its_topics() -> None:
         assert by_topic["%chair%odom"][12] == "::,10:,:,:,,"
 
 
+@pytest.mark.slow
 def test_a_flood_that_ends_leaves_the_robot_standing() -> None:
     with met() as (served, session):
         publisher = session.declare_publisher(f"{DOMAIN}/cmd_vel/{TWIST}")
