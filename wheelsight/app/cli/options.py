@@ -213,7 +213,7 @@ LinkToken = Annotated[
     option("What Foxglove's address must hold; 16 letters and digits at least.", "TEXT", "a new one", _LINKS),
 ]
 Ros2 = Annotated[str | None, option("Be a node of ROS 2, over dds or zenoh.", "NAME", "none", _LINKS, flag="--ros2")]
-Domain = Annotated[int, option("Of ROS 2.", panel=_LINKS, min=0, max=232)]
+Domain = Annotated[int, option("Of ROS 2, 0 to 232.", "N", panel=_LINKS, min=0, max=232)]
 Namespace = Annotated[str, option("Before all topics of ROS 2, such as /chair.", "NAME", "none", _LINKS)]
 Interface = Annotated[
     str | None,
