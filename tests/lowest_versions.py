@@ -11,7 +11,21 @@ from typing import Any
 
 PYPROJECT = Path(__file__).resolve().parent.parent / "pyproject.toml"
 # What users install. The other extras are made of these, or serve the work on the project.
-OF_USERS = ("report", "places", "sim", "mesh", "bags", "realsense", "mkv", "web", "rerun", "fleet", "slam")
+OF_USERS = (
+    "report",
+    "places",
+    "sim",
+    "mesh",
+    "bags",
+    "realsense",
+    "mkv",
+    "web",
+    "rerun",
+    "foxglove",
+    "ros2",
+    "fleet",
+    "slam",
+)
 # What the tests run by, in any version: gtsam asks for a pytest that is newer than our lowest.
 OF_TESTS = (
     "httpx",
@@ -44,8 +58,9 @@ def lowest(requirements: Iterable[str]) -> dict[str, str]:
 
 
 def requirements_of(project: Mapping[str, Any], extras: Sequence[str]) -> list[str]:
-    """Of the package without an extra, and of some of its extras."""
-    return [*project["dependencies"], *(name for extra in extras for name in project["optional-dependencies"][extra])]
+    """Of the package without an extra, and of some of its extras; each once."""
+    of_extras = (name for extra in extras for name in project["optional-dependencies"][extra])
+    return list(dict.fromkeys([*project["dependencies"], *of_extras]))
 
 
 def project_of(path: Path = PYPROJECT) -> dict[str, Any]:

@@ -98,6 +98,8 @@ def test_what_is_installed_is_handed_out() -> None:
         ("plotly.subplots", "plotly is missing (pip install plotly)"),
         ("skimage.measure", "scikit-image is missing (pip install scikit-image)"),
         ("mujoco", "MuJoCo is missing (pip install mujoco matplotlib)"),
+        ("cyclonedds.core", "Cyclone DDS is missing (pip install cyclonedds rosbags)"),
+        ("zenoh", "Zenoh is missing (pip install eclipse-zenoh rosbags)"),
     ],
 )
 def test_what_is_missing_is_told(module: str, told: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import json
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -32,8 +32,29 @@ from wheelsight_export.sources import (
     upright,
     upright_points,
 )
+from wheelsight_export.topics import (
+    CLICKED_TOPIC,
+    COLOR,
+    COSTMAP_TOPIC,
+    DIAGNOSTICS_TOPIC,
+    GOAL_TOPIC,
+    INITIAL_TOPIC,
+    MAP,
+    MAP_TOPIC,
+    MARKERS_TOPIC,
+    ODOM,
+    ODOM_TOPIC,
+    PLAN_TOPIC,
+    POINTS_TOPIC,
+    POSE_TOPIC,
+    SCAN_TOPIC,
+    STOP_TOPIC,
+    TF,
+    TRUTH_TOPIC,
+    VELOCITY_TOPIC,
+    WAY_TOPIC,
+)
 
-MAP, ODOM = "map", "odom"
 DEFAULT_VOXEL_M = 0.05
 # The diagnostic level of each status.
 _LEVELS = {"tracking": 0, "coasting": 1, "initializing": 1, "failing": 2, "lost": 2}
@@ -183,7 +204,7 @@ class _Writing:
             known = None if C is None else C[row]
             yield Sent(stamp_s, ODOM_TOPIC, self.make.odometry(stamp_s, (ODOM, child), T, moving[row], known))
             joined = [(MAP, ODOM, at[stamp_s])] if stamp_s in at and self.fixed == MAP else []
-            yield Sent(stamp_s, "/tf", self.make.transforms(stamp_s, [*joined, (ODOM, child, T)]))
+            yield Sent(stamp_s, TF, self.make.transforms(stamp_s, [*joined, (ODOM, child, T)]))
 
     def _statuses(self) -> Iterator[Sent]:
         rows = sorted(self.source.status(), key=lambda row: row.stamp_s)
@@ -213,10 +234,12 @@ class _Writing:
 # RViz: RViz 2 for bags of ROS 2, and RViz 1, whose classes have other names, for bags of ROS 1.
 
 
-ODOM_TOPIC, DIAGNOSTICS_TOPIC, MAP_TOPIC, POINTS_TOPIC = "/odom", "/diagnostics", "/map", "/map_points"
-WAY_TOPIC, TRUTH_TOPIC = "/trajectory", "/ground_truth"
-_WAYS = {WAY_TOPIC: (0, 114, 178), TRUTH_TOPIC: (0, 158, 115)}  # red, green, blue (Okabe & Ito 2008)
-_COLOR_IMAGES = ("/camera/color/image_raw", "/camera/color/image_raw/compressed")
+_WAYS = {
+    WAY_TOPIC: (0, 114, 178),
+    TRUTH_TOPIC: (0, 158, 115),
+    PLAN_TOPIC: (0, 114, 178),
+}  # red, green, blue (Okabe & Ito 2008)
+_COLOR_IMAGES = (f"{COLOR}/image_raw", f"{COLOR}/image_raw/compressed")
 _LINE_M = 0.04
 _POINT_PX = 3
 
@@ -236,8 +259,9 @@ def write_layouts(bag: Path, topics: Collection[str], fixed_frame: str) -> tuple
 
 
 def foxglove_layout(topics: Collection[str], fixed_frame: str) -> dict[str, Any]:
-    """3D with map, points and paths; beside it image, speed and diagnostics, by the topics of the bag."""
-    shown: dict[str, Any] = {topic: {"visible": True} for topic in (MAP_TOPIC, ODOM_TOPIC) if topic in topics}
+    """3D with map, points and paths; beside it image, plots, diagnostics, stick and stop, by the topics."""
+    drawn = (MAP_TOPIC, COSTMAP_TOPIC, ODOM_TOPIC, POSE_TOPIC, SCAN_TOPIC, MARKERS_TOPIC)
+    shown: dict[str, Any] = {topic: {"visible": topic != COSTMAP_TOPIC} for topic in drawn if topic in topics}
     if POINTS_TOPIC in topics:
         look = {"colorField": "rgb", "colorMode": "rgb", "pointSize": _POINT_PX, "pointShape": "square"}
         shown[POINTS_TOPIC] = {"visible": True, **look}
@@ -246,37 +270,55 @@ def foxglove_layout(topics: Collection[str], fixed_frame: str) -> dict[str, Any]
             gradient = [f"#{red:02x}{green:02x}{blue:02x}"] * 2
             shown[topic] = {"visible": True, "type": "line", "lineWidth": _LINE_M, "gradient": gradient}
     grid = {"instanceId": "grid", "layerId": "foxglove.Grid", "label": "Grid", "visible": True, "frameLocked": True}
-    panels: dict[str, Any] = {
-        "3D!wheelsight": {
-            "followMode": "follow-none",
-            "followTf": fixed_frame,
-            "topics": shown,
-            "layers": {"grid": {**grid, "size": 20, "divisions": 20, "lineWidth": 1, "color": "#b0b0b0"}},
-            "cameraState": {"perspective": False, "distance": 20, "phi": 0, "thetaOffset": 0, "target": [0, 0, 0]},
-        }
+    scene: dict[str, Any] = {
+        "followMode": "follow-none",
+        "followTf": fixed_frame,
+        "topics": shown,
+        "layers": {"grid": {**grid, "size": 20, "divisions": 20, "lineWidth": 1, "color": "#b0b0b0"}},
+        "cameraState": {"perspective": False, "distance": 20, "phi": 0, "thetaOffset": 0, "target": [0, 0, 0]},
     }
-    beside: list[str] = []
-    if image := _image_of(topics):
-        panels["Image!wheelsight"] = {"imageMode": {"imageTopic": image}}
-        beside.append("Image!wheelsight")
-    if ODOM_TOPIC in topics:
-        speeds = ({"value": f"{ODOM_TOPIC}.twist.twist.{axis}"} for axis in ("linear.x", "angular.z"))
-        paths = [{**speed, "enabled": True, "timestampMethod": "headerStamp"} for speed in speeds]
-        panels["Plot!wheelsight"] = {"title": "speed, m/s, and turn, rad/s", "paths": paths, "isSynced": True}
-        beside.append("Plot!wheelsight")
-    if DIAGNOSTICS_TOPIC in topics:
-        panels["DiagnosticSummary!wheelsight"] = {"topicToRender": DIAGNOSTICS_TOPIC, "minLevel": 0}
-        beside.append("DiagnosticSummary!wheelsight")
+    if GOAL_TOPIC in topics:
+        names = {"poseTopic": GOAL_TOPIC, "pointTopic": CLICKED_TOPIC, "poseEstimateTopic": INITIAL_TOPIC}
+        scene["publish"] = {"type": "pose", **names}
+    beside = dict(_panels_beside(topics))
     tree: Any = "3D!wheelsight"
     if beside:
-        tree = {"first": tree, "second": _stacked(beside), "direction": "row", "splitPercentage": 68}
+        tree = {"first": tree, "second": _stacked([*beside]), "direction": "row", "splitPercentage": 68}
     return {
-        "configById": panels,
+        "configById": {"3D!wheelsight": scene, **beside},
         "globalVariables": {},
         "userNodes": {},
         "playbackConfig": {"speed": 1},
         "layout": tree,
     }
+
+
+def _panels_beside(topics: Collection[str]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Names and settings of the panels beside the 3D view."""
+
+    def plot(title: str, values: Iterable[str]) -> dict[str, Any]:
+        paths = [{"value": value, "enabled": True, "timestampMethod": "headerStamp"} for value in values]
+        return {"title": title, "paths": paths, "isSynced": True}
+
+    if image := _image_of(topics):
+        yield "Image!wheelsight", {"imageMode": {"imageTopic": image}}
+    if ODOM_TOPIC in topics:
+        speeds = (f"{ODOM_TOPIC}.twist.twist.{axis}" for axis in ("linear.x", "angular.z"))
+        yield "Plot!wheelsight", plot("speed, m/s, and turn, rad/s", speeds)
+    if POSE_TOPIC in topics:
+        variances = (f"{POSE_TOPIC}.pose.covariance[{at}]" for at in (0, 7, 35))
+        yield "Plot!covariance", plot("variance of x and y, m², and of yaw, rad²", variances)
+    if DIAGNOSTICS_TOPIC in topics:
+        yield "DiagnosticSummary!wheelsight", {"topicToRender": DIAGNOSTICS_TOPIC, "minLevel": 0}
+    if VELOCITY_TOPIC in topics:
+        ways = {"up": ("linear-x", 0.3), "down": ("linear-x", -0.1), "left": ("angular-z", 0.5)}
+        ways["right"] = ("angular-z", -0.5)
+        buttons = {f"{way}Button": {"field": name, "value": value} for way, (name, value) in ways.items()}
+        yield "Teleop!wheelsight", {"topic": VELOCITY_TOPIC, "publishRate": 10, **buttons}
+    if STOP_TOPIC in topics:
+        button = {"buttonText": "STOP", "buttonColor": "#d55e00", "buttonTooltip": "stop the robot"}
+        said = {"topicName": STOP_TOPIC, "datatype": "std_msgs/msg/Empty", "value": "{}"}
+        yield "Publish!wheelsight", {**said, **button, "advancedView": False}
 
 
 def _stacked(panels: list[str]) -> Any:

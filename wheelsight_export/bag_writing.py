@@ -44,6 +44,18 @@ from wheelsight.core.stamps import StampCheck
 from wheelsight.io.recordings.bags.topics import CALIBRATION, WHEEL_ODOMETRY
 from wheelsight.io.recordings.images import FAST_PNG, JPEG_QUALITY
 from wheelsight.io.recordings.native import FrameClock
+from wheelsight_export.topics import (
+    BASE,
+    COLOR,
+    COLOR_FRAME,
+    DEPTH,
+    DEPTH_FRAME,
+    IMU,
+    JOINT_STATES,
+    LINK,
+    REGISTERED,
+    TF_STATIC,
+)
 
 THREAD = "wheelsight-bag"
 
@@ -335,11 +347,7 @@ def _writer(made: Path, folder: Path) -> Any:
 
 
 ImageForm = Literal["raw", "png", "jpeg"]
-BASE, LINK = "base_link", "camera_link"
-COLOR_FRAME, DEPTH_FRAME = "camera_color_optical_frame", "camera_depth_optical_frame"
 JOINTS = ("left_wheel_joint", "right_wheel_joint")
-TF_STATIC, JOINT_STATES, IMU = "/tf_static", "/joint_states", "/imu/data"
-_COLOR, _DEPTH, _REGISTERED = "/camera/color", "/camera/depth", "/camera/aligned_depth_to_color"
 # From an optical frame (x right, y down, z forward) to a link frame of REP 103 (x forward, y left, z up).
 T_LINK_OPTICAL: FloatArray = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 T_LINK_OPTICAL.setflags(write=False)
@@ -411,16 +419,16 @@ class RobotTopics:
         if self._images is None or calibration is None or calibration.color is None:
             return
         is_registered, at_s = calibration.is_registered, frame.stamp_s
-        depth_topic, depth_frame = (_REGISTERED, COLOR_FRAME) if is_registered else (_DEPTH, DEPTH_FRAME)
+        depth_topic, depth_frame = (REGISTERED, COLOR_FRAME) if is_registered else (DEPTH, DEPTH_FRAME)
         late_s = at_s + frame.depth_late_s
         color_camera, depth_camera = calibration.cameras
-        yield Sent(at_s, f"{_COLOR}/camera_info", self.make.camera(at_s, COLOR_FRAME, color_camera))
+        yield Sent(at_s, f"{COLOR}/camera_info", self.make.camera(at_s, COLOR_FRAME, color_camera))
         yield Sent(late_s, f"{depth_topic}/camera_info", self.make.camera(late_s, depth_frame, depth_camera))
         if self._images == "raw":
             depth_m = np.where(frame.depth_m > 0, frame.depth_m, np.float32(np.nan))  # REP 118
             color = self.make.image(at_s, COLOR_FRAME, "rgb8", frame.color)
             depth = self.make.image(late_s, depth_frame, "32FC1", depth_m.astype("<f4"))
-            yield Sent(at_s, f"{_COLOR}/image_raw", color)
+            yield Sent(at_s, f"{COLOR}/image_raw", color)
             yield Sent(late_s, f"{depth_topic}/image_raw", depth)
             return
         form, flags = ".png", FAST_PNG
@@ -432,7 +440,7 @@ class RobotTopics:
         data = _encoded(".png", np.where(mm > _DEEPEST, 0, mm).astype(np.uint16), FAST_PNG)
         data = np.concatenate([np.frombuffer(_COMPRESSED_DEPTH, np.uint8), data])
         depth = self.make.compressed(late_s, depth_frame, "16UC1; compressedDepth png", data)
-        yield Sent(at_s, f"{_COLOR}/image_raw/compressed", color)
+        yield Sent(at_s, f"{COLOR}/image_raw/compressed", color)
         yield Sent(late_s, f"{depth_topic}/image_raw/compressedDepth", depth)
 
     def _of_wheels(self, event: WheelTicks | WheelSpeeds) -> Iterator[Sent]:
@@ -491,6 +499,11 @@ def _encoded(kind: str, image: np.ndarray, flags: tuple[int, ...]) -> ByteArray:
 _TF = "tf2_msgs/msg/TFMessage"
 # sensor_msgs/PointField
 _FLOAT32, _POINT_STEP = 7, 16
+# visualization_msgs/Marker: types and an action; height of a person's cylinder and width of a loop's line.
+_CYLINDER, _LINE_LIST, _DELETE_ALL = 3, 5, 3
+_PERSON_M, _LOOP_M = 1.7, 0.03
+# Least and largest range of a scan, in which depth cameras show obstacles.
+_SCAN_M = (0.1, 10.0)
 # The latest time: seconds have 32 bits, unsigned in ROS 1 and signed in ROS 2.
 _LAST_S = {True: 2**32 - 1, False: 2**31 - 1}
 
@@ -657,6 +670,51 @@ class Messages:
         still = self._make("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0)
         measured = (self._vector(np.array([0, 0, yaw_rate_rad_s])), np.zeros(9), self._vector(np.zeros(3)), unknown)
         return self._make("sensor_msgs/msg/Imu", self.header(stamp_s, frame), still, unknown, *measured)
+
+    def clock(self, stamp_s: float) -> Any:
+        """Clock of simulated time."""
+        return self._make("rosgraph_msgs/msg/Clock", self.time(stamp_s))
+
+    def posed(self, stamp_s: float, frame: str, T: FloatArray, covariance: FloatArray | None) -> Any:
+        """PoseWithCovarianceStamped of T (4, 4), covariance (6, 6) in the convention of ROS; None writes zeros."""
+        known = np.zeros(36) if covariance is None else _flat(covariance)
+        pose = self._make("geometry_msgs/msg/PoseWithCovariance", self.pose(T), known)
+        return self._make("geometry_msgs/msg/PoseWithCovarianceStamped", self.header(stamp_s, frame), pose)
+
+    def scan(self, stamp_s: float, frame: str, first_rad: float, step_rad: float, ranges_m: FloatArray) -> Any:
+        """LaserScan of ranges (N,): infinity where nothing is near, NaN where nothing was seen."""
+        count = len(ranges_m)
+        angles = (first_rad, first_rad + (count - 1) * step_rad, step_rad, 0.0, 0.0, *_SCAN_M)
+        ranges, none = ranges_m.astype(np.float32), np.zeros(0, np.float32)
+        return self._make("sensor_msgs/msg/LaserScan", self.header(stamp_s, frame), *angles, ranges, none)
+
+    def markers(self, stamp_s: float, frame: str, discs: FloatArray, lines: FloatArray) -> Any:
+        """MarkerArray: cylinders of x, y, radius (N, 3), and lines (M, 2, 3). It replaces all that was shown."""
+        none, green, orange = (
+            self._make("std_msgs/msg/ColorRGBA", *(part / 255 for part in colour))
+            for colour in ((0, 0, 0, 0), (0, 158, 115, 255), (230, 159, 0, 200))
+        )
+        forever = self._make("builtin_interfaces/msg/Duration", 0, 0)
+        mesh = self._make("visualization_msgs/msg/MeshFile", "", np.zeros(0, np.uint8))
+        texture = self.compressed(0.0, "", "", np.zeros(0, np.uint8))
+
+        def marker(space: str, number: int, how: tuple[int, int], T: FloatArray, size: FloatArray, look: Any) -> Any:
+            color, points = look
+            about = (self.header(stamp_s, frame), space, number, *how, self.pose(T), self._vector(size))
+            rest: tuple[Any, ...] = (color, forever, False, points, [], "", texture, [], "", "", mesh, False)
+            return self._make("visualization_msgs/msg/Marker", *about, *rest)
+
+        made = [marker("", 0, (0, _DELETE_ALL), np.eye(4), np.zeros(3), (none, []))]
+        for number, (x, y, radius_m) in enumerate(discs.tolist()):
+            T = np.array(se3.from_plane(x, y, 0.0))
+            T[2, 3] = _PERSON_M / 2
+            size = np.array([2 * radius_m, 2 * radius_m, _PERSON_M])
+            made.append(marker("people", number, (_CYLINDER, 0), T, size, (orange, [])))
+        if len(lines):
+            ends = [self._make("geometry_msgs/msg/Point", *end) for end in lines.reshape(-1, 3).tolist()]
+            width = np.array([_LOOP_M, 0, 0])
+            made.append(marker("loops", 0, (_LINE_LIST, 0), np.eye(4), width, (green, ends)))
+        return self._make("visualization_msgs/msg/MarkerArray", made)
 
     def text(self, text: str) -> Any:
         """String."""

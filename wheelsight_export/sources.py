@@ -33,7 +33,8 @@ from wheelsight.core.trajectory import Trajectory, read_tum
 from wheelsight.io.recordings import Recording, open_recording
 from wheelsight.mapping import colors_of, load_map
 from wheelsight.slam.maps import MAP_FOLDER, MapFolder, find_map, is_map
-from wheelsight_export.bag_writing import BASE, LINK, T_LINK_OPTICAL
+from wheelsight_export.bag_writing import T_LINK_OPTICAL
+from wheelsight_export.topics import BASE, LINK
 
 # Where a run of several odometries has its best trajectory, first the one that knows most.
 _TRACKS = ("", "joined", "dense", "features", "own", "rectified", "wheels")

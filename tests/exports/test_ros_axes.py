@@ -10,8 +10,9 @@ from numpy.testing import assert_allclose
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.geometry import FloatArray, PinholeCamera, se3, so3
 from wheelsight.core.trajectory import Trajectory
-from wheelsight_export.bag_writing import COLOR_FRAME, DEPTH_FRAME, LINK, mounts_of
+from wheelsight_export.bag_writing import mounts_of
 from wheelsight_export.sources import in_odom, map_to_odom, pose_covariances, twists, upright, upright_points
+from wheelsight_export.topics import COLOR_FRAME, DEPTH_FRAME, LINK
 
 CAMERA = PinholeCamera(64, 48, 52.0, 52.0, 31.5, 23.5)
 

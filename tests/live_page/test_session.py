@@ -16,17 +16,19 @@ from wheelsight.app.page import StopSwitch
 from wheelsight.app.page.session import (
     ClearFault,
     ClearObstacles,
+    DriveByHand,
     Explore,
     GoToName,
     GoToPose,
     NamePlace,
     SaveMap,
+    SetPose,
     StartMap,
     Task,
 )
 from wheelsight.app.page.snapshot import SnapshotMaker
 from wheelsight.core.errors import DeviceError
-from wheelsight.core.messages import STOP, Event
+from wheelsight.core.messages import STOP, Event, VelocityCommand
 from wheelsight.core.robots import CONTROL_PERIOD_S
 from wheelsight.navigation import Feedback, Navigator, Transition
 
@@ -365,3 +367,40 @@ def test_a_driver_who_has_checked_the_wheels_clears_their_fault(monkeypatch: pyt
         served.until(lambda told: not told["wheels_off"])
         served.session.ask(NEAR)
         served.until(lambda told: told["state"] == "arrived")
+
+
+def test_commands_by_hand_are_followed_until_none_come() -> None:
+    commands = [*[VelocityCommand(0.3, 0.0)] * 40, *[STOP] * 20]
+    with room_session(paces=False) as served:
+        served.until(lambda told: told["pose"] is not None)
+        assert served.session.ask(DriveByHand(lambda: commands.pop(0) if commands else None)) == ""
+        told = served.until(lambda told: told["state"] == "idle" and told["doing"] == "by hand")
+        assert told["said"] == []
+        # 40 periods of 0.05 s at 0.3 m/s, less the ramp up, with the ramp down.
+        assert served.robot.base.pose[0] - BEGIN[0] == pytest.approx(0.6, abs=0.15)
+        assert served.session.ask(NEAR) == ""
+        served.until(lambda told: told["state"] == "arrived")
+
+
+def test_commands_by_hand_are_stopped_before_a_wall() -> None:
+    with room_session(paces=False) as served:
+        served.until(lambda told: told["pose"] is not None)
+        served.session.ask(DriveByHand(lambda: VelocityCommand(1.0, 0.0)))
+        served.until(lambda told: told["speed_m_s"] == 0 and told["pose"][0] > 6)
+        assert served.robot.base.pose[0] < 7.2  # of 8 m, less its front
+
+
+def test_a_pose_is_set_in_a_known_map_alone() -> None:
+    pose = np.array([2.0, 3.0, 0.5])
+    with room_session("new", paces=False) as served:
+        served.until(lambda told: told["pose"] is not None)
+        served.session.ask(SetPose(pose))
+        served.until(has_said("no pose can be set in it"))
+        assert served.maps.opened_with == [("new", None)]
+        served.session.ask(StartMap(type="start", map="yesterday"))
+        served.until(lambda told: told["map"] == "yesterday" and told["phase"] == "driving")
+        served.session.ask(SetPose(pose))
+        served.until(lambda told: len(served.maps.opened_with) == 3)
+        name, given = served.maps.opened_with[-1]
+        assert name == "yesterday"
+        np.testing.assert_array_equal(not_none(given), pose)

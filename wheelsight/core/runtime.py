@@ -174,6 +174,7 @@ def _handled(numbers: list[signal.Signals], handler: _Handler) -> Iterator[None]
 _EXTRAS = {
     "av": ("PyAV", "av"),
     "backports": ("backports.zstd", "rosbags"),
+    "cyclonedds": ("Cyclone DDS", "cyclonedds rosbags"),
     "compression": ("compression.zstd", "rosbags"),
     "distributed": ("Dask", "distributed"),
     "gtsam": ("GTSAM", "gtsam"),
@@ -190,6 +191,7 @@ _EXTRAS = {
     "uvicorn": ("uvicorn", "starlette uvicorn websockets"),
     "websockets": ("websockets", "starlette uvicorn websockets"),
     "skops": ("skops", "scikit-learn skops"),
+    "zenoh": ("Zenoh", "eclipse-zenoh rosbags"),
 }
 
 

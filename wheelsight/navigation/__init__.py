@@ -41,7 +41,7 @@ from wheelsight.navigation.navigator import (
 )
 from wheelsight.navigation.perception import DepthViewer, LiveLayer, PeopleTracker, Person
 from wheelsight.navigation.planner import PathPlanner, Plan, PlanFailure, Planner, PlanReason, cost_to_go
-from wheelsight.navigation.planning import Goals, PlanningResult, PoseGoals
+from wheelsight.navigation.planning import ByHand, Goals, PlanningResult, PoseGoals
 from wheelsight.navigation.senses import planar_pose
 from wheelsight.navigation.settings import (
     BehaviourSettings,
@@ -61,6 +61,7 @@ from wheelsight.navigation.settings import (
 __all__ = [
     "Behaviour",
     "BehaviourSettings",
+    "ByHand",
     "CellState",
     "CollisionMonitor",
     "ControlReason",

@@ -52,6 +52,7 @@ from wheelsight.navigation.perception import discs_of
 from wheelsight.navigation.planner import PathPlanner, Plan, PlanFailure, PlanReason
 from wheelsight.navigation.planning import (
     ONWARD_M,
+    ByHand,
     Goals,
     PlannerClient,
     PlanningResult,
@@ -316,11 +317,14 @@ class Navigator(OneCaller):
 
     @one_at_a_time
     def begin(self, goals: Goals) -> None:
-        """Start a task. Cancels the current one."""
+        """Start a task. Cancels the current one. One `ByHand` ends without a result: `step` on until it is complete."""
         self.cancel_task()
         self.result = None
         self._planner.drop()
         self._task, self._stepped_s = NavigationTask(goals, self._robot.now_s), self._robot.now_s
+        if isinstance(goals, ByHand):
+            self._set_state(NavigationState.DRIVING, goals.name)
+            return
         self._set_state(NavigationState.PLANNING, f"to {goals.name}")
         if self.senses.where.is_known:
             # The plan is ready a period earlier if it is requested now.
@@ -455,6 +459,11 @@ class Navigator(OneCaller):
             return self._fail(NavigationReason.DISOBEYS, "look at the wheels, then clear the fault")
         if task.seconds("stopped", now_s, is_met=bool(self._robot.stop_reason)) > self.settings.navigator.held_s:
             return self._fail(NavigationReason.ROBOT_STOPPED, self._robot.stop_reason)
+        if isinstance(task.goals, ByHand):
+            command = task.goals.commands()
+            if command is None:
+                self._set_state(NavigationState.IDLE, "no more commands come")
+            return command if command is not None and self.senses.keeps_clear(command) else STOP
         why_over = task.why_over(now_s, self.settings)
         if why_over is not None:
             return self._fail(*why_over)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.geometry import FloatArray, se2
 from wheelsight.core.geometry.se2 import wrap_angle
+from wheelsight.core.messages import VelocityCommand
 from wheelsight.core.threads import Worker, WorkerInStep
 from wheelsight.navigation.costmap import CellState, Costmap, FloorNow, StaticLayer
 from wheelsight.navigation.costmap_kernels import Eye, Walls, first_blind, first_over
@@ -425,6 +426,38 @@ class Goals(Protocol):
 
     def missed(self) -> bool:
         """Record that no path leads there; return whether the task continues without it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ByHand:
+    """No destinations: velocity commands from outside, such as of a joystick, in place of plans.
+
+    Attributes:
+        commands: returns the present command, each period; None once no more come.
+    """
+
+    commands: Callable[[], VelocityCommand | None]
+    name: str = "by hand"
+    left: int = 0
+    is_asked_for: bool = False
+
+    def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
+        """See `Goals`."""
+        return ()
+
+    def is_met(self, pose: FloatArray, layer: StaticLayer) -> bool:
+        """See `Goals`."""
+        return False
+
+    def taken(self) -> None:
+        """See `Goals`."""
+
+    def reached(self) -> None:
+        """See `Goals`."""
+
+    def missed(self) -> bool:
+        """See `Goals`."""
+        return False
 
 
 class PoseGoals:

@@ -20,6 +20,7 @@ from wheelsight_calibration.cli import calibrate_app
 from wheelsight_calibration.cli_camera import board_board
 from wheelsight_export.cli import export
 from wheelsight_papers.cli import places_app
+from wheelsight_ros2.cli import foxglove_layout
 
 _LOG = logging.getLogger(__name__)
 
@@ -98,6 +99,7 @@ _COMMANDS: tuple[tuple[str, tuple[tuple[Any, str, str], ...]], ...] = (
             (drive.drive, "drive", "A robot goes to places of a map, or explores"),
             (serve.serve, "serve", "A page to see a robot and lead it"),
             (assist.assist, "assist", "A person drives by a stick, and the robot helps"),
+            (foxglove_layout, "foxglove-layout", "Foxglove's panels for a robot that drives"),
         ),
     ),
     ("Many recordings", ((batch, "batch", "Many recordings by several settings, one table"),)),

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from wheelsight.core.robots import Robot
     from wheelsight.navigation import Feedback, NavigationResult
     from wheelsight.slam.maps import MapFolder
+    from wheelsight_ros2 import LinkSettings
     from wheelsight_sim import SimulationSettings
 
 
@@ -45,6 +46,8 @@ def drive(options: DriveOptions) -> None:
     --robot asks once before anything moves. It needs a live camera (wheelsight devices), whose own calibration is laid
     under --calibration.
 
+    With --foxglove or --ros2 and without a goal, other programs lead the robot in the map, until Ctrl-C.
+
     Exit code 0: arrived; 1: not, and why is said; 2: what was handed in is wrong; 130: interrupted.
 
     [bold]Examples[/bold]
@@ -56,21 +59,27 @@ def drive(options: DriveOptions) -> None:
     wheelsight drive --sim flat --map home --follow drive/trajectory.txt --back
     wheelsight drive --robot /dev/ttyUSB0 --camera any --calibration robot.yaml --map home --to kitchen
     wheelsight drive --sim flat --map home --known-start 0,0,0 --to kitchen --set navigation.limits.forward_m_s=0.5
+    wheelsight drive --sim flat --map home --foxglove 8766 --ros2 dds
     """
     from wheelsight.app.cli.compiling import compile_missing
-    from wheelsight.app.cli.options import check_rerun
+    from wheelsight.app.cli.options import check_rerun, link_settings
     from wheelsight.core.files import make_output_folder, refuse_full
 
     check(options)
-    config, goals, way = drive_settings(options), goals_of(options), way_of(options)
+    links, config, goals, way = link_settings(options), drive_settings(options), goals_of(options), way_of(options)
     if options.out is not None and not options.force:
         refuse_full(options.out)  # before the long work; made once there is a robot
     check_rerun(options.rerun, options.force)
     compile_missing(kernels_of(options))
     with robot_of(options, config) as robot:
+        if links is not None and is_led(options):
+            from wheelsight.app.cli.serve import be_led
+
+            be_led(robot, options, config, links)
+            return
         if options.out is not None:
             make_output_folder(options.out, options.force)
-        record, left_out = _driven(robot, config, goals, way, options)
+        record, left_out = _driven(robot, config, goals, way, options, links)
     if options.out is not None:
         write(record, options.out)
     print_results(record, left_out)
@@ -86,16 +95,41 @@ def kernels_of(options: RobotOptions) -> tuple[str, ...]:
     return (*parts, "simulation") if options.is_simulated else parts
 
 
+def is_led(options: DriveOptions) -> bool:
+    """Whether other programs give the goals."""
+    return not (options.to or options.follow or options.explore) and bool(options.foxglove or options.ros2)
+
+
 def _driven(
-    robot: Robot, config: Config, goals: Sequence[NamedGoal], way: FloatArray | None, options: DriveOptions
+    robot: Robot,
+    config: Config,
+    goals: Sequence[NamedGoal],
+    way: FloatArray | None,
+    options: DriveOptions,
+    links: LinkSettings | None,
 ) -> tuple[DriveRecord, str]:
     """The record of the drive, and a sentence on tasks that were not begun; "" if there are none."""
     from wheelsight.app.cli.drive_view import watching
+    from wheelsight.app.cli.options import linked
+    from wheelsight.app.cli.serve import CountedLines
     from wheelsight.app.run.drives import loops_of
     from wheelsight.slam.maps import MAP_FOLDER
 
     # What is said while the map is read would run into a screen that is drawn already.
-    with watching(options.rerun, robot, config) as watch, _begun(robot, config, watch, options) as drive, watch.view:
+    with (
+        CountedLines(print_warning) as lines,
+        linked(
+            links,
+            robot.calibration,
+            config,
+            lambda: robot.now_s,
+            lines.add,
+            is_simulated=options.is_simulated,
+        ) as bridge,
+        watching(options.rerun, robot, config, bridge) as watch,
+        _begun(robot, config, watch, options) as drive,
+        watch.view,
+    ):
         truth, is_interrupted = Truth(robot) if options.is_simulated else None, False
         with until_stopped() as is_over:
 
@@ -295,6 +329,10 @@ def _check_task(options: DriveOptions) -> None:
         raise ConfigError("there is no map to drive in", fix="--map DIR, of a run with --map surfels; or --explore")
     elif options.follow is not None and options.to:
         raise ConfigError("--follow ends where its way does", fix="leave out --follow or --to")
+    elif is_led(options):
+        if options.back or options.out is not None:
+            problem = "a robot that other programs lead has no way back, and leaves no record"
+            raise ConfigError(problem, fix="leave out --back and --out; wheelsight record records, Foxglove too")
     elif options.follow is None and not options.to:
         raise ConfigError("there is no goal", fix="--to NAME, or --to X,Y,YAW_DEG; or --follow FILE")
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from wheelsight.app.cli.options import OUTPUT, SETTINGS, Profile, option, option_field
+from wheelsight.app.cli.options import OUTPUT, SETTINGS, LinkOptions, Profile, option, option_field
 
 _SIMULATED, _REAL, _EITHER = "A simulated robot", "A real robot", "Either robot"
 
@@ -133,5 +133,5 @@ class TaskOptions:
 
 
 @dataclass(frozen=True)
-class DriveOptions(RobotOptions, SettingsOptions, TaskOptions):
+class DriveOptions(LinkOptions, RobotOptions, SettingsOptions, TaskOptions):
     """All options; fields of the last base come first."""

@@ -26,10 +26,11 @@ from wheelsight.navigation import CellState, Costmap, Feedback, Footprint, Navig
 from wheelsight.navigation.navigator import STATUS_WORDS, monitor_words
 
 if TYPE_CHECKING:
+    from wheelsight.app.page import Watch
     from wheelsight.config import Config
     from wheelsight.core.messages import Event
     from wheelsight.core.robots import Robot
-    from wheelsight_export import DriveLog
+    from wheelsight_ros2 import Bridge
 
 
 _VIEWS_A_S, _LINES_A_S = 5, 1
@@ -168,44 +169,44 @@ def facts_of(feedback: Feedback, so_far: SoFar, seen_m2: float) -> Iterator[tupl
 
 
 class DriveWatch:
-    """Passes a drive to the terminal and to Rerun.
+    """Passes a drive to the terminal, to Rerun and to other programs.
 
     Attributes:
         view: of the terminal. Lines that are printed before it is entered stay above it.
     """
 
-    def __init__(self, view: DriveView, log: DriveLog | None = None) -> None:
-        self.view, self._log = view, log
+    def __init__(self, view: DriveView, *logs: Watch) -> None:
+        self.view, self._logs = view, logs
 
     def on_events(self, events: Sequence[Event]) -> None:
         """Pass on events of the robot's sensors."""
-        if self._log is not None:
-            self._log.on_events(events)
+        for log in self._logs:
+            log.on_events(events)
 
     def note(self, transition: Transition) -> None:
         """Pass on a change of the navigator's state."""
         self.view.note(transition)
-        if self._log is not None:
-            self._log.note(transition)
+        for log in self._logs:
+            log.note(transition)
 
     def step(self, feedback: Feedback, navigator: Navigator) -> None:
         """Pass on a period."""
         self.view.show(feedback, navigator)
-        if self._log is not None:
-            self._log.step(feedback, navigator)
+        for log in self._logs:
+            log.step(feedback, navigator)
 
 
 @contextmanager
-def watching(rerun: str | None, robot: Robot, config: Config) -> Iterator[DriveWatch]:
+def watching(rerun: str | None, robot: Robot, config: Config, bridge: Bridge | None = None) -> Iterator[DriveWatch]:
     """Open the views of a drive. Raises as `open_drive_log`."""
-    view = DriveView(config.navigation.footprint.outline)
+    view, bridges = DriveView(config.navigation.footprint.outline), () if bridge is None else (bridge,)
     if rerun is None:
-        yield DriveWatch(view)
+        yield DriveWatch(view, *bridges)
         return
     from wheelsight_export import open_drive_log
 
     with open_drive_log(rerun, robot.calibration, config.viewer) as log:
-        yield DriveWatch(view, log)
+        yield DriveWatch(view, log, *bridges)
 
 
 class Sign(IntEnum):

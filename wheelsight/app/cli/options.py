@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import field
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
 if TYPE_CHECKING:
     from wheelsight.config import Config
+    from wheelsight.core.calibration import Calibration
     from wheelsight.io.recordings import Recording
+    from wheelsight_ros2 import Bridge, LinkSettings
 
 
 # Panels of the help that several commands have.
@@ -192,6 +195,97 @@ Rerun = Annotated[
         flag="--rerun",
     ),
 ]
+
+_LINKS = "Other programs"
+Foxglove = Annotated[
+    str | None,
+    option(
+        "Serve Foxglove at this port, behind a token that is printed with the address; an address other than this "
+        "computer's alone only if it is named.",
+        "[ADDRESS:]PORT",
+        "not served",
+        _LINKS,
+        flag="--foxglove",
+    ),
+]
+LinkToken = Annotated[
+    str | None,
+    option("What Foxglove's address must hold; 16 letters and digits at least.", "TEXT", "a new one", _LINKS),
+]
+Ros2 = Annotated[str | None, option("Be a node of ROS 2, over dds or zenoh.", "NAME", "none", _LINKS, flag="--ros2")]
+Domain = Annotated[int, option("Of ROS 2, 0 to 232.", "N", panel=_LINKS, min=0, max=232)]
+Namespace = Annotated[str, option("Before all topics of ROS 2, such as /chair.", "NAME", "none", _LINKS)]
+Interface = Annotated[
+    str | None,
+    option(
+        "Network of dds, by its name or address, or address of zenoh's router. Each computer there can move the robot.",
+        "NAME|ADDRESS",
+        "this computer alone",
+        _LINKS,
+    ),
+]
+
+
+@dataclass(frozen=True)
+class LinkOptions:
+    """Options of live interfaces."""
+
+    foxglove: Foxglove = None
+    link_token: LinkToken = None
+    ros2: Ros2 = None
+    domain: Domain = 0
+    namespace: Namespace = ""
+    interface: Interface = None
+
+
+class _Linked(Protocol):
+    """What has the fields of `LinkOptions`."""
+
+    @property
+    def foxglove(self) -> str | None: ...
+    @property
+    def link_token(self) -> str | None: ...
+    @property
+    def ros2(self) -> str | None: ...
+    @property
+    def domain(self) -> int: ...
+    @property
+    def namespace(self) -> str: ...
+    @property
+    def interface(self) -> str | None: ...
+
+
+def link_settings(options: _Linked) -> LinkSettings | None:
+    """The checked interfaces; None without any. Raises ConfigError."""
+    given = (options.foxglove, options.link_token, options.ros2, options.domain, options.namespace, options.interface)
+    if not any(one is not None and one != "" and one != 0 for one in given):
+        return None
+    from wheelsight_ros2 import LinkSettings
+
+    settings = LinkSettings(*given)
+    settings.check()
+    return settings
+
+
+@contextmanager
+def linked(
+    settings: LinkSettings | None,
+    calibration: Calibration,
+    config: Config,
+    robot_s: Callable[[], float],
+    on_problem: Callable[[str], None],
+    *,
+    is_simulated: bool,
+) -> Iterator[Bridge | None]:
+    """The bridge to other programs for the block; None without any. Raises ConfigError."""
+    if settings is None:
+        yield None
+        return
+    from wheelsight_ros2 import open_bridge
+
+    how: dict[str, Any] = {"is_simulated": is_simulated, "robot_s": robot_s, "navigation": config.navigation}
+    with open_bridge(settings, calibration, **how, on_problem=on_problem, on_note=typer.echo) as bridge:
+        yield bridge
 
 
 def can_draw() -> bool:

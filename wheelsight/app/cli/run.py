@@ -4,6 +4,7 @@ results.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
@@ -23,10 +24,12 @@ if TYPE_CHECKING:
 
     from wheelsight.app.cli.progress import FrameProgress
     from wheelsight.app.run import FrameRecord, InRealTime, LiveSource, RealTimeRecording, RunRecord
+    from wheelsight.app.run.track import Watcher
     from wheelsight.config import Config
     from wheelsight.core.robots import EventSource
     from wheelsight.core.settings import RealTimeSettings
     from wheelsight.io.recordings import Recording
+    from wheelsight_ros2 import LinkSettings
 
 
 @takes(RunOptions)
@@ -64,22 +67,31 @@ def run(options: RunOptions) -> None:
     wheelsight run my_drive --map surfels --rerun run.rrd --out results
     wheelsight run my_drive --trace trace.json --out results
     wheelsight run tuesday --map-from monday_map --out found_again
+    wheelsight run my_drive --realtime --map surfels --foxglove 8766 --out results
     """
+    from wheelsight.app.cli.options import link_settings
     from wheelsight.app.run import default_odometry
 
     check_source(options)
+    links = link_settings(options)
     settings = settings_from(options.settings(), options.config)
     chosen = ""
     with traced(options.trace, options.force), source_of(options, settings) as source:
         if not settings.odometry:
             choice = default_odometry(source, settings)
             settings, chosen = settings.with_odometry(choice.odometry), choice.sentence
-        records = track(source, settings, options.out, options.force, options.rerun, chosen)
+        records = track(source, settings, options.out, options.force, options.rerun, chosen, links)
     print_summary(records, options.out)
 
 
 def track(
-    source: EventSource, settings: Config, out: Path, force: bool, rerun: str | None = None, note: str = ""
+    source: EventSource,
+    settings: Config,
+    out: Path,
+    force: bool,
+    rerun: str | None = None,
+    note: str = "",
+    links: LinkSettings | None = None,
 ) -> Sequence[RunRecord]:
     """Run with progress on stderr. Ctrl-C ends it with the exit code of an interruption.
 
@@ -87,9 +99,10 @@ def track(
     """
     from wheelsight.app import runs
     from wheelsight.app.cli.compiling import compile_missing
-    from wheelsight.app.cli.console import print_note
-    from wheelsight.app.cli.options import can_draw, check_rerun
+    from wheelsight.app.cli.console import print_note, print_warning
+    from wheelsight.app.cli.options import can_draw, check_rerun, linked
     from wheelsight.app.cli.progress import FrameProgress
+    from wheelsight.app.run import LiveSource
     from wheelsight.app.run.kernels import parts_of
     from wheelsight_export import open_rerun
 
@@ -107,11 +120,19 @@ def track(
 
     try:
         with ExitStack() as shown:
-            watcher = None
+            watcher: Watcher | None = None
             if rerun is not None:
                 check_rerun(rerun, force)
                 log = open_rerun(rerun, source.calibration, settings.tracks, settings.viewer)
                 watcher = shown.enter_context(log)
+            # Stamps of a live run are the host's time; those of a recording are its own, and /clock gives them.
+            is_live = isinstance(source, LiveSource)
+            opened = linked(links, source.calibration, settings, time.time, print_warning, is_simulated=not is_live)
+            bridge = shown.enter_context(opened)
+            if bridge is not None:
+                from wheelsight_ros2 import RunBridge
+
+                watcher = RunBridge(bridge, watcher)
 
             def begin() -> None:
                 if note:

@@ -16,10 +16,16 @@ from wheelsight.app.cli.options import (
     SETTINGS,
     CalibrationFile,
     DepthFactor,
+    Domain,
+    Foxglove,
+    Interface,
+    LinkToken,
     MaxGap,
+    Namespace,
     Profile,
     RateHz,
     Rerun,
+    Ros2,
     Topics,
     option,
     option_field,
@@ -168,6 +174,12 @@ class RunOptions:
     wheels: str | None = option_field("With --live: serial port of the wheel controller.", "PORT", "none", _LIVE)
     seconds: float | None = option_field("With --live: stop so long after ready.", "SECONDS", "at Ctrl-C", _LIVE, min=0)
     record: Path | None = option_field("With --live: record what is followed, too.", "DIR", "not recorded", _LIVE)
+    foxglove: Foxglove = None
+    link_token: LinkToken = None
+    ros2: Ros2 = None
+    domain: Domain = 0
+    namespace: Namespace = ""
+    interface: Interface = None
 
     def settings(self) -> dict[str, object]:
         """Values of the options that set settings, by their dotted names, as `settings_from` takes them."""

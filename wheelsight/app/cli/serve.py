@@ -21,12 +21,17 @@ import typer
 from wheelsight.app.cli.console import print_note, print_warning, takes
 from wheelsight.app.cli.drive import check_robot, kernels_of, robot_of, settings_of, start_of
 from wheelsight.app.cli.drive_options import KnownStart, MapPath, Rate, Rerun, RobotOptions, SettingsOptions
-from wheelsight.app.cli.options import OUTPUT, option_field
+from wheelsight.app.cli.options import OUTPUT, LinkOptions, option_field
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.runtime import until_stopped
 
 if TYPE_CHECKING:
-    from wheelsight.app.page import Access
+    from wheelsight.app.cli.drive_options import DriveOptions
+    from wheelsight.app.page import Access, DriveMaps, Watch
+    from wheelsight.config import Config
+    from wheelsight.core.robots import Robot
+    from wheelsight_export import DriveLog
+    from wheelsight_ros2 import Bridge, LinkSettings
 
 
 _PAGE = "The page"
@@ -61,7 +66,7 @@ class PageOptions:
 
 
 @dataclass(frozen=True)
-class ServeOptions(RobotOptions, SettingsOptions, PageOptions):
+class ServeOptions(LinkOptions, RobotOptions, SettingsOptions, PageOptions):
     """All options; fields of the last base come first."""
 
     rate: Rate = 5.0
@@ -80,10 +85,11 @@ def serve(options: ServeOptions) -> None:
 
     wheelsight serve --sim studio --out maps
     wheelsight serve --sim flat --map home --known-start 0,0,0
+    wheelsight serve --sim flat --map home --foxglove 8766 --ros2 dds
     wheelsight serve --robot /dev/ttyUSB0 --camera any --calibration robot.yaml --map home --host 192.168.1.20
     """
     from wheelsight.app.cli.compiling import compile_missing
-    from wheelsight.app.cli.options import check_rerun
+    from wheelsight.app.cli.options import check_rerun, link_settings, linked
     from wheelsight.core.runtime import needed
 
     for library in ("starlette", "uvicorn", "websockets"):
@@ -91,18 +97,11 @@ def serve(options: ServeOptions) -> None:
     check_robot(options)
     # Where no map of before is driven in first, and on the page, a new one is made.
     config, access = settings_of(options, {"loops.source": "keyframes"}), access_of(options)
-    from wheelsight.app.page import DriveMaps, Session
+    from wheelsight.app.page import Session
     from wheelsight.app.page.server import PageServer, page_app
-    from wheelsight.config import StartSettings
     from wheelsight_export import open_drive_log
 
-    start = None
-    if options.known_start is not None:
-        if options.map_ is None:
-            raise ConfigError("--known-start is of a map", fix="--map DIR")
-        x_m, y_m, yaw = start_of("--known-start", options.known_start)
-        start = StartSettings(x_m=x_m, y_m=y_m, yaw_deg=math.degrees(yaw))
-    maps = DriveMaps(config, options.map_, start, options.out, in_step=options.is_simulated)
+    maps, links = maps_of(options, config), link_settings(options)
     rerun = options.rerun
     check_rerun(rerun)
     compile_missing(kernels_of(options))
@@ -110,10 +109,15 @@ def serve(options: ServeOptions) -> None:
         CountedLines(print_warning) as lines,
         robot_of(options, config) as robot,
         nullcontext() if rerun is None else open_drive_log(rerun, robot.calibration, config.viewer) as log,
+        linked(
+            links, robot.calibration, config, lambda: robot.now_s, lines.add, is_simulated=options.is_simulated
+        ) as bridge,
     ):
         on_problem = partial(lines.add, is_problem=True)
-        how: dict[str, Any] = {"paces": options.is_simulated, "on_problem": on_problem, "watch": log}
-        with Session(robot, maps, config.page, **how) as session:
+        how: dict[str, Any] = {"paces": options.is_simulated, "on_problem": on_problem}
+        with Session(robot, maps, config.page, **how, watch=watch_of(log, bridge)) as session:
+            if bridge is not None:
+                bridge.lead(session)
             app = page_app(session, config.page, access, lines.add)
             with until_stopped() as is_over, PageServer(app, options.host, options.port, config.page) as server:
                 for address in addresses(options.host, server.port, access.token):
@@ -126,6 +130,56 @@ def serve(options: ServeOptions) -> None:
                 # Before slow work, such as closing pages and writing a map.
                 session.stop("the program ends")
             print_note("stopped; ending")
+
+
+def be_led(robot: Robot, options: DriveOptions, config: Config, links: LinkSettings) -> None:
+    """Drive in a known map as other programs ask, without a page, until Ctrl-C. Raises as `drive`."""
+    from wheelsight.app.cli.options import linked
+    from wheelsight.app.page import Session
+    from wheelsight_export import open_drive_log
+
+    rerun, maps = options.rerun, maps_of(options, config)
+    with (
+        CountedLines(print_warning) as lines,
+        nullcontext() if rerun is None else open_drive_log(rerun, robot.calibration, config.viewer) as log,
+        linked(
+            links, robot.calibration, config, lambda: robot.now_s, lines.add, is_simulated=options.is_simulated
+        ) as bridge,
+    ):
+        on_problem = partial(lines.add, is_problem=True)
+        how: dict[str, Any] = {"paces": options.is_simulated, "on_problem": on_problem}
+        with Session(robot, maps, config.page, **how, watch=watch_of(log, bridge)) as session:
+            assert bridge is not None
+            bridge.lead(session)
+            waiting = threading.Event()
+            with until_stopped() as is_over:
+                while not is_over():
+                    waiting.wait(_LOOK_S)
+                session.stop("the program ends")
+            print_note("stopped; ending")
+
+
+def watch_of(log: DriveLog | None, bridge: Bridge | None) -> Watch | None:
+    """One listener of those that there are."""
+    if log is None or bridge is None:
+        return log or bridge
+    from wheelsight_ros2 import Watches
+
+    return Watches(log, bridge)
+
+
+def maps_of(options: ServeOptions | DriveOptions, config: Config) -> DriveMaps:
+    """The maps to drive in. Raises ConfigError, MapError."""
+    from wheelsight.app.page import DriveMaps
+    from wheelsight.config import StartSettings
+
+    start = None
+    if options.known_start is not None:
+        if options.map_ is None:
+            raise ConfigError("--known-start is of a map", fix="--map DIR")
+        x_m, y_m, yaw = start_of("--known-start", options.known_start)
+        start = StartSettings(x_m=x_m, y_m=y_m, yaw_deg=math.degrees(yaw))
+    return DriveMaps(config, options.map_, start, options.out, in_step=options.is_simulated)
 
 
 _LOOK_S, _ENDS_S = 0.1, 2.0

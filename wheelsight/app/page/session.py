@@ -24,11 +24,11 @@ from wheelsight.app.page.snapshot import Driven, Maps, Snapshot, SnapshotMaker, 
 from wheelsight.app.page.stop_switch import StopSwitch, Watchdog
 from wheelsight.core.errors import ArgumentError, ConfigError, WheelsightError
 from wheelsight.core.geometry import FloatArray
-from wheelsight.core.messages import Event
+from wheelsight.core.messages import Event, VelocityCommand
 from wheelsight.core.robots import CONTROL_PERIOD_S, Robot, WatchedRobot
 from wheelsight.core.settings import LivePageSettings
 from wheelsight.core.threads import Closing
-from wheelsight.navigation import Feedback, NavigationResult, NavigationState, Transition
+from wheelsight.navigation import ByHand, Feedback, NavigationResult, NavigationState, Transition
 from wheelsight.navigation.settings import SILENT_S
 
 _FARTHEST_M, _LONGEST_NAME = 1e4, 60
@@ -120,9 +120,24 @@ class StartMap(_Message):
     map: Annotated[str, Field(min_length=1, max_length=200)]
 
 
-Task = GoToPose | GoToName | ClearObstacles | ClearFault | Explore | NamePlace | SaveMap | StartMap
-"""What the driver alone may ask."""
-Message = Alive | Take | Leave | ShowCostmap | Task
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveByHand:
+    """Follow velocity commands of another program until `commands` returns None, by ramp and collision monitor."""
+
+    commands: Callable[[], VelocityCommand | None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetPose:
+    """The robot stands at a pose (3,) in the known map: x, y, yaw."""
+
+    pose: FloatArray
+
+
+_PageTask = GoToPose | GoToName | ClearObstacles | ClearFault | Explore | NamePlace | SaveMap | StartMap
+Task = _PageTask | DriveByHand | SetPose
+"""What the driver alone may ask: from a page, or from other programs."""
+Message = Alive | Take | Leave | ShowCostmap | _PageTask
 _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="type")])
 
 
@@ -427,7 +442,7 @@ class Session(Closing):
 
     def _do(self, asked: _Asked, driven: Driven, feedback: Feedback) -> _Next | None:
         task, navigator = asked.task, driven.navigator
-        if isinstance(task, GoToPose | GoToName | Explore):
+        if isinstance(task, GoToPose | GoToName | Explore | DriveByHand):
             begin = _begin_of(task, driven)
             if self.switch.release(asked.presses):
                 begin()
@@ -441,7 +456,7 @@ class Session(Closing):
         return self._do_while_standing(task, driven, feedback)
 
     def _do_while_standing(
-        self, task: ClearFault | NamePlace | SaveMap | StartMap, driven: Driven, feedback: Feedback
+        self, task: ClearFault | NamePlace | SaveMap | StartMap | SetPose, driven: Driven, feedback: Feedback
     ) -> _Next | None:
         if isinstance(task, ClearFault):
             driven.navigator.clear_fault()
@@ -456,6 +471,10 @@ class Session(Closing):
             if driven.is_new:
                 return _Next("", feedback.pose)
             self.say("this map is as it was saved; names are kept at once")
+        elif isinstance(task, SetPose):
+            if not driven.is_new:
+                return _Next(self._name, task.pose)
+            self.say("a new map begins where the robot stands: no pose can be set in it", is_problem=True)
         elif task.map not in self._maps.names():
             self.say(f"no map is called {task.map!r}", is_problem=True)
         else:
@@ -499,9 +518,11 @@ class Session(Closing):
         }
 
 
-def _begin_of(task: GoToPose | GoToName | Explore, driven: Driven) -> Callable[[], None]:
+def _begin_of(task: GoToPose | GoToName | Explore | DriveByHand, driven: Driven) -> Callable[[], None]:
     """The function that starts a task. Raises ConfigError, MapError if it is impossible."""
     navigator = driven.navigator
+    if isinstance(task, DriveByHand):
+        return lambda: navigator.begin(ByHand(task.commands))
     if isinstance(task, Explore):
         if not driven.is_new:
             raise ConfigError("this map is finished; to look at all floor, begin a new one")
