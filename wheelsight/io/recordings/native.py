@@ -65,6 +65,8 @@ from wheelsight.io.recordings.wheel_recording import WheelRecording
 WHEELS_HEADER = "stamp_s,left,right"
 _ODOMETRY = ("x_m", "y_m", "yaw_rad")
 GYRO_HEADER = "stamp_s,yaw_rate_rad_s"
+COMMANDS_FILE = "commands.csv"
+COMMANDS_HEADER = "stamp_s,forward_m_s,turn_rad_s"
 IMU_FILE = "imu.csv"
 IMU_HEADER = "stamp_s,x_rad_s,y_rad_s,z_rad_s"
 
