@@ -1,7 +1,7 @@
-"""Identification of a drive: `fit_drive` finds the `DriveModel` whose free-running speeds differ least from measured ones.
+"""Identification of a drive: `fit_drive` finds the `DriveModel` whose free-running speeds fit measured ones.
 
-Free-running: predicted from the commands alone, from the first speed on. Parameters have priors, which hold what a drive
-does not show; errors of neighbouring samples are taken as dependent, as errors of the gain last for a whole step.
+Free-running: predicted from the commands alone, from the first speed on. Parameters have priors, which hold what a
+drive does not show. Errors of neighbouring samples count as dependent: errors of the gain last for a whole step.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from wheelsight_calibration.drive_log import DriveLog, Series, series_of
 from wheelsight_calibration.parameters import Parameter
 from wheelsight_calibration.solver import larger, spread
 
-# Dead time, logarithms of the time constants, and for each direction: dead zone over the largest command U, logarithm of
-# the size of the speed at U, bend and jump as shares of it. Bounds: a bend of one is a curve whose slope ends at zero.
+# Dead time, logarithms of the time constants, and for each direction: dead zone over the largest command U, logarithm
+# of the size of the speed at U, bend and jump as shares of it. With a bend of one the slope of the curve ends at zero.
 PARAMETERS = (
     Parameter("dead_time_s", 2.0),
     Parameter("log_rise", np.log(100.0)),
@@ -42,7 +42,7 @@ _OF_SIDES = (slice(3, 7), slice(7, 11))
 # Standard deviations of differences: of the logarithms of both time constants, and of the two directions in dead zone,
 # speed, bend and jump. Chosen; chairs back up more slowly than they drive forward, and turn alike to both sides.
 _TIMES_SIGMA = 0.7
-_SIDES_SIGMAS = {False: (0.1, 1.0, 0.5, 0.1), True: (0.05, 0.1, 0.1, 0.05)}
+_SIDES_SIGMAS = {False: (0.1, 1.0, 0.5, 0.1), True: (0.1, 0.3, 0.3, 0.1)}
 
 # What a drive must show; chosen.
 _MOVES_M_S = 0.05  # least speed of a rim
@@ -51,8 +51,9 @@ _LEAST_EXPLAINED = 0.5  # share of the speeds' square
 _MOST_DEAD_TIME_S, _LEAST_DEAD_TIME_S = 1.8, -0.05
 _KNOWN_SHARE, _KNOWN_S = 0.3, 0.08  # σ of what is shown, relative or in seconds
 _STEP_S = 1.0  # least duration of a step of the command, whose samples err together
-_STARTS_S = (-0.6, 0.05, 0.15, 0.3, 0.5, 0.9)
-_OUTLIER = 4.0  # spreads
+_STARTS_S = (-0.5, 0.1, 0.3, 0.6)
+_SETTLED_S = 1.5  # from the end of a turn until the wheels run alike
+_OUTLIER = 6.0  # spreads
 _RATE_S = 0.3  # over which an acceleration is measured
 
 
@@ -103,7 +104,9 @@ def fit_drive(logs: Sequence[DriveLog]) -> DriveFit:
         raise CalibrationError(f"the logs have {what}: they are not of one robot", fix="give the logs of one robot")
     name = ", ".join(log.name for log in logs)
     if max(float(np.abs([log.left_m_s, log.right_m_s]).max()) for log in logs) < _MOVES_M_S:
-        raise CalibrationError(f"{name}: no wheel moves", fix=f"drive a minute or two: {_DRIVE[False]}, and {_DRIVE[True]}")
+        raise CalibrationError(
+            f"{name}: no wheel moves", fix=f"drive a minute or two: {_DRIVE[False]}, and {_DRIVE[True]}"
+        )
     fits = [_fit_axis(series_of(logs, is_turn=is_turn), is_turn=is_turn) for is_turn in (False, True)]
     if fits == [None, None]:
         raise CalibrationError(f"{name}: has no commands but stops", fix="record commands of the drive, too")
@@ -171,13 +174,16 @@ class _Static(NamedTuple):
         most = self.largest - dead
         speed, jump = self.sign * np.exp(log_speed), max(jump, 0.0)
         rest = speed * (1.0 - jump)
-        return dead, rest * (1 + bend) / most, -rest * bend / most**2, speed * jump / -np.expm1(-most / EDGE)
+        found = dead, rest * (1 + bend) / most, -rest * bend / most**2, speed * jump / -np.expm1(-most / EDGE)
+        return tuple(map(float, found))  # type: ignore[return-value]
 
 
 class _Problem:
     """Residuals of free-running speeds, over the error that a step's samples have together, and priors."""
 
-    def __init__(self, series: Sequence[Series], used: Sequence[BoolArray], steps: Sequence[IntArray], *, is_turn: bool):
+    def __init__(
+        self, series: Sequence[Series], used: Sequence[BoolArray], steps: Sequence[IntArray], *, is_turn: bool
+    ):
         self.series, self.used = series, used
         counts, offset = [], 0
         for of_series, good in zip(steps, used, strict=True):
@@ -219,7 +225,7 @@ class _Problem:
         plus, minus = (values[one] for one in _OF_SIDES)
         return np.concatenate(
             [
-                _limited(self.errors(values) / sigma_m_s, _OUTLIER * np.sqrt(self.samples_a_step) / self.samples_a_step),
+                _limited(self.errors(values) / sigma_m_s, _OUTLIER / np.sqrt(self.samples_a_step)),
                 (values - self.means) / self.prior_sigmas,
                 (plus - minus) / self.sides_sigmas,
                 [(values[1] - values[2]) / _TIMES_SIGMA],
@@ -253,13 +259,13 @@ def _solve(problem: _Problem) -> _Found:
             values[0] = dead_time_s
             for one in _OF_SIDES:
                 values[one][[_DEAD_ZONE, _JUMP]] = dead_zone, jump
-            begins.append(least_squares(problem.misfit, values, args=(sigma_m_s,), max_nfev=8, **options))
+            begins.append(least_squares(problem.misfit, values, args=(sigma_m_s,), max_nfev=6, **options))
     best = None
-    for begin in sorted(begins, key=lambda found: float(found.cost))[:3]:
+    for begin in sorted(begins, key=lambda found: float(found.cost))[:2]:
         values, own_m_s = begin.x, sigma_m_s
-        for _ in range(3):
+        for _ in range(2):
             own_m_s = _sigma_m_s(problem, values)
-            solved = least_squares(problem.misfit, values, args=(own_m_s,), max_nfev=60, **options)
+            solved = least_squares(problem.misfit, values, args=(own_m_s,), max_nfev=30, **options)
             values = solved.x
         off_m_s = float(np.mean(problem.errors(values) ** 2))
         if best is None or off_m_s < best[0]:
@@ -279,13 +285,14 @@ def _solve(problem: _Problem) -> _Found:
 
 def _sigma_m_s(problem: _Problem, values: FloatArray) -> float:
     """Return the σ of a sample for which samples of a step count as independent, by the errors of moving wheels."""
-    moving = np.concatenate([np.abs(one.speeds_m_s)[good] for one, good in zip(problem.series, problem.used, strict=True)])
+    pairs = zip(problem.series, problem.used, strict=True)
+    moving = np.concatenate([np.abs(one.speeds_m_s)[good] for one, good in pairs])
     errors = problem.errors(values)[moving > 0.05 * problem.speed]
     return max(float(spread(errors[:, None])[0]), 0.002 * problem.speed) * float(np.sqrt(problem.samples_a_step))
 
 
 def _stands_up_to(problem: _Problem) -> float:
-    """Return the share of the largest command between the largest that leaves the wheels standing and the least that does not."""
+    """Return the share of the largest command up to which the wheels stand, or a small one if unknown."""
     stand, move = 0.0, 1.0
     for one in problem.series:
         held, speeds = np.abs(_held(one)) / problem.largest, np.abs(one.speeds_m_s)
@@ -299,7 +306,8 @@ def _stands_up_to(problem: _Problem) -> float:
 
 def _held(series: Series) -> FloatArray:
     """Return the command (N,) at each stamp."""
-    return series.commands[np.searchsorted(series.commands_s, series.stamps_s, side="right").clip(1) - 1]
+    index = np.searchsorted(series.commands_s, series.stamps_s, side="right").clip(1) - 1
+    return np.asarray(series.commands[index])
 
 
 def _speeds(series: Series, towards: FloatArray, dead_time_s: float, rise_s: float, fall_s: float) -> FloatArray:
@@ -367,14 +375,15 @@ def _axis_of(found: _Found, series: Sequence[Series]) -> DriveAxis:
     largest = [max(0.0, *map(float, part)) for part in np.reshape(held, (2, -1))]
     fastest = [max(0.0, *map(float, part)) for part in np.reshape(speeds, (2, -1))]
     errors = problem.errors(values)
+    dead_sigmas, gain_sigmas = ([float(sigmas[one][index]) for one in _OF_SIDES] for index in (_DEAD_ZONE, _LOG_SPEED))
     return DriveAxis(
         dead_time_s=max(float(values[0]), 0.0),
         rise_s=rise_s,
         fall_s=fall_s,
-        dead_zone=dead,  # type: ignore[arg-type]
-        gain=gain,  # type: ignore[arg-type]
-        bend=bend,  # type: ignore[arg-type]
-        jump_m_s=jump,  # type: ignore[arg-type]
+        dead_zone=dead,
+        gain=gain,
+        bend=bend,
+        jump_m_s=jump,
         largest_command=(largest[0], largest[1]),
         largest_speed_m_s=(fastest[0], fastest[1]),
         acceleration_m_s2=max(0.0, float(rates.max(initial=0.0))),
@@ -383,8 +392,8 @@ def _axis_of(found: _Found, series: Sequence[Series]) -> DriveAxis:
         rise_sigma_s=float(min(rise_s * sigmas[1], 5.0)),
         fall_sigma_s=float(min(fall_s * sigmas[2], 5.0)),
         stop_sigma_s=float(min(stop_sigma_s, 5.0)),
-        dead_zone_sigma=tuple(problem.largest * float(sigmas[one][_DEAD_ZONE]) for one in _OF_SIDES),  # type: ignore[arg-type]
-        gain_sigma=tuple(float(sigmas[one][_LOG_SPEED]) for one in _OF_SIDES),  # type: ignore[arg-type]
+        dead_zone_sigma=(problem.largest * dead_sigmas[0], problem.largest * dead_sigmas[1]),
+        gain_sigma=(gain_sigmas[0], gain_sigmas[1]),
         residual_m_s=float(np.sqrt(np.mean(errors**2))),
     )
 
@@ -419,13 +428,21 @@ def _right_over_left(logs: Sequence[DriveLog]) -> tuple[float, float] | None:
     for log in logs:
         held = np.searchsorted(log.commands_s, log.stamps_s, side="right").clip(1) - 1
         means = (log.left_m_s + log.right_m_s) / 2
-        most = float(np.abs(means).max())
-        is_straight = (log.turn[held] == 0) & (log.forward[held] != 0) & (np.abs(means) > max(0.2 * most, _MOVES_M_S))
-        for begin in range(0, len(held), max(len(held) // 50, 1)):
-            part = slice(begin, begin + max(len(held) // 50, 1))
-            left, right = (side[part][is_straight[part]] for side in (log.left_m_s, log.right_m_s))
+        # A turn before has to be over, dead time and lag.
+        turned_s = log.stamps_s[log.turn[held] != 0]
+        before = np.searchsorted(turned_s, log.stamps_s, side="right") - 1
+        last_s = np.where(before >= 0, turned_s[before.clip(0)], -np.inf) if len(turned_s) else -np.inf
+        is_straight = (log.stamps_s - last_s > _SETTLED_S) & (log.forward[held] != 0)
+        is_straight &= np.abs(means) > max(0.2 * float(np.abs(means).max()), _MOVES_M_S)
+        size = max(len(held) // 50, 1)
+        for begin in range(0, len(held), size):
+            left, right = (side[begin : begin + size][is_straight[begin : begin + size]] for side in _sides(log))
             if len(left) > 3 and np.abs(left).max() > 0:
                 ratios.append(float(np.sqrt((right @ right) / (left @ left))))
     if len(ratios) < 3:
         return None
     return float(np.mean(ratios)), float(np.std(ratios, ddof=1) / np.sqrt(len(ratios)))
+
+
+def _sides(log: DriveLog) -> tuple[FloatArray, FloatArray]:
+    return log.left_m_s, log.right_m_s

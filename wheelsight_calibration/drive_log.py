@@ -185,7 +185,9 @@ def series_of(logs: Sequence[DriveLog], *, is_turn: bool) -> list[Series]:
         step_s = np.diff(log.stamps_s)
         is_good = np.concatenate([[False], step_s <= max(_MOST_GAP_S, 3 * float(np.median(step_s)))])
         changes_s, changed = log.commands_s[is_new], commands[is_new]
-        found.append(Series(log.name, changes_s, changed, log.stamps_s, speeds, is_good, log.is_mean, log.command_sigma_s))
+        found.append(
+            Series(log.name, changes_s, changed, log.stamps_s, speeds, is_good, log.is_mean, log.command_sigma_s)
+        )
     return found
 
 

@@ -163,7 +163,9 @@ class Calibration:
         if self.color is None and self.T_color_depth is not None:
             raise CalibrationError("T_color_depth is given, but no camera", fix="give color, or leave it out")
         if self.drive_model is not None and self.holonomic is not None:
-            raise CalibrationError("drive_model is of two driven wheels, and wheels of a holonomic base", fix="leave it out")
+            raise CalibrationError(
+                "drive_model is of two driven wheels, and wheels of a holonomic base", fix="leave it out"
+            )
         if self.drive_model is not None and self.wheels is not None:
             self.drive_model.check_robot(self.wheels.track_width_m)
 
@@ -419,6 +421,11 @@ def calibration_fields(calibration: Calibration) -> dict[str, Any]:
         document |= {name: float(getattr(calibration, name)) for name in _NUMBERS}
     if calibration.T_base_camera is not None:
         document["T_base_camera"] = rows(calibration.T_base_camera)
+    return document | _fields_of_motion(calibration)
+
+
+def _fields_of_motion(calibration: Calibration) -> dict[str, Any]:
+    document: dict[str, Any] = {}
     if calibration.any_wheels is not None:
         document["wheels"] = _wheel_fields(calibration.any_wheels)
     if calibration.any_wheels is not None or calibration.gyro != Gyro():
