@@ -113,6 +113,58 @@ calibrate_app.command("camera", cls=CliCommand)(camera)
 calibrate_app.command("base", cls=CliCommand)(base)
 calibrate_app.command("robot", cls=CliCommand)(robot)
 
+Drives = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="RECORDING...",
+        help="Recordings with commands.csv, or tables of commands and speeds.",
+        show_default=False,
+    ),
+]
+
+
+@calibrate_app.command("drive", cls=CliCommand)
+def drive(recordings: Drives, out: Out, calibration: CalibrationFile = None, force: Force = False) -> None:
+    """Identify how the wheels answer commands: dead time, time constants, gain and dead zone, of an ordinary drive.
+
+    A RECORDING has wheels.csv and commands.csv, as wheelsight drive --out leaves them.
+    Or it is a table, or a folder of tables, of one robot:
+    stamp_s, left_m_s and right_m_s of the rims, and joystick, or joystick_forward and joystick_turn,
+    or forward_m_s and turn_rad_s.
+    FILE gets drive_model, which the collision monitor uses; other parts of --calibration, or of FILE itself, are kept.
+    What the drive did not show is named, and what to drive for it.
+
+    [bold]Examples[/bold]
+
+    wheelsight calibrate drive first_drive --calibration robot.yaml --out robot.yaml --force
+
+    wheelsight calibrate drive straight.csv turning.csv --out robot.yaml
+    """
+    from wheelsight.core.calibration import Calibration, load_calibration
+    from wheelsight.core.drive_model import drive_model_fields
+    from wheelsight_calibration.drive_fit import fit_drive
+    from wheelsight_calibration.drive_log import log_of_recording, logs_of_tables, recording_in
+    from wheelsight_calibration.drive_page import measured_drive, print_drive, write_drive_model_page
+
+    page, kept = page_beside(out, force), kept_in(out, calibration)
+    nominal, logs = load_calibration(*calibration) if calibration else Calibration(), []
+    for path in recordings:
+        folder = recording_in(path)
+        if folder is None:
+            logs += logs_of_tables(path, nominal.wheels.track_width_m if nominal.wheels else 0.0)
+        else:
+            source = open_for(folder, calibration, None)
+            nominal = source.calibration
+            logs.append(log_of_recording(source))
+    found = fit_drive(logs)
+    title = f"drive identified on {', '.join(found.names)}"
+    parts = {"drive_model": drive_model_fields(found.model)}
+    written = save_found(parts, kept, nominal, title, out, measured_drive(found))
+    if page is not None:
+        write_drive_model_page(found, page)
+    print_drive(found, written, page)
+
+
 Reference = Annotated[
     Path | None,
     option(

@@ -59,6 +59,11 @@ class DriveLog:
     warnings: tuple[str, ...] = ()
 
 
+def recording_in(path: Path) -> Path | None:
+    """Return the folder of wheels.csv in a recording or in the results of a drive; None for tables."""
+    return next((folder for folder in (path, path / "wheels") if is_there(folder / "wheels.csv")), None)
+
+
 def log_of_recording(recording: Recording) -> DriveLog:
     """Return the log of a recording of two wheels with commands.csv.
 
