@@ -60,6 +60,7 @@ def test_the_difference_of_the_wheels_is_found(rng):
     assert 0.0002 < model.right_over_left_sigma < 0.005
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_their_sigmas():
     """Within three σ, and σ not ten times too large: over eight drives."""
     shares = []

@@ -131,6 +131,7 @@ class WatchedRobot:
     Attributes:
         frame: last frame of its camera; None before any.
         is_commanded: whether the last command that it passed on is a motion.
+        command, command_s: that command, and when it was passed on by the robot's clock.
         listeners: called with the events of each period.
     """
 
@@ -139,6 +140,7 @@ class WatchedRobot:
         self.listeners: list[Callable[[Sequence[Event]], None]] = []
         self.frame: RgbdFrame | None = None
         self.is_commanded = False
+        self.command, self.command_s = STOP, -math.inf
 
     @contextmanager
     def watched_by(self, *listeners: Callable[[Sequence[Event]], None]) -> Iterator[None]:
@@ -169,6 +171,7 @@ class WatchedRobot:
         """See `Robot`."""
         obeyed = STOP if self._held_by() else command
         self.is_commanded = obeyed != STOP
+        self.command, self.command_s = obeyed, self._robot.now_s
         events = self._robot.step(obeyed)
         self.frame = next((event for event in reversed(events) if isinstance(event, RgbdFrame)), self.frame)
         for listener in self.listeners:

@@ -8,7 +8,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -91,13 +91,14 @@ def _driven(
 ) -> tuple[DriveRecord, str]:
     """The record of the drive, and a sentence on tasks that were not begun; "" if there are none."""
     from wheelsight.app.cli.drive_view import watching
-    from wheelsight.app.run.drives import loops_of
+    from wheelsight.app.run.drives import loops_of, wheels_recorded
     from wheelsight.slam.maps import MAP_FOLDER
 
     # What is said while the map is read would run into a screen that is drawn already.
     with (
         watching(options.rerun, robot, config) as watch,
-        _begun(robot, config, watch, options) as drive,
+        nullcontext(robot) if options.out is None else wheels_recorded(robot, options.out) as recorded,
+        _begun(recorded, config, watch, options) as drive,
         watch.view,
     ):
         truth, is_interrupted = Truth(robot) if options.is_simulated else None, False

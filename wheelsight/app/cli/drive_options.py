@@ -126,7 +126,10 @@ class TaskOptions:
     )
     known_start: KnownStart = None
     out: Path | None = option_field(
-        "Folder for drive.json, trajectory.txt, drive.png and drive.html.", "DIR", "none", OUTPUT
+        "Folder for drive.json, trajectory.txt, drive.png, drive.html, and wheels with commands and readings.",
+        "DIR",
+        "none",
+        OUTPUT,
     )
     rerun: Rerun = None
     force: bool = option_field("Overwrite results in the folder of --out.", default=False, panel=OUTPUT)
