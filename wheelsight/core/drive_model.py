@@ -162,6 +162,18 @@ class DriveModel:
         check_range("right_over_left_sigma", number(self.right_over_left_sigma, ""), Range(0.0, 5.0, ""))
         check_range("track_width_m", number(self.track_width_m, "track_width_m"), Range(0.0, 10.0, "m"))
 
+    def stop_s(self, *, straight: bool, turn: bool, sigmas: float = WORST_SIGMAS) -> float:
+        """Return the longest `DriveAxis.stop_s` of the motions named; of the other kind if one was not driven."""
+        axes = [axis for axis, is_so in ((self.straight, straight), (self.turn, turn)) if is_so and axis is not None]
+        axes = axes or [axis for axis in (self.straight, self.turn) if axis is not None]
+        return max(axis.stop_s(sigmas) for axis in axes)
+
+    @property
+    def longest_lag_s(self) -> float:
+        """Time after which any command has had most of its effect, at the 95 % worst."""
+        axes = [axis for axis in (self.straight, self.turn) if axis is not None]
+        return max(axis.dead_time_s + max(axis.rise_s, axis.fall_s) + WORST_SIGMAS * axis.stop_sigma_s for axis in axes)
+
     def check_robot(self, track_width_m: float) -> None:
         """Raise CalibrationError if the model is of a robot with another track width."""
         known_m = self.track_width_m
