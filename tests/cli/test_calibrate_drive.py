@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from wheelsight.app.run.drives import WHEELS_FOLDER, wheels_recorded
 from wheelsight.core.calibration import Calibration, load_calibration, save_calibration
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.drive_model import DriveAxis
-from wheelsight.core.messages import STOP, VelocityCommand, WheelTicks
+from wheelsight.core.messages import STOP, Event, VelocityCommand, WheelTicks
+from wheelsight.core.robots import RobotLimits
 from wheelsight.io.recordings import RecordingWriter
 
 WHEELS = Wheels(left_radius_m=0.17, right_radius_m=0.17, track_width_m=0.6, ticks_per_turn=3200)
@@ -116,6 +118,9 @@ def test_a_model_of_another_robot_is_refused(refusal, wheelsight, recording, tmp
     assert "calibrate drive" in line
 
 
+QUICK = RobotLimits(acceleration_m_s2=3.0, braking_m_s2=5.0, turn_acceleration_rad_s2=10.0, jerk_m_s3=50.0)
+
+
 class Standing:
     """A robot that returns ticks of its commands' sizes."""
 
@@ -126,7 +131,7 @@ class Standing:
         self.now_s = 7.0
         self.count = 0
 
-    def step(self, command: VelocityCommand) -> list[WheelTicks]:
+    def step(self, command: VelocityCommand) -> list[Event]:
         self.now_s += 0.05
         self.count += round(100 * command.forward_m_s)
         return [WheelTicks(self.now_s, self.count, self.count)]
@@ -135,15 +140,26 @@ class Standing:
 
     def close(self) -> None: ...
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
 
 def test_a_drive_leaves_its_commands(tmp_path):
-    """Only changes of the command are written, with the time at which the robot got them."""
-    asked = [STOP, STOP, VelocityCommand(0.5, 0.1), VelocityCommand(0.5, 0.1), STOP]
-    with wheels_recorded(Standing(), tmp_path) as robot:
+    """Changes of the command as the robot limits it, with the time at which it got them."""
+    asked = [STOP, STOP, *[VelocityCommand(0.5, 0.1)] * 8, *[STOP] * 8]
+    with wheels_recorded(Standing(), tmp_path, QUICK) as robot:
         for command in asked:
             robot.step(command)
     lines = (tmp_path / WHEELS_FOLDER / "commands.csv").read_text().splitlines()
     assert lines[0] == "stamp_s,forward_m_s,turn_rad_s"
     found = np.array([line.split(",") for line in lines[1:]], float)
-    np.testing.assert_allclose(found, [[7.0, 0, 0], [7.1, 0.5, 0.1], [7.2, 0, 0]])
-    assert len((tmp_path / WHEELS_FOLDER / "wheels.csv").read_text().splitlines()) == 6
+    np.testing.assert_allclose(found[0], [7.0, 0, 0])
+    np.testing.assert_allclose(found[1, [0, 2]], [7.1, 0.1])
+    assert found[:, 1].max() == pytest.approx(0.5)
+    # Faster than its limits is no command; the last one is a stop.
+    assert np.diff(found[:, 1]).max() <= 0.03 + 1e-9
+    assert np.diff(found[:, 1]).min() == pytest.approx(-0.05)
+    np.testing.assert_allclose(found[-1, 1:], 0)
+    assert len((tmp_path / WHEELS_FOLDER / "wheels.csv").read_text().splitlines()) == 19

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args
@@ -196,6 +197,33 @@ def lagged(speed: float, towards: float, seconds: float, rise_s: float, fall_s: 
         speed, seconds = 0.0, seconds - to_zero_s
     time_s = rise_s if abs(towards) > abs(speed) else fall_s
     return towards + (speed - towards) * math.exp(-seconds / time_s)
+
+
+class DriveResponse:
+    """The rims of a robot that answers velocities as a drive model says: dead time and lag of straight on and turns.
+
+    Velocities are in m/s of a rim. The gain of a velocity model applies. That of a joystick does not: the controller
+    between both inverts it.
+    """
+
+    def __init__(self, model: DriveModel) -> None:
+        axes = [model.straight or model.turn, model.turn or model.straight]
+        self._axes = [axis for axis in axes if axis is not None]
+        self._has_gain = model.command == "velocity"
+        self._now_s, self._speeds = 0.0, [0.0, 0.0]
+        self._sent: list[deque[tuple[float, float]]] = [deque([(-math.inf, 0.0)]) for _ in axes]
+
+    def after(self, forward_m_s: float, turn_m_s: float, seconds: float) -> tuple[float, float]:
+        """Return the speeds of the left and right rim after a time with a command."""
+        for index, (axis, command) in enumerate(zip(self._axes, (forward_m_s, turn_m_s), strict=True)):
+            sent = self._sent[index]
+            sent.append((self._now_s + axis.dead_time_s, command))
+            while len(sent) > 1 and sent[1][0] <= self._now_s + 1e-9:
+                sent.popleft()
+            towards = axis.speed_m_s(sent[0][1]) if self._has_gain else sent[0][1]
+            self._speeds[index] = axis.after(self._speeds[index], towards, seconds)
+        self._now_s += seconds
+        return self._speeds[0] - self._speeds[1], self._speeds[0] + self._speeds[1]
 
 
 _AXES = ("straight", "turn")

@@ -27,7 +27,7 @@ from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.keyframes import KeyframeStore
 from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand, WheelTicks, YawRate
-from wheelsight.core.robots import Localization, Robot, WatchedRobot
+from wheelsight.core.robots import LimitedVelocity, Localization, Robot, RobotLimits, WatchedRobot
 from wheelsight.core.trajectory import read_tum
 from wheelsight.estimation import Localizer, LocalizerApart, LocalizerBeside, LocalizerInStep
 from wheelsight.estimation.localizer_workers import Make
@@ -285,11 +285,15 @@ WHEELS_FOLDER = "wheels"
 """The folder of a drive's results with its commands and wheel readings, a recording of wheels alone."""
 
 
+_RAMP_STEP_S = 0.01
+
+
 @contextmanager
-def wheels_recorded(robot: Robot, out: Path) -> Iterator[Robot]:
+def wheels_recorded(robot: Robot, out: Path, limits: RobotLimits) -> Iterator[Robot]:
     """The robot, whose commands and wheel readings are written to `out`/wheels within the block.
 
-    `wheelsight calibrate drive` reads them. A robot without two driven wheels is not recorded.
+    `wheelsight calibrate drive` reads them. Commands are written as the robot limits them, in steps of 10 ms where they
+    change: these the drive answers. A robot without two driven wheels is not recorded.
 
     Raises OutputError.
     """
@@ -297,14 +301,16 @@ def wheels_recorded(robot: Robot, out: Path) -> Iterator[Robot]:
     if wheels is None:
         yield robot
         return
-    watched, last = watched_of(robot), list[VelocityCommand]()
+    watched, limited, last = watched_of(robot), LimitedVelocity(limits), list[VelocityCommand]()
     calibration = Calibration(wheels=wheels, gyro=robot.calibration.gyro, source=robot.calibration.source)
     with RecordingWriter(out / WHEELS_FOLDER, calibration, force=True) as writer:
 
         def write(events: Sequence[Event]) -> None:
-            if last != [watched.command]:
-                writer.add_command(watched.command_s, watched.command)
-                last[:] = [watched.command]
+            for step in range(max(round((watched.now_s - watched.command_s) / _RAMP_STEP_S), 1)):
+                given = limited.towards(watched.command, _RAMP_STEP_S)
+                if last != [given]:
+                    writer.add_command(watched.command_s + step * _RAMP_STEP_S, given)
+                    last[:] = [given]
             for event in events:
                 if isinstance(event, WheelTicks | YawRate):
                     writer.add(event)
