@@ -17,6 +17,8 @@ from wheelsight.core.errors import CalibrationError, RecordingError
 from wheelsight_calibration.drive_fit import fit_drive, predicted_m_s
 from wheelsight_calibration.drive_log import logs_of_tables, series_of
 
+PROJECT = Path(__file__).resolve().parents[2]
+
 
 def test_a_prediction_equals_plain_integration(rng):
     log = driven(rng, noise_m_s=0.0)
@@ -155,6 +157,25 @@ def test_a_real_chair_is_predicted_where_it_was_not_fitted(real_chair):
     # The joystick to the right turns the chair clockwise.
     assert turn.gain[0] < 0
     assert real_chair.not_shown == () or all("turns" in note for note in real_chair.not_shown)
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_the_page_on_safety_has_the_ways_of_the_real_chair(real_chair):
+    straight = not_none(real_chair.model.straight)
+    text = (PROJECT / "docs" / "safety.md").read_text(encoding="utf-8")
+    for speed, words in (
+        (0.5, "| 0.5 m/s | {:.2f} m, {:.2f} m at the 95 % worst |"),
+        (1.0, "| 1.0 m/s | {:.2f} m, {:.2f} m |"),
+    ):
+        mean_m, worst_m = speed * straight.stop_s(0.0), speed * straight.stop_s()
+        ramp_m = speed**2 / 2
+        line = words.format(mean_m, worst_m) + f" {mean_m + ramp_m:.2f} m, {worst_m + ramp_m:.2f} m |"
+        assert line in text
+    watchdog_m = 0.25
+    assert f"after {watchdog_m + straight.stop_s(0.0):.2f} m, and after {watchdog_m + straight.stop_s():.2f} m" in (
+        " ".join(text.split())
+    )
 
 
 def table(folder: Path, header: str, rows: np.ndarray) -> Path:

@@ -72,7 +72,7 @@ def driven_at(points: np.ndarray, model: DriveModel | None, chair: DriveModel, a
     ramp = VelocityRamp()
     for period in range(160):
         now_s = 0.05 * period
-        monitor.add_reading(now_s, *base.speeds)
+        monitor.add_reading(now_s, base.speeds[0], base.speeds[1])
         if period % 2 == 0:
             monitor.add_view(ALL_AROUND.view(points, base.pose, now_s))
         ramped = ramp.step(asked.forward_m_s, asked.turn_rad_s, 0.05)
@@ -143,7 +143,7 @@ def test_the_wheel_check_bears_with_a_slow_chair_and_still_sees_a_blocked_one():
             asked = [VelocityCommand(0.9, 0.0), VelocityCommand(0.2, 0.6), STOP][period // 80]
             command = ramp.step(asked.forward_m_s, asked.turn_rad_s, 0.05)
             speeds = [0.0, 0.0] if is_blocked and period < 80 else base.speeds
-            found |= check.is_off(*speeds, 0.05 * period)
+            found |= check.is_off(speeds[0], speeds[1], 0.05 * period)
             check.record(command, 0.05 * period)
             base.step(command)
         assert found is is_blocked

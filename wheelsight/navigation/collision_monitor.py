@@ -398,7 +398,7 @@ class CollisionMonitor:
             return 1.0
         seconds = share * (reaction_s + slowing_s / 2)
         if self._pending is not None:
-            # The way that it still goes by earlier commands is a part of the arc, and no share of the twist.
+            # The way that earlier commands still cause is a part of the arc, and no share of the twist.
             pending = self._rate((self._pending.way_m, self._pending.turned_rad))
             seconds = max(seconds - (1 - share) * pending / self._rate(twist), 0.0)
         return float((np.sqrt(reaction_s**2 + 2 * slowing_s * seconds) - reaction_s) / slowing_s)
@@ -505,7 +505,7 @@ def _toward(speed: float, wanted: float, rates: tuple[float, float], weighted_s:
 
 
 class PendingMotion:
-    """The way that a base still goes by the commands that it got, whatever comes next.
+    """The way that a base still covers by the commands that it got, whatever comes next.
 
     A drive of unit gain goes, in all, the integral of its commands. By a dead time and a lag of first order, the part
     that it has not gone yet is the integral of the commands on their way, and its speed times the time constant. Both
