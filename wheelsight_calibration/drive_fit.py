@@ -15,7 +15,7 @@ import numpy as np
 from wheelsight.core.drive_model import EDGE, DriveAxis, DriveModel
 from wheelsight.core.errors import CalibrationError
 from wheelsight.core.geometry import BoolArray, FloatArray, IntArray
-from wheelsight_calibration.drive_kernels import responses
+from wheelsight.wheels.drive_kernels import responses
 from wheelsight_calibration.drive_log import DriveLog, Series, series_of
 from wheelsight_calibration.parameters import Parameter
 from wheelsight_calibration.solver import larger, spread

@@ -289,7 +289,7 @@ _RAMP_STEP_S = 0.01
 
 
 @contextmanager
-def wheels_recorded(robot: Robot, out: Path, limits: RobotLimits) -> Iterator[Robot]:
+def wheels_recorded(robot: Robot, out: StrPath, limits: RobotLimits) -> Iterator[Robot]:
     """The robot, whose commands and wheel readings are written to `out`/wheels within the block.
 
     `wheelsight calibrate drive` reads them. Commands are written as the robot limits them, in steps of 10 ms where they
@@ -303,7 +303,7 @@ def wheels_recorded(robot: Robot, out: Path, limits: RobotLimits) -> Iterator[Ro
         return
     watched, limited, last = watched_of(robot), LimitedVelocity(limits), list[VelocityCommand]()
     calibration = Calibration(wheels=wheels, gyro=robot.calibration.gyro, source=robot.calibration.source)
-    with RecordingWriter(out / WHEELS_FOLDER, calibration, force=True) as writer:
+    with RecordingWriter(Path(out) / WHEELS_FOLDER, calibration, force=True) as writer:
 
         def write(events: Sequence[Event]) -> None:
             for step in range(max(round((watched.now_s - watched.command_s) / _RAMP_STEP_S), 1)):
