@@ -67,7 +67,8 @@ Check = Annotated[
 def robot(file: Robot, check: Check = None, topic: Topics = None) -> None:
     """Lead through the calibration of a robot: what FILE has, what is missing, and what to do next.
 
-    In order: the camera by a board, the wheels by a drive, the mount by a drive, then a loop to check them on.
+    In order: the camera by a board, the wheels by a drive, the mount by a drive, then a loop to check them on; and the
+    drive, for a robot that drives by itself.
     Each step writes its part into FILE and keeps the others.
 
     [bold]Examples[/bold]
@@ -87,20 +88,23 @@ def robot(file: Robot, check: Check = None, topic: Topics = None) -> None:
     if history:
         stdout.print(rows_table("measured so far", HEAD, history_rows(history)))
     missing = next((step for step in steps if not step.is_done), None)
-    if missing is not None:
-        stdout.print(f"next: {missing.name}. {missing.how}", markup=False)
-        for command in missing.commands:
-            stdout.print(f"  {command}", markup=False)
+    # The drive is for a robot that drives by itself, and comes after the loop.
+    is_measured = missing is None or missing.name == "drive"
     if check is not None:
         lines, is_good = loop_check(check, file, topic)
         stdout.print("\n".join(lines), markup=False)
         if not is_good:
             print_warning("the loop does not close as a calibrated robot's does; what to do is said above")
-    elif missing is None:
+    elif is_measured:
         stdout.print(
             f"next: a loop. Drive 20 m or more and end where you began: wheelsight calibrate robot {file} --check LOOP",
             markup=False,
         )
+    if missing is not None:
+        word = "before it drives by itself" if is_measured else "next"
+        stdout.print(f"{word}: {missing.name}. {missing.how}", markup=False)
+        for command in missing.commands:
+            stdout.print(f"  {command}", markup=False)
 
 
 calibrate_app = typer.Typer(
