@@ -67,7 +67,8 @@ Check = Annotated[
 def robot(file: Robot, check: Check = None, topic: Topics = None) -> None:
     """Lead through the calibration of a robot: what FILE has, what is missing, and what to do next.
 
-    In order: the camera by a board, the wheels by a drive, the mount by a drive, then a loop to check them on.
+    In order: the camera by a board, the wheels by a drive, the mount by a drive, then a loop to check them on; and the
+    drive, for a robot that drives by itself.
     Each step writes its part into FILE and keeps the others.
 
     [bold]Examples[/bold]
@@ -87,20 +88,23 @@ def robot(file: Robot, check: Check = None, topic: Topics = None) -> None:
     if history:
         stdout.print(rows_table("measured so far", HEAD, history_rows(history)))
     missing = next((step for step in steps if not step.is_done), None)
-    if missing is not None:
-        stdout.print(f"next: {missing.name}. {missing.how}", markup=False)
-        for command in missing.commands:
-            stdout.print(f"  {command}", markup=False)
+    # The drive is for a robot that drives by itself, and comes after the loop.
+    is_measured = missing is None or missing.name == "drive"
     if check is not None:
         lines, is_good = loop_check(check, file, topic)
         stdout.print("\n".join(lines), markup=False)
         if not is_good:
             print_warning("the loop does not close as a calibrated robot's does; what to do is said above")
-    elif missing is None:
+    elif is_measured:
         stdout.print(
             f"next: a loop. Drive 20 m or more and end where you began: wheelsight calibrate robot {file} --check LOOP",
             markup=False,
         )
+    if missing is not None:
+        word = "before it drives by itself" if is_measured else "next"
+        stdout.print(f"{word}: {missing.name}. {missing.how}", markup=False)
+        for command in missing.commands:
+            stdout.print(f"  {command}", markup=False)
 
 
 calibrate_app = typer.Typer(
@@ -112,6 +116,58 @@ calibrate_app = typer.Typer(
 calibrate_app.command("camera", cls=CliCommand)(camera)
 calibrate_app.command("base", cls=CliCommand)(base)
 calibrate_app.command("robot", cls=CliCommand)(robot)
+
+Drives = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="RECORDING...",
+        help="Recordings with commands.csv, or tables of commands and speeds.",
+        show_default=False,
+    ),
+]
+
+
+@calibrate_app.command("drive", cls=CliCommand)
+def drive(recordings: Drives, out: Out, calibration: CalibrationFile = None, force: Force = False) -> None:
+    """Identify how the wheels answer commands: dead time, time constants, gain and dead zone, of an ordinary drive.
+
+    A RECORDING has wheels.csv and commands.csv, as wheelsight drive --out leaves them.
+    Or it is a table, or a folder of tables, of one robot:
+    stamp_s, left_m_s and right_m_s of the rims, and joystick, or joystick_forward and joystick_turn,
+    or forward_m_s and turn_rad_s.
+    FILE gets drive_model, which the collision monitor uses; other parts of --calibration, or of FILE itself, are kept.
+    What the drive did not show is named, and what to drive for it.
+
+    [bold]Examples[/bold]
+
+    wheelsight calibrate drive first_drive --calibration robot.yaml --out robot.yaml --force
+
+    wheelsight calibrate drive straight.csv turning.csv --out robot.yaml
+    """
+    from wheelsight.core.calibration import Calibration, load_calibration
+    from wheelsight.core.drive_model import drive_model_fields
+    from wheelsight_calibration.drive_fit import fit_drive
+    from wheelsight_calibration.drive_log import log_of_recording, logs_of_tables, recording_in
+    from wheelsight_calibration.drive_page import measured_drive, print_drive, write_drive_model_page
+
+    page, kept = page_beside(out, force), kept_in(out, calibration)
+    nominal, logs = load_calibration(*calibration) if calibration else Calibration(), []
+    for path in recordings:
+        folder = recording_in(path)
+        if folder is None:
+            logs += logs_of_tables(path, nominal.wheels.track_width_m if nominal.wheels else 0.0)
+        else:
+            source = open_for(folder, calibration, None)
+            nominal = source.calibration
+            logs.append(log_of_recording(source))
+    found = fit_drive(logs)
+    title = f"drive identified on {', '.join(found.names)}"
+    parts = {"drive_model": drive_model_fields(found.model)}
+    written = save_found(parts, kept, nominal, title, out, measured_drive(found))
+    if page is not None:
+        write_drive_model_page(found, page)
+    print_drive(found, written, page)
+
 
 Reference = Annotated[
     Path | None,

@@ -108,4 +108,4 @@ def wheel_fields(wheels: Wheels, *, delay: bool) -> dict[str, Any]:
     return {"wheels": {name: float(getattr(wheels, name)) for name in (*names, *stated)}}
 
 
-_PARTS = {"cameras": "color", "mount": "T_base_camera", "wheels": "wheels", "gyro": "gyro"}
+_PARTS = {"cameras": "color", "mount": "T_base_camera", "wheels": "wheels", "gyro": "gyro", "drive": "drive_model"}

@@ -251,7 +251,17 @@ def steps_of(file: Path) -> tuple[list[CalibrationStep], tuple[Measured, ...]]:
         f"wheelsight run DRIVE --odometry dense --calibration {file} --out visual",
         f"wheelsight calibrate wheels DRIVE --reference visual/trajectory.txt --calibration {file} {out}",
     )
-    return [camera, mount, wheels], history
+    drive = step(
+        "drive",
+        "calibrate drive" in by and "drive_model" in known,
+        "drive_model" in known,
+        ("drive_model: dead time, time constants, gain", "drive_model, by hand", "none: it is taken to obey at once"),
+        "A drive of a minute or two with its commands: several speeds forward and backward and turns to both sides, "
+        "each for two seconds, with stops from speed.",
+        f"wheelsight drive --robot PORT --calibration {file} --explore --out first",
+        f"wheelsight calibrate drive first{given} {out}",
+    )
+    return [camera, mount, wheels, drive], history
 
 
 def loop_check(folder: Path, file: Path, topics: Sequence[str] | None) -> tuple[tuple[str, ...], bool]:

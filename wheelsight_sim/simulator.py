@@ -5,13 +5,14 @@ from __future__ import annotations
 import heapq
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
 import shapely
 
 from wheelsight.core.calibration import Calibration
+from wheelsight.core.drive_model import DriveModel, DriveResponse
 from wheelsight.core.errors import ArgumentError, ConfigError
 from wheelsight.core.geometry import FloatArray, se3
 from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand
@@ -53,7 +54,7 @@ class Simulator(Closing, OneCaller):
 
     `settings` name world, camera, robot, faults, people, doors, realism and seed; `world` replaces theirs. `start` is
     x, y in metres and yaw in radians of the base in `map`, or None for the world's own. A step lasts `period_s`, a
-    multiple of 5 ms.
+    multiple of 5 ms. By a `drive` model the wheels follow the limited commands.
 
     Raises:
         ConfigError: for the errors of `simulate`, an occupied start, or an invalid period.
@@ -71,6 +72,7 @@ class Simulator(Closing, OneCaller):
         period_s: float = PERIOD_S,
         has_camera: bool = True,
         threads: int = 1,
+        drive: DriveModel | None = None,
     ) -> None:
         needed("mujoco")
         steps = round(period_s / TRUTH_PERIOD_S) if np.isfinite(period_s) else 0
@@ -90,9 +92,11 @@ class Simulator(Closing, OneCaller):
             doors=self._live.doors,
         )
         self._camera = SimulatedCamera(self._live.surroundings, settings, LONGEST_S, threads)
-        self._calibration = as_owned(settings, self._camera.calibration)
+        self._calibration = replace(as_owned(settings, self._camera.calibration), drive_model=drive)
         assert self._calibration.wheels is not None
-        self._control = VelocityControl(self._calibration.wheels, limits, control)
+        self._response = None if drive is None else DriveResponse(drive)
+        self._half_track_m = self._calibration.wheels.track_width_m / 2
+        self._control = VelocityControl(self._calibration.wheels, limits, control, drive)
         realism, seed = realism_of(settings.realism), settings.day_seed
         self._motors = Motors(rng=None if realism is None else stream(settings.seed, "motors"))
         stamps = None if realism is None else realism.stamps
@@ -184,7 +188,7 @@ class Simulator(Closing, OneCaller):
                 self._put(frame)
             if tick % ticks_of(COMMAND_PERIOD_S) == 0:
                 duties = self._control.update(reading.stamp_s, reading.ticks, command)
-                robot.chair.turn_wheels(self._motors.after(duties, COMMAND_PERIOD_S))
+                robot.chair.turn_wheels(self._rims_m_s(duties))
             self._live.step(tick, robot)
             robot.advance()
             if robot.chair.is_broken:
@@ -202,6 +206,12 @@ class Simulator(Closing, OneCaller):
         """Stop; only the truth remains available."""
         self.stop()
         self._is_closed = True
+
+    def _rims_m_s(self, duties: Duties) -> tuple[float, float]:
+        if self._response is None:
+            return self._motors.after(duties, COMMAND_PERIOD_S)
+        now = self._control.velocity
+        return self._response.after(now.forward_m_s, now.turn_rad_s * self._half_track_m, COMMAND_PERIOD_S)
 
     def _put(self, event: Event) -> None:
         heapq.heappush(self._waiting, (event.stamp_s, next(self._order), event))

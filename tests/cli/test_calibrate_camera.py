@@ -271,7 +271,10 @@ def test_a_robot_is_led_through_all_steps(wheelsight: Command, views: Path, tmp_
     assert done.exit_code == 0, done.output
     commands = [entry["command"] for entry in read_layer(out)["history"]]
     assert commands == ["calibrate camera", "calibrate base", "calibrate wheels"]
-    assert "next: a loop" in wheelsight("calibrate", "robot", out).stdout
+    last = wheelsight("calibrate", "robot", out).stdout
+    assert "next: a loop" in last
+    assert "before it drives by itself: drive" in last
+    assert "wheelsight calibrate drive first" in last
 
 
 def test_a_loop_shows_wheels_that_are_right_and_wheels_that_are_not(wheelsight: Command, tmp_path: Path) -> None:

@@ -53,6 +53,7 @@ def calibration(tmp_path: Path) -> Path:
         ((), "no robot is named (one of --sim WORLD and --robot PORT)"),
         (("--sim", "flat", "--robot", "p"), "a robot is either simulated or real (one of --sim"),
         (("--sim", "flat", "--yes"), "--yes is of a real robot"),
+        (("--robot", "/dev/null", "--calibration", "c.yaml", "--drive-model", "c.yaml"), "--drive-model is of a sim"),
         (("--sim", "flat", "--calibration", "c.yaml"), "--calibration is of a real robot"),
         (("--robot", "p"), "--robot needs to know how the robot is built (--calibration FILE)"),
         (("--robot", "p", "--calibration", "c.yaml", "--start", "1,2,3"), "--start is of a simulated robot"),

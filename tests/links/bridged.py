@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from live_page.room_session import Served, room_session
-from navigation.rooms import CALIBRATION
 
+from benchmarks.plain_rooms import CALIBRATION
 from wheelsight_ros2 import Bridge, LinkSettings, open_bridge
 
 TOKEN = "0123456789abcdefTOKEN"

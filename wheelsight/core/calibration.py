@@ -39,6 +39,7 @@ from wheelsight.core.depth_errors import (
     point_errors_fields,
     point_errors_from,
 )
+from wheelsight.core.drive_model import DriveModel, drive_model_fields, drive_model_from
 from wheelsight.core.errors import CalibrationError
 from wheelsight.core.files import StrPath, write_text
 from wheelsight.core.geometry import FloatArray, PinholeCamera, se3
@@ -101,6 +102,7 @@ class Calibration:
         wheels: of a differential drive, or None.
         holonomic: the wheels of a base that also moves sideways, or None; in a file they are `wheels` of `kind:
             holonomic`. A robot has only one of both.
+        drive_model: how the wheels answer commands; None if it was not measured.
         gyro: the noise of the yaw rate.
         source: origin of the numbers, for reports.
         depth_late_s: delay of depth behind colour beyond their stamps; negative if depth is earlier.
@@ -127,6 +129,7 @@ class Calibration:
     depth_error: DepthError = field(default_factory=DepthError)
     point_errors: PointErrors | None = None
     holonomic: HolonomicWheels | None = None
+    drive_model: DriveModel | None = None
 
     def __post_init__(self) -> None:
         for name, kind in _KINDS.items():
@@ -159,6 +162,12 @@ class Calibration:
             raise CalibrationError("wheels and holonomic are both given", fix="a robot has one kind: leave one out")
         if self.color is None and self.T_color_depth is not None:
             raise CalibrationError("T_color_depth is given, but no camera", fix="give color, or leave it out")
+        if self.drive_model is not None and self.holonomic is not None:
+            raise CalibrationError(
+                "drive_model is of two driven wheels, and wheels of a holonomic base", fix="leave it out"
+            )
+        if self.drive_model is not None and self.wheels is not None:
+            self.drive_model.check_robot(self.wheels.track_width_m)
 
     @classmethod
     def registered_camera(cls, camera: PinholeCamera, **others: Any) -> Calibration:
@@ -369,9 +378,10 @@ _KINDS: dict[str, type | UnionType] = {
     "holonomic": HolonomicWheels | None,
     "gyro": Gyro,
     "source": str,
+    "drive_model": DriveModel | None,
 }
 _CAMERA_PART = ("color", "depth", "T_color_depth", "depth_noise", "depth_error", "point_errors", *_NUMBERS)
-_OTHER_PARTS = ("T_base_camera", "wheels", "gyro")
+_OTHER_PARTS = ("T_base_camera", "wheels", "gyro", "drive_model")
 _TOP_FIELDS = ("format", "source", *_CAMERA_PART, *_OTHER_PARTS, NOMINAL, HISTORY)
 _WHEEL_FIELDS = tuple(f.name for f in fields(Wheels))
 _KIND, _DIFFERENTIAL, _HOLONOMIC = "kind", "differential", "holonomic"
@@ -411,10 +421,17 @@ def calibration_fields(calibration: Calibration) -> dict[str, Any]:
         document |= {name: float(getattr(calibration, name)) for name in _NUMBERS}
     if calibration.T_base_camera is not None:
         document["T_base_camera"] = rows(calibration.T_base_camera)
+    return document | _fields_of_motion(calibration)
+
+
+def _fields_of_motion(calibration: Calibration) -> dict[str, Any]:
+    document: dict[str, Any] = {}
     if calibration.any_wheels is not None:
         document["wheels"] = _wheel_fields(calibration.any_wheels)
     if calibration.any_wheels is not None or calibration.gyro != Gyro():
         document["gyro"] = _plain(calibration.gyro)
+    if calibration.drive_model is not None:
+        document["drive_model"] = drive_model_fields(calibration.drive_model)
     return document
 
 
@@ -455,6 +472,8 @@ def _from_document(document: Any) -> Calibration:
             "T_color_depth": motion(known.get("T_color_depth"), "T_color_depth"),
             **{name: number(known[name], name) for name in _NUMBERS if name in known},
         }
+    if "drive_model" in known:
+        parts["drive_model"] = drive_model_from(known["drive_model"])
     if "wheels" in known:
         wheels = _wheels(known["wheels"])
         parts["wheels" if isinstance(wheels, Wheels) else "holonomic"] = wheels

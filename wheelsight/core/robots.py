@@ -15,6 +15,7 @@ from typing import Protocol, Self, runtime_checkable
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import Wheels
+from wheelsight.core.drive_model import DriveModel
 from wheelsight.core.errors import WheelsightError
 from wheelsight.core.estimates import Estimate
 from wheelsight.core.keyframes import KeyframeStore
@@ -131,6 +132,7 @@ class WatchedRobot:
     Attributes:
         frame: last frame of its camera; None before any.
         is_commanded: whether the last command that it passed on is a motion.
+        command, command_s: that command, and when it was passed on by the robot's clock.
         listeners: called with the events of each period.
     """
 
@@ -139,6 +141,7 @@ class WatchedRobot:
         self.listeners: list[Callable[[Sequence[Event]], None]] = []
         self.frame: RgbdFrame | None = None
         self.is_commanded = False
+        self.command, self.command_s = STOP, -math.inf
 
     @contextmanager
     def watched_by(self, *listeners: Callable[[Sequence[Event]], None]) -> Iterator[None]:
@@ -169,6 +172,7 @@ class WatchedRobot:
         """See `Robot`."""
         obeyed = STOP if self._held_by() else command
         self.is_commanded = obeyed != STOP
+        self.command, self.command_s = obeyed, self._robot.now_s
         events = self._robot.step(obeyed)
         self.frame = next((event for event in reversed(events) if isinstance(event, RgbdFrame)), self.frame)
         for listener in self.listeners:
@@ -313,17 +317,22 @@ class VelocityControl:
         wheels: calibrated wheels.
         limits: limits on commands.
         settings: of the control loop.
+        drive: the measured response of the robot, by which wheels are expected to follow; None for quick motors.
     """
 
     def __init__(
-        self, wheels: Wheels, limits: RobotLimits | None = None, settings: WheelControlSettings | None = None
+        self,
+        wheels: Wheels,
+        limits: RobotLimits | None = None,
+        settings: WheelControlSettings | None = None,
+        drive: DriveModel | None = None,
     ) -> None:
         self._settings = settings or WheelControlSettings()
         self._half_track_m = wheels.track_width_m / 2
         self._velocity = LimitedVelocity(limits or RobotLimits())
         m_per_tick = wheels.left_m_per_tick, wheels.right_m_per_tick
         self._loops = [
-            _WheelLoop(name, m, self._settings) for name, m in zip(("left", "right"), m_per_tick, strict=True)
+            _WheelLoop(name, m, self._settings, drive) for name, m in zip(("left", "right"), m_per_tick, strict=True)
         ]
         self._last_s: float | None = None
         self._last_ticks_s: float | None = None
@@ -403,13 +412,16 @@ class VelocityControl:
 class _WheelLoop:
     """The control loop of one wheel: its speed by its encoder, and its duty."""
 
-    def __init__(self, name: str, m_per_tick: float, settings: WheelControlSettings) -> None:
+    def __init__(self, name: str, m_per_tick: float, settings: WheelControlSettings, drive: DriveModel | None) -> None:
         self._name, self._m_per_tick, self._settings = name, m_per_tick, settings
+        self._axis = None if drive is None else drive.straight or drive.turn
+        self._wanted, self._clock_s = deque[tuple[float, float]](), 0.0
         self._counts: deque[tuple[float, int]] = deque()
         self.rest()
 
     def rest(self) -> None:
         self._sum = self._fault_s = self._expected_m_s = 0.0
+        self._wanted.clear()
         self.reason = ""
 
     def forget(self) -> None:
@@ -433,8 +445,7 @@ class _WheelLoop:
     def duty(self, wanted_m_s: float, since_s: float) -> float:
         """The duty from -1 to 1; sets `reason` if the wheel has not followed for too long."""
         full_m_s, speed_m_s = self._settings.full_speed_m_s, self.speed_m_s
-        answered = 1 - math.exp(-since_s / _ANSWER_S)
-        self._expected_m_s += answered * (wanted_m_s - self._expected_m_s)
+        self._expect(wanted_m_s, since_s)
         fault, expected_m_s = "", self._expected_m_s
         if expected_m_s * speed_m_s < 0 and abs(speed_m_s) > _FAULT_M_S:
             fault = "turns the wrong way"
@@ -459,3 +470,16 @@ class _WheelLoop:
         known = wanted_m_s / full_m_s
         known += math.copysign(self._settings.dead_duty, wanted_m_s) if wanted_m_s else 0.0
         return min(max(known + correction, -_MOST_DUTY), _MOST_DUTY)
+
+    def _expect(self, wanted_m_s: float, since_s: float) -> None:
+        """Update the speed that the encoder should show by now."""
+        if self._axis is None:
+            self._expected_m_s += (1 - math.exp(-since_s / _ANSWER_S)) * (wanted_m_s - self._expected_m_s)
+            return
+        self._clock_s += since_s
+        self._wanted.append((self._clock_s, wanted_m_s))
+        acts_s = self._clock_s - self._axis.dead_time_s - _SPEED_WINDOW_S / 2
+        while len(self._wanted) > 1 and self._wanted[1][0] <= acts_s:
+            self._wanted.popleft()
+        towards_m_s = self._wanted[0][1] if self._wanted[0][0] <= acts_s else 0.0
+        self._expected_m_s = self._axis.after(self._expected_m_s, towards_m_s, since_s)

@@ -15,11 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wheelsight.core.drive_model import DriveModel
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray
 from wheelsight.core.messages import STOP, VelocityCommand
-from wheelsight.core.robots import CONTROL_PERIOD_S, RobotLimits
+from wheelsight.core.robots import CONTROL_PERIOD_S, LimitedVelocity, RobotLimits
 from wheelsight.navigation.clearance_kernels import (
     Memory,
     Outline,
@@ -62,6 +63,8 @@ _SEEN_SHARE = 0.3
 # Depth of the front in unseen floor up to which the floor that it crosses counts as seen: a corner precedes the view of
 # 60° by 0.04 m in a turn.
 _LEAD_M = 0.1
+# Share of `reaction_s` that is the base's lag: that of the simulator's motors.
+ASSUMED_LAG_S = 0.1
 # Gap between wheel readings that invalidates the memory.
 _GAP_S = 0.5
 # Motion of the outline between two poses of an arc that are checked.
@@ -125,8 +128,8 @@ class ControlChain:
         was_backward: whether the last command that the monitor stopped was backward.
     """
 
-    def __init__(self, settings: NavigationSettings) -> None:
-        self.monitor = CollisionMonitor(settings.footprint.outline, settings.limits, settings.monitor)
+    def __init__(self, settings: NavigationSettings, drive: DriveModel | None = None) -> None:
+        self.monitor = CollisionMonitor(settings.footprint.outline, settings.limits, settings.monitor, drive)
         self.checked = MonitorResult(STOP, MonitorState.FREE)
         self._stopped: tuple[float, MonitorReason | None] = (-math.inf, None)
         self.was_backward = False
@@ -186,16 +189,24 @@ class CollisionMonitor:
     It knows no plans, maps and controllers. It checks the arcs that the robot drives until it stands against obstacles
     and unseen floor. It also stops the robot if any of its data are old or inconsistent.
 
+    With a drive model, the way to a standstill includes what earlier commands still cause (`PendingMotion`). Without
+    one, the reaction time of the settings includes a lag of `ASSUMED_LAG_S`.
+
     Attributes:
         has_wheel_fault: whether wheels did not follow their commands; it stays so until `clear_fault`.
     """
 
     def __init__(
-        self, footprint: Footprint, limits: RobotLimits | None = None, settings: MonitorSettings | None = None
+        self,
+        footprint: Footprint,
+        limits: RobotLimits | None = None,
+        settings: MonitorSettings | None = None,
+        drive: DriveModel | None = None,
     ) -> None:
         self._outline = outline_of(footprint)
         self._limits, self._settings = limits or RobotLimits(), settings or MonitorSettings()
-        self._wheels = WheelCheck(self._limits)
+        self._pending = None if drive is None else PendingMotion(self._limits, drive)
+        self._wheels = WheelCheck(self._limits, drive)
         self.memory = FloorMemory(self._outline, self._settings.fresh_s)
         # Points (K, 2) along the outline.
         sides = self._outline.sides
@@ -266,6 +277,8 @@ class CollisionMonitor:
 
         With `is_unchecked` only invalid numbers and disobedient wheels stop the robot.
         """
+        if self._pending is not None:
+            self._pending.update(self._measured, now_s)
         reason = silent or self._why_stand(asked, now_s, status)
         if is_unchecked and reason not in (MonitorReason.INVALID, MonitorReason.WHEELS_OFF):
             reason = None
@@ -283,6 +296,8 @@ class CollisionMonitor:
             else:
                 result = MonitorResult(VelocityCommand(forward, turn), MonitorState.SLOWED, reason)
         self._wheels.record(result.command, now_s)
+        if self._pending is not None:
+            self._pending.record(result.command, now_s)
         return result
 
     def _why_stand(self, asked: VelocityCommand, now_s: float, status: Status) -> MonitorReason | None:
@@ -334,6 +349,12 @@ class CollisionMonitor:
         shares.append((max(self._stops_within(twist, zone), slow), MonitorReason.IN_ZONE))
         if is_near:
             shares.append((_within(twist, s.blind_m_s, s.blind_rad_s), MonitorReason.NEAR))
+        if self._pending is not None:
+            # The way to a standstill if it is stopped now. Nothing stops it sooner.
+            arc, steps = self._arc(self._pending.velocity)
+            if clear_share(sides, points, arc, steps, s.margin_m) < 1.0:
+                shares.append((0.0, MonitorReason.OBSTACLE))
+            return shares
         for part in (0.5, 1.0):
             driven = (
                 (1 - part) * twist[0] + part * self._measured[0],
@@ -377,18 +398,30 @@ class CollisionMonitor:
         most, share = self._limits, self._settings.braking_share
         return max(abs(twist[0]) / most.braking_m_s2, abs(twist[1]) / most.turn_acceleration_rad_s2) / share
 
+    @property
+    def _reaction_s(self) -> float:
+        """Time for which the robot counts as moving on by a command before it slows down."""
+        reaction_s = self._settings.reaction_s
+        return reaction_s if self._pending is None else max(reaction_s - ASSUMED_LAG_S, 0.0)
+
     def _arc(self, twist: tuple[float, float]) -> tuple[tuple[float, float], int]:
         """Return way and turn until the robot stands, and the number of steps for the check."""
-        seconds = self._settings.reaction_s + self._slowing_s(twist) / 2
-        way = self._rate(twist) * seconds
-        return (twist[0] * seconds, twist[1] * seconds), max(int(np.ceil(way / _STEP_M)), 1)
+        seconds = self._reaction_s + self._slowing_s(twist) / 2
+        way, turn = twist[0] * seconds, twist[1] * seconds
+        if self._pending is not None:
+            way, turn = way + self._pending.way_m, turn + self._pending.turned_rad
+        return (way, turn), max(int(np.ceil(self._rate((way, turn)) / _STEP_M)), 1)
 
     def _stops_within(self, twist: tuple[float, float], share: float) -> float:
         """Return the share of a twist whose arc ends within a share of the whole twist's arc."""
-        slowing_s, reaction_s = self._slowing_s(twist), self._settings.reaction_s
+        slowing_s, reaction_s = self._slowing_s(twist), self._reaction_s
         if share >= 1.0 or slowing_s == 0.0:
             return 1.0
         seconds = share * (reaction_s + slowing_s / 2)
+        if self._pending is not None:
+            # The way that earlier commands still cause is a part of the arc, and no share of the twist.
+            pending = self._rate((self._pending.way_m, self._pending.turned_rad))
+            seconds = max(seconds - (1 - share) * pending / self._rate(twist), 0.0)
         return float((np.sqrt(reaction_s**2 + 2 * slowing_s * seconds) - reaction_s) / slowing_s)
 
     def _rate(self, twist: tuple[float, float]) -> float:
@@ -399,7 +432,7 @@ class CollisionMonitor:
         """Return the distance from the axle within which obstacles may matter."""
         s = self._settings
         driven = self._measured
-        ways = [self._rate(one) * (s.reaction_s + self._slowing_s(one) / 2) for one in (twist, driven)]
+        ways = [self._rate(self._arc(one)[0]) for one in (twist, driven)]
         return self._reach_m + max(ways) + s.slow_zone_m + s.margin_m
 
 
@@ -412,7 +445,7 @@ def _within(twist: tuple[float, float], most_m_s: float, most_rad_s: float) -> f
 # Speed errors beyond what acceleration explains (a blocked wheel is off by half the speed), and the time of such an
 # error until it is a fault (issue 32).
 OFF_M_S, OFF_RAD_S, _OFF_S = 0.15, 0.3, 0.3
-# Longest lag of a base's response to a command.
+# Longest lag of a base's response to a command, without a drive model.
 _LAG_S = 0.3
 # Least and largest time that a base keeps a command before it stops by itself: as `robots.HOLD_S`, and the firmware's
 # watchdog (docs/serial-link.md).
@@ -428,8 +461,9 @@ class WheelCheck:
     speed early and quickly, and loses it late and slowly; the lower end does the opposite.
     """
 
-    def __init__(self, limits: RobotLimits) -> None:
+    def __init__(self, limits: RobotLimits, drive: DriveModel | None = None) -> None:
         self._limits = limits
+        self._lag_s = _LAG_S if drive is None else max(_LAG_S, drive.longest_lag_s)
         self._sent: deque[tuple[float, VelocityCommand]] = deque()
         self._lowest, self._highest = (0.0, 0.0), (0.0, 0.0)
         self._stamp_s: float | None = None
@@ -452,7 +486,7 @@ class WheelCheck:
             return False
         step_s, self._stamp_s = stamp_s - self._stamp_s, stamp_s
         # All commands that the base may follow at this time, with its lag.
-        late_s = stamp_s - _LAG_S
+        late_s = stamp_s - self._lag_s
         sent = [self._command_at(stamp_s, _HELD_S), self._command_at(late_s, _WATCHDOG_S)]
         sent += [command for sent_s, command in self._sent if late_s < sent_s <= stamp_s]
         ahead, turns = [one.forward_m_s for one in sent], [one.turn_rad_s for one in sent]
@@ -469,7 +503,7 @@ class WheelCheck:
 
         The program may have hung, and the base has then stopped by itself, as it should.
         """
-        oldest_s = stamp_s - _LAG_S
+        oldest_s = stamp_s - self._lag_s
         while len(self._sent) > 1 and self._sent[1][0] <= oldest_s:
             self._sent.popleft()
         before = [(sent_s, command) for sent_s, command in self._sent if sent_s <= stamp_s]
@@ -489,6 +523,53 @@ def _toward(speed: float, wanted: float, rates: tuple[float, float], weighted_s:
     rate = rates[0] if speed * (wanted - speed) >= 0 else rates[1]
     change = rate * weighted_s[0 if wanted > speed else 1]
     return speed + min(max(wanted - speed, -change), change)
+
+
+class PendingMotion:
+    """The way that a base still covers by the commands that it got, whatever comes next.
+
+    A drive of unit gain goes, in all, the integral of its commands. By a dead time and a lag of first order, the part
+    that it has not gone yet is the integral of the commands on their way, and its speed times the time constant. Both
+    times together are those of the model at its 95 % worst. The base limits its commands (`LimitedVelocity`).
+
+    Attributes:
+        way_m, turned_rad: the way ahead and the turn, by the last update.
+    """
+
+    def __init__(self, limits: RobotLimits, drive: DriveModel) -> None:
+        axes = [drive.straight or drive.turn, drive.turn or drive.straight]
+        self._times_s = [(axis.dead_time_s, axis.stop_s() - axis.dead_time_s) for axis in axes if axis is not None]
+        self._longest_s = max(dead_s for dead_s, _ in self._times_s)
+        self._limited = LimitedVelocity(limits)
+        self._sent: deque[tuple[float, tuple[float, float]]] = deque()
+        self.way_m = self.turned_rad = 0.0
+
+    @property
+    def velocity(self) -> tuple[float, float]:
+        """The last command as the base limits it, forward and turn."""
+        return self._limited.now.forward_m_s, self._limited.now.turn_rad_s
+
+    def record(self, command: VelocityCommand, now_s: float) -> None:
+        """Record a command that the base was sent."""
+        since_s = min(now_s - self._sent[-1][0], _GAP_S) if self._sent else CONTROL_PERIOD_S
+        if since_s <= 0:
+            return
+        self._limited.towards(command, since_s)
+        self._sent.append((now_s, self.velocity))
+        while len(self._sent) > 1 and self._sent[1][0] <= now_s - self._longest_s:
+            self._sent.popleft()
+
+    def update(self, measured: tuple[float, float], now_s: float) -> None:
+        """Compute the way by measured speeds, forward and turn, at a time."""
+        ways = []
+        ends_s = [*(sent_s for sent_s, _ in self._sent), now_s][1:]
+        for index, (dead_s, lag_s) in enumerate(self._times_s):
+            spans = [
+                (max(end_s - max(sent_s, now_s - dead_s), 0.0), speeds[index])
+                for (sent_s, speeds), end_s in zip(self._sent, ends_s, strict=True)
+            ]
+            ways.append(measured[index] * lag_s + sum(span_s * speed for span_s, speed in spans))
+        self.way_m, self.turned_rad = ways
 
 
 # Pose in the plane of a `FloorMemory`: x, y, cosine and sine of the yaw.

@@ -254,6 +254,8 @@ _CURVE_M, _NEAR_M, _NEAR_M_S = 0.9, 0.2, 0.15
 # Of the check of the free way: reaction time before it brakes, the share of the base's braking that is assumed, and the
 # spacing of the poses of an arc, a cell of most maps.
 _AHEAD_S, _BRAKING_SHARE, _STEP_M = 0.3, 0.5, 0.05
+# The base's lag that the reaction time includes: the default of `FollowSettings.lag_s`.
+_USUAL_LAG_S = 0.15
 
 
 class _Arcs:
@@ -289,7 +291,9 @@ class _Arcs:
             speed = min(speed, self._limits.turn_rad_s / abs(curvature))
         speed = min(speed, cost_and_speed_at(situation.field, situation.pose[0], situation.pose[1])[1])
         # The free length of the arc, as far as it matters at this speed.
-        b, t, margin_m = _BRAKING_SHARE * self._limits.braking_m_s2, _AHEAD_S, situation.margin_m
+        # A lag that exceeds the reaction time is that of a measured drive.
+        t = max(_AHEAD_S, self._follow.lag_s + _AHEAD_S - _USUAL_LAG_S)
+        b, margin_m = _BRAKING_SHARE * self._limits.braking_m_s2, situation.margin_m
         fastest = max(speed, abs(situation.state.forward_m_s))
         steps = 2 + int(np.ceil((fastest**2 / (2 * b) + fastest * t) / _STEP_M))
         step_m = direction * _STEP_M

@@ -267,7 +267,8 @@ class Navigator(OneCaller):
                 need_method(name, part, method)
         self.footprint = s.footprint.outline
         self._robot = robot
-        self._chain = ControlChain(s)
+        drive = robot.calibration.drive_model
+        self._chain = ControlChain(s, drive)
         self.monitor = self._chain.monitor
         self.senses = Senses(robot.calibration, localization, floor, self.monitor, self.footprint, s)
         self.monitor.trust_floor(self.senses.near_m if trusts_floor else 0.0)
@@ -276,9 +277,9 @@ class Navigator(OneCaller):
         if controller is not None:
             self._controller = OwnController(controller, s.follow.goal_m, s.follow.goal_rad)
         elif s.controller == "mppi":
-            self._controller = MppiController(self.footprint, s.limits, s.mppi, s.follow)
+            self._controller = MppiController(self.footprint, s.limits, s.mppi, s.follow.of_drive(drive))
         else:
-            self._controller = PurePursuitController(self.footprint, s.limits, s.follow)
+            self._controller = PurePursuitController(self.footprint, s.limits, s.follow.of_drive(drive))
         self._on_transition = on_transition
         self.state = NavigationState.IDLE
         self._task: NavigationTask | None = None

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from pydantic import model_validator
 from scipy.spatial.distance import cdist
 
+from wheelsight.core.drive_model import DriveModel
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.robots import RobotLimits
@@ -104,6 +105,12 @@ class FollowSettings(Settings):
         0.1, "distance from the goal that is an arrival; 0.15 with the error of localization", "issue 32", gt=0, le=1
     )
     goal_rad: float = setting(0.087, "deviation from the goal's heading that is an arrival: 5°", "issue 32", gt=0, le=1)
+
+    def of_drive(self, drive: DriveModel | None) -> FollowSettings:
+        """Return the settings with the lag of a robot's drive: dead time and time constant. None changes nothing."""
+        if drive is None:
+            return self
+        return self.model_copy(update={"lag_s": max(self.lag_s, drive.stop_s(straight=True, turn=True, sigmas=0.0))})
 
 
 class MppiSettings(Settings):

@@ -8,7 +8,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -112,7 +112,7 @@ def _driven(
     from wheelsight.app.cli.drive_view import watching
     from wheelsight.app.cli.options import linked
     from wheelsight.app.cli.serve import CountedLines
-    from wheelsight.app.run.drives import loops_of
+    from wheelsight.app.run.drives import loops_of, wheels_recorded
     from wheelsight.slam.maps import MAP_FOLDER
 
     # What is said while the map is read would run into a screen that is drawn already.
@@ -127,7 +127,10 @@ def _driven(
             is_simulated=options.is_simulated,
         ) as bridge,
         watching(options.rerun, robot, config, bridge) as watch,
-        _begun(robot, config, watch, options) as drive,
+        nullcontext(robot)
+        if options.out is None
+        else wheels_recorded(robot, options.out, config.navigation.limits) as recorded,
+        _begun(recorded, config, watch, options) as drive,
         watch.view,
     ):
         truth, is_interrupted = Truth(robot) if options.is_simulated else None, False
@@ -351,6 +354,10 @@ def check_robot(options: RobotOptions, check_task: Callable[[], None] = lambda: 
             raise ConfigError("--robot needs to know how the robot is built", fix="--calibration FILE")
         if options.start is not None:
             raise ConfigError("--start is of a simulated robot", fix="--known-start X,Y,YAW_DEG")
+        if options.drive_model is not None:
+            raise ConfigError(
+                "--drive-model is of a simulated robot", fix="put drive_model into the --calibration file"
+            )
         return
     _simulated(options)  # before kernels are compiled, which takes minutes
 
@@ -444,10 +451,16 @@ def robot_words(options: RobotOptions) -> str:
 
 
 def _simulator(options: RobotOptions, config: Config) -> Robot:
+    from wheelsight.core.calibration import load_calibration
     from wheelsight_sim.simulator import Simulator
 
     settings, start = _simulated(options)
-    robot = Simulator(settings, start=start, limits=config.navigation.limits)
+    drive = None
+    if (path := options.drive_model) is not None and (drive := load_calibration(path).drive_model) is None:
+        raise CalibrationError("has no drive_model", path=path, fix="wheelsight calibrate drive RECORDING --out FILE")
+    # The identified robot may be another one: only its answers to commands count here.
+    drive = None if drive is None else replace(drive, track_width_m=0.0)
+    robot = Simulator(settings, start=start, limits=config.navigation.limits, drive=drive)
     for warning in robot.world.warnings:
         print_warning(warning)
     return robot

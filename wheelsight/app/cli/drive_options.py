@@ -32,6 +32,9 @@ class RobotOptions:
     seed: int = option_field("Of everything random.", default=0, panel=_SIMULATED)
     day: int = option_field("Another day: other light and people, chairs moved.", "N", default=0, panel=_SIMULATED)
     people: int = option_field("How many people walk about.", "N", default=0, panel=_SIMULATED)
+    drive_model: Path | None = option_field(
+        "File with the drive_model that its wheels answer by, of calibrate drive.", "FILE", "quick motors", _SIMULATED
+    )
     realism: str = option_field("real or ideal, as for simulate.", "NAME", default="real", panel=_SIMULATED)
     camera: str | None = option_field(
         "Of a simulated robot as for simulate; of a real one the live camera, as for record.",
@@ -126,7 +129,10 @@ class TaskOptions:
     )
     known_start: KnownStart = None
     out: Path | None = option_field(
-        "Folder for drive.json, trajectory.txt, drive.png and drive.html.", "DIR", "none", OUTPUT
+        "Folder for drive.json, trajectory.txt, drive.png, drive.html, and wheels with commands and readings.",
+        "DIR",
+        "none",
+        OUTPUT,
     )
     rerun: Rerun = None
     force: bool = option_field("Overwrite results in the folder of --out.", default=False, panel=OUTPUT)

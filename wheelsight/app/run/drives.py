@@ -26,12 +26,12 @@ from wheelsight.core.estimates import Estimate
 from wheelsight.core.files import StrPath
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.keyframes import KeyframeStore
-from wheelsight.core.messages import Event, RgbdFrame
-from wheelsight.core.robots import Localization, Robot, WatchedRobot
+from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand, WheelTicks, YawRate
+from wheelsight.core.robots import LimitedVelocity, Localization, Robot, RobotLimits, WatchedRobot
 from wheelsight.core.trajectory import read_tum
 from wheelsight.estimation import Localizer, LocalizerApart, LocalizerBeside, LocalizerInStep
 from wheelsight.estimation.localizer_workers import Make
-from wheelsight.io.recordings import express_for
+from wheelsight.io.recordings import RecordingWriter, express_for
 from wheelsight.mapping import OccupancyGrid
 from wheelsight.navigation import (
     Controller,
@@ -279,6 +279,44 @@ def drive_in_map(
 def watched_of(robot: Robot) -> WatchedRobot:
     """The robot itself if it is watched already, so that a command passes one wrapper; else a wrapper of it."""
     return robot if isinstance(robot, WatchedRobot) else WatchedRobot(robot)
+
+
+WHEELS_FOLDER = "wheels"
+"""The folder of a drive's results with its commands and wheel readings, a recording of wheels alone."""
+
+
+_RAMP_STEP_S = 0.01
+
+
+@contextmanager
+def wheels_recorded(robot: Robot, out: StrPath, limits: RobotLimits) -> Iterator[Robot]:
+    """The robot, whose commands and wheel readings are written to `out`/wheels within the block.
+
+    `wheelsight calibrate drive` reads them. Commands are written as the robot limits them, in steps of 10 ms where they
+    change: these the drive answers. A robot without two driven wheels is not recorded.
+
+    Raises OutputError.
+    """
+    wheels = robot.calibration.wheels
+    if wheels is None:
+        yield robot
+        return
+    watched, limited, last = watched_of(robot), LimitedVelocity(limits), list[VelocityCommand]()
+    calibration = Calibration(wheels=wheels, gyro=robot.calibration.gyro, source=robot.calibration.source)
+    with RecordingWriter(Path(out) / WHEELS_FOLDER, calibration, force=True) as writer:
+
+        def write(events: Sequence[Event]) -> None:
+            for step in range(max(round((watched.now_s - watched.command_s) / _RAMP_STEP_S), 1)):
+                given = limited.towards(watched.command, _RAMP_STEP_S)
+                if last != [given]:
+                    writer.add_command(watched.command_s + step * _RAMP_STEP_S, given)
+                    last[:] = [given]
+            for event in events:
+                if isinstance(event, WheelTicks | YawRate):
+                    writer.add(event)
+
+        with watched.watched_by(write):
+            yield watched
 
 
 def planning_worker(*, in_step: bool, takes_real_time: bool) -> Worker[PlanningResult]:

@@ -74,7 +74,7 @@ class LinkRobot(Closing):
             fix = "a robot with two driven wheels, calibrated: docs/wheel-calibration.md"
             raise ArgumentError(f"the calibration {calibration.lacks_two_wheels}", fix=fix)
         self._link, self._frames, self.calibration, self._period_s = link, frames, calibration, period_s
-        self._control = VelocityControl(calibration.wheels.never_rolling_over, limits, control)
+        self._control = VelocityControl(calibration.wheels.never_rolling_over, limits, control, calibration.drive_model)
         self._restarts = link.report().restarts
         self._quickest_s: float | None = None
         self._has_driven = self._is_closed = False

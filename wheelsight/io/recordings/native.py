@@ -29,6 +29,7 @@ from wheelsight.core.messages import (
     OdometryReading,
     RgbdFrame,
     SkippedFrame,
+    VelocityCommand,
     WheelCounts,
     WheelReading,
     WheelSpeeds,
@@ -65,6 +66,8 @@ from wheelsight.io.recordings.wheel_recording import WheelRecording
 WHEELS_HEADER = "stamp_s,left,right"
 _ODOMETRY = ("x_m", "y_m", "yaw_rad")
 GYRO_HEADER = "stamp_s,yaw_rate_rad_s"
+COMMANDS_FILE = "commands.csv"
+COMMANDS_HEADER = "stamp_s,forward_m_s,turn_rad_s"
 IMU_FILE = "imu.csv"
 IMU_HEADER = "stamp_s,x_rad_s,y_rad_s,z_rad_s"
 
@@ -295,7 +298,15 @@ class RecordingWriter(Closing, OneCaller):
             remove_leftovers(self.folder)
         else:
             # Remove files of an earlier recording that this one may not overwrite.
-            for name in (*TRUTH_FILES.values(), _LABELS, _INFRARED, CLOCK_FILE, IMU_FILE, "calibration.yaml"):
+            for name in (
+                *TRUTH_FILES.values(),
+                _LABELS,
+                _INFRARED,
+                CLOCK_FILE,
+                IMU_FILE,
+                COMMANDS_FILE,
+                "calibration.yaml",
+            ):
                 (self.folder / name).unlink(missing_ok=True)
         for name in ("rgb", "depth") if has_cameras else ():
             make_output_folder(self.folder / name, force=True)
@@ -354,6 +365,18 @@ class RecordingWriter(Closing, OneCaller):
             self._last_stamp_s[IMU_FILE] = last_stamp_s(lines.earlier)
         self._check_stamps(IMU_FILE, turn.stamp_s, turn.stamp_s)
         lines.append(",".join(map(seconds, numbers)) + "\n")
+
+    @one_at_a_time
+    def add_command(self, stamp_s: float, command: VelocityCommand) -> None:
+        """Write a command to the robot, which holds until the next one, to commands.csv.
+
+        Raises:
+            RecordingError: the stamp does not increase.
+            OutputError: as `add`.
+        """
+        self._check_stamps(COMMANDS_FILE, stamp_s, stamp_s)
+        numbers = (stamp_s, command.forward_m_s, command.turn_rad_s)
+        self._list(COMMANDS_FILE, f"{COMMANDS_HEADER}\n").append(",".join(map(seconds, numbers)) + "\n")
 
     def check(self, event: Event) -> None:
         """Check an event as `add` does. Later stamps of its kind must be greater than this one.

@@ -1,0 +1,196 @@
+"""The result of a drive's identification: rows for a terminal, and the page with measured against predicted speeds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from wheelsight.app.cli.console import console, print_warning, rows_table
+from wheelsight.core.calibration import Measured
+from wheelsight.core.drive_model import DriveAxis
+from wheelsight.core.files import StrPath
+from wheelsight_calibration.cli_results import print_end
+from wheelsight_calibration.drive_fit import AxisFit, DriveFit
+from wheelsight_report import drawing, html
+from wheelsight_report import plotly as go
+from wheelsight_report.drawing import BLUE, GREY, ORANGE
+from wheelsight_report.plotly import make_subplots
+
+_HEAD = ("", "straight on", "± σ", "turns", "± σ")
+_WORDS = {"straight": "Straight on", "turn": "Turns"}
+# Rim speeds from which the way to a standstill is stated.
+_STOPS_M_S = (0.5, 1.0)
+
+
+def drive_rows(fit: DriveFit) -> list[tuple[str, ...]]:
+    """One row a parameter, as `_HEAD` names the columns; a pair is for positive and negative commands."""
+
+    def row(name: str, value: str, sigma: str = "") -> tuple[str, ...]:
+        cells = [name]
+        for axis in (fit.model.straight, fit.model.turn):
+            values = {} if axis is None else {one: getattr(axis, one) for one in DriveAxis.__dataclass_fields__}
+            cells += [text.format(**values, a=axis) if values and text else "" for text in (value, sigma)]
+        return tuple(cells)
+
+    unit = "m/s" if fit.model.command == "velocity" else "of the stick"
+    rows = [
+        row("dead time", "{dead_time_s:.3f} s", "{dead_time_sigma_s:.3f} s"),
+        row("time constant, speeding up", "{rise_s:.3f} s", "{rise_sigma_s:.3f} s"),
+        row("time constant, slowing down", "{fall_s:.3f} s", "{fall_sigma_s:.3f} s"),
+        row(
+            f"dead zone, {unit}",
+            "{dead_zone[0]:.3f}, {dead_zone[1]:.3f}",
+            "{dead_zone_sigma[0]:.3f}, {dead_zone_sigma[1]:.3f}",
+        ),
+        row("largest command", "{largest_command[0]:.2f}, {largest_command[1]:.2f}"),
+        row("largest speed of a rim", "{largest_speed_m_s[0]:.2f}, {largest_speed_m_s[1]:.2f} m/s"),
+        row("largest acceleration, braking", "{acceleration_m_s2:.2f}, {braking_m_s2:.2f} m/s²"),
+        row("not explained, RMS", "{residual_m_s:.4f} m/s"),
+    ]
+    gains = [f"{axis.speed_m_s(c):.2f}" for axis in (fit.model.straight,) if axis for c in _ends(axis)]
+    turns = [f"{axis.speed_m_s(c):.2f}" for axis in (fit.model.turn,) if axis for c in _ends(axis)]
+    sigmas = [
+        "" if axis is None else f"{100 * axis.gain_sigma[0]:.0f}, {100 * axis.gain_sigma[1]:.0f} %"
+        for axis in (fit.model.straight, fit.model.turn)
+    ]
+    ends = [f"{', '.join(found)} m/s" if found else "" for found in (gains, turns)]
+    rows.insert(4, ("speed at the largest command", ends[0], sigmas[0], ends[1], sigmas[1]))
+    for speed in _STOPS_M_S:
+        cells = []
+        for axis in (fit.model.straight, fit.model.turn):
+            known = axis is not None and max(axis.largest_speed_m_s) >= 0.5 * speed
+            cells += (
+                [f"{speed * axis.stop_s(0.0):.2f} m", f"{speed * axis.stop_sigma_s:.2f} m"]
+                if axis and known
+                else ["", ""]
+            )
+        rows.append((f"way to a stand from {speed:g} m/s", *cells))
+    held = [
+        "" if one is None or one.held_out_m_s is None else f"{one.held_out_m_s:.4f} m/s"
+        for one in (fit.straight, fit.turn)
+    ]
+    rows.append(("not explained where it was not fitted", held[0], "", held[1], ""))
+    ratio, sigma = fit.model.right_over_left, fit.model.right_over_left_sigma
+    if sigma:
+        rows.append(("right wheel over left", f"{ratio:.4f}", f"{sigma:.4f}", "", ""))
+    return rows
+
+
+def _ends(axis: DriveAxis) -> tuple[float, float]:
+    return axis.largest_command[0], -axis.largest_command[1]
+
+
+def print_drive(fit: DriveFit, written: str, page: Path | None) -> None:
+    """Print the model, what the drive did not show, and the paths of the files."""
+    stdout = console()
+    stdout.print(rows_table(f"{', '.join(fit.names)}: drive, by {fit.model.command} commands", _HEAD, drive_rows(fit)))
+    for note in fit.not_shown:
+        print_warning(f"not shown: {note}")
+    print_end(fit.warnings, written, page)
+
+
+def measured_drive(fit: DriveFit) -> Measured:
+    """The history entry of a drive model."""
+    figures: dict[str, float] = {}
+    for name in _WORDS:
+        axis: DriveAxis | None = getattr(fit.model, name)
+        if axis is not None:
+            figures |= {f"{name} dead_time_s": axis.dead_time_s, f"{name} fall_s": axis.fall_s}
+            figures[f"{name} residual_m_s"] = axis.residual_m_s
+    return Measured(f"drive_model, on {', '.join(fit.names)}", "calibrate drive", figures)
+
+
+def write_drive_model_page(fit: DriveFit, path: StrPath) -> None:
+    """Write the page about a drive model, atomically. Raises OutputError."""
+    axes = [(name, axis) for name in _WORDS if (axis := getattr(fit, name)) is not None]
+    straight = fit.model.straight
+    shown = straight or fit.model.turn
+    assert shown is not None
+    stop = f"{shown.stop_s(0.0):.2f} m"
+    tiles = [
+        ("Dead time", f"{1e3 * shown.dead_time_s:.0f} ms", f"± {1e3 * shown.dead_time_sigma_s:.0f} ms"),
+        ("Slowing down", f"{1e3 * shown.fall_s:.0f} ms", f"time constant, ± {1e3 * shown.fall_sigma_s:.0f} ms"),
+        ("From 1 m/s to a stand", stop, f"{shown.stop_s():.2f} m at the 95 % worst"),
+    ]
+    sections = [html.section("model", "The model", "", html.table("Straight on and turns", _HEAD, drive_rows(fit)))]
+    for name, axis in axes:
+        alt = f"Measured and predicted speeds over time, {_WORDS[name].lower()}"
+        sentence = "The prediction knows the commands alone; it runs free from the first sample on."
+        over_time = html.plot(f"{name}-time", speed_figure(axis), "Measured and predicted", sentence, alt)
+        alt = f"Speed over command, {_WORDS[name].lower()}"
+        sentence = "Points are means of steps that lasted; the line is the model."
+        gain = html.plot(f"{name}-gain", gain_figure(axis), "Speed over command", sentence, alt)
+        held = "" if axis.held_out_m_s is None else f"{axis.held_out_m_s:.4f} m/s on steps that a fit did not use, and "
+        intro = f"RMS error: {held}{axis.axis.residual_m_s:.4f} m/s on all."
+        sections.append(html.section(name, _WORDS[name], intro, over_time, gain))
+    errors = [axis.held_out_m_s for _, axis in axes if axis.held_out_m_s is not None]
+    tone = "amber" if fit.not_shown else "green"
+    page = html.page(
+        kicker="wheelsight drive calibration",
+        title=", ".join(fit.names),
+        facts=html.facts_now(f"a lag with dead time, by {fit.model.command} commands"),
+        tone=tone,
+        phrase=f"It stands {stop} after a stop command at 1 m/s",
+        sentences=[f"Where it was not fitted, predicted speeds err by {max(errors):.3f} m/s at most."]
+        if errors
+        else [],
+        tiles=tiles,
+        notes=[*fit.warnings, *(f"Not shown: {note}." for note in fit.not_shown)],
+        sections=tuple(sections),
+        footer="Speeds are those of a rim in m/s; σ is one standard deviation. This page needs no network.",
+    )
+    html.save(page, path)
+
+
+def speed_figure(fit: AxisFit) -> go.Figure:
+    """Measured and free-running speeds over time, and below them the command; drives follow each other."""
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.12, row_heights=[0.7, 0.3])
+    drawing.style(figure, 460, hovermode="x unified")
+    begin_s = 0.0
+    for number, (series, predicted) in enumerate(zip(fit.series, fit.predicted_m_s, strict=True)):
+        stamps_s = series.stamps_s - series.stamps_s[0] + begin_s
+        for name, values, color, width in (
+            ("measured", series.speeds_m_s, GREY, 3),
+            ("predicted", predicted, BLUE, 2),
+        ):
+            kept = drawing.keep_peaks(values)
+            points = np.stack([stamps_s[kept], values[kept]], axis=-1)
+            line = {"color": color, "width": width}
+            drawing.add_path(figure, points, name=name, line=line, hover="%{y:.3f} m/s", row=1, in_legend=not number)
+        ends_s = np.append(series.commands_s[1:], series.stamps_s[-1]) - series.stamps_s[0] + begin_s
+        begins_s = np.append(begin_s, ends_s[:-1])
+        points = np.stack([np.ravel([begins_s, ends_s], "F"), np.repeat(series.commands, 2)], axis=-1)
+        line = {"color": ORANGE, "width": 2}
+        drawing.add_path(figure, points, name="command", line=line, hover="%{y:.3f}", row=2, in_legend=not number)
+        begin_s = float(stamps_s[-1]) + 1.0
+    drawing.panel_title(figure, "speed of a rim, m/s", 1)
+    drawing.panel_title(figure, "command", 2)
+    drawing.time_axis_until(figure, begin_s, "seconds of all drives")
+    return figure
+
+
+def gain_figure(fit: AxisFit) -> go.Figure:
+    """Speed over command: the model as a line, steps of over a second as points."""
+    figure = drawing.style(go.Figure(), 320, hovermode="closest")
+    most = max(fit.axis.largest_command)
+    commands = np.linspace(-most, most, 301)
+    line = np.stack([commands, [fit.axis.speed_m_s(command) for command in commands.tolist()]], axis=-1)
+    drawing.add_path(figure, line, name="model", line={"color": BLUE, "width": 2}, hover="%{x:.2f}: %{y:.3f} m/s")
+    points = []
+    for series in fit.series:
+        ends_s = np.append(series.commands_s[1:], series.stamps_s[-1])
+        for command, begin_s, end_s in zip(series.commands, series.commands_s, ends_s, strict=True):
+            which = (series.stamps_s > begin_s + _SETTLED_S) & (series.stamps_s < end_s) & series.is_good
+            if which.any():
+                points.append((command, series.speeds_m_s[which].mean()))
+    x, y = np.reshape(points, (-1, 2)).T
+    marker = {"size": 8, "color": ORANGE}
+    figure.add_scatter(x=x, y=y, mode="markers", name="measured", marker=marker, hovertemplate="%{x:.2f}: %{y:.3f} m/s")
+    figure.update_xaxes(title_text="command")
+    drawing.panel_title(figure, "speed of a rim, m/s")
+    return figure
+
+
+# After a step, until the speed counts as that of its command.
+_SETTLED_S = 1.5
