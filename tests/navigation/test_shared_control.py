@@ -100,6 +100,7 @@ def test_one_who_only_stops_is_never_slowed_for_a_thing_ahead() -> None:
     for feedback in seat.hold(8.0, 0.3):
         is_slowed = feedback.monitor.state is MonitorState.SLOWED
         assert not (is_slowed and feedback.monitor.reason in (MonitorReason.OBSTACLE, MonitorReason.NEVER_SEEN))
+        assert feedback.monitor.reason is not MonitorReason.WHEELS_OFF
 
 
 def test_help_never_adds_speed_and_bounds_the_turn() -> None:

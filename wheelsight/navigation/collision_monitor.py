@@ -163,9 +163,9 @@ class ControlChain:
             # A ramp down during its own stop would look like disobedience, and would delay the stop command.
             self._ramp.follow(STOP)
         ramped = self._ramp.step(asked.forward_m_s, asked.turn_rad_s, CONTROL_PERIOD_S)
-        self.checked = self.monitor.check(ramped, now_s, status, silent, is_unchecked=is_unchecked)
-        if stops_only and self.checked.state is MonitorState.SLOWED and self.checked.reason in _STOP_FOR:
-            self.checked = MonitorResult(STOP, MonitorState.STOPPED, self.checked.reason)
+        self.checked = self.monitor.check(
+            ramped, now_s, status, silent, is_unchecked=is_unchecked, stops_only=stops_only
+        )
         if self.checked.state is not MonitorState.FREE:
             self._ramp.follow(self.checked.command)
         if self.checked.state is MonitorState.STOPPED:
@@ -272,10 +272,12 @@ class CollisionMonitor:
         silent: MonitorReason | None = None,
         *,
         is_unchecked: bool = False,
+        stops_only: bool = False,
     ) -> MonitorResult:
         """Return the command that may be driven. Call it once per period, even for a stop.
 
-        With `is_unchecked` only invalid numbers and disobedient wheels stop the robot.
+        With `is_unchecked` only invalid numbers and disobedient wheels stop the robot. With `stops_only` it stands
+        where it would have to go slower for an obstacle or unseen floor.
         """
         if self._pending is not None:
             self._pending.update(self._measured, now_s)
@@ -289,9 +291,10 @@ class CollisionMonitor:
         else:
             share, reason = self._share(asked, now_s, status)
             forward, turn = share * asked.forward_m_s, share * asked.turn_rad_s
+            is_stop = abs(forward) < _LEAST_M_S and abs(turn) < _LEAST_RAD_S
             if share >= 1.0:
                 result = MonitorResult(asked, MonitorState.FREE)
-            elif abs(forward) < _LEAST_M_S and abs(turn) < _LEAST_RAD_S:
+            elif is_stop or (stops_only and reason in _STOP_FOR):
                 result = MonitorResult(STOP, MonitorState.STOPPED, reason)
             else:
                 result = MonitorResult(VelocityCommand(forward, turn), MonitorState.SLOWED, reason)

@@ -228,7 +228,7 @@ class Assist(OneCaller):
             fix = "a robot with two driven wheels, calibrated: docs/wheel-calibration.md"
             raise ArgumentError(f"the calibration {calibration.lacks_two_wheels}", fix=fix)
         self.level, self.record, self._robot = level, AssistRecord(), robot
-        self._chain = ControlChain(s)
+        self._chain = ControlChain(s, calibration.drive_model)
         self.monitor = self._chain.monitor
         self._shared = SharedControl(self.monitor, s)
         self._viewer = DepthViewer(calibration, s.footprint.outline, s.live)
