@@ -300,14 +300,14 @@ class Shadows:
         is_moving = np.isin(np.arange(len(looks)), scene.moving)
         self._geom = np.concatenate([np.flatnonzero(blocks), np.full(count, -1)]).astype(np.int32)
         self._robot = slice(len(self._geom) - count, len(self._geom))
-        self._boxes = np.zeros((len(self._geom), 8))
-        self._is_round = np.zeros(len(self._geom), bool)
+        self._boxes = np.zeros((len(self._geom), 10))
+        self._boxes[:, 8] = self._geom
         seen = self._geom[: self._robot.start]
-        self._is_round[: len(seen)] = np.isin(geoms.kind[seen], (_SPHERE, _ELLIPSOID, _CYLINDER))
+        self._boxes[: len(seen), 9] = np.isin(geoms.kind[seen], (_SPHERE, _ELLIPSOID, _CYLINDER))
         moves = np.concatenate([is_moving[seen], np.ones(count, bool)])
         self._moving = np.flatnonzero(moves).astype(np.int32)
         for b, g in enumerate(seen):
-            self._boxes[b] = _box_of(geoms, int(g))
+            self._boxes[b, :8] = _box_of(geoms, int(g))
         self._still = np.flatnonzero(~moves).astype(np.int32)
         rows, columns = lighting.flux.shape[1:3]
         shape = (np.ceil(np.array([rows, columns]) * lighting.grid[2] / _CELL_M).astype(int) + 1).tolist()
@@ -317,7 +317,7 @@ class Shadows:
         # Each cell's brightest lamps of those that walls do not hide from all of it.
         lamps = kernels.Lamps(lighting.lamps, grid, brightest)
         starts, listed = _listed(lamps, self._boxes, self._still)
-        blockers = kernels.Blockers(self._boxes, self._is_round, self._geom, np.empty(0, np.int32), starts, listed)
+        blockers = kernels.Blockers(self._boxes, np.empty(0, np.int32), starts, listed)
         seen_lamps = np.empty((*lamps.brightest.shape[:2], _LAMPS), np.int32)
         kernels.drop_hidden(lamps, blockers, seen_lamps)
         self._lamps = lamps._replace(brightest=seen_lamps)
@@ -331,7 +331,7 @@ class Shadows:
         boxes = self._boxes.copy()
         for b in self._moving:
             if self._geom[b] >= 0:
-                boxes[b] = _box_of(self._scene.geoms, int(self._geom[b]))
+                boxes[b, :8] = _box_of(self._scene.geoms, int(self._geom[b]))
         if T_world_base is not None:
             # (P, 8) the boxes of chair and rider.
             x_from, x_to, half_y, low, high = np.array(_ROBOT_M).T
@@ -339,11 +339,11 @@ class Shadows:
             middle = T_world_base[:2, 3] + ((x_from + x_to) / 2)[:, None] * ahead
             ones = np.ones(len(half_y))
             sides = (x_to - x_from) / 2, half_y
-            boxes[self._robot] = np.stack(
+            boxes[self._robot, :8] = np.stack(
                 [middle[:, 0], middle[:, 1], low, high, ahead[0] * ones, ahead[1] * ones, *sides], axis=1
             )
         out = np.empty(view.depth_m.shape, np.float32)
-        blockers = kernels.Blockers(boxes, self._is_round, self._geom, self._moving, self._starts, self._listed)
+        blockers = kernels.Blockers(boxes, self._moving, self._starts, self._listed)
         kernels.keep(view, kernels.Shadowing(self._lamps, blockers, self._glows, level * self._strength), out)
         return out
 

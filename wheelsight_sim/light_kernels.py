@@ -230,17 +230,14 @@ class Blockers(NamedTuple):
     """What can stand in the light.
 
     Attributes:
-        boxes: (B, 8) x and y of the middle, lowest and highest z, cosine and sine of the yaw, half lengths.
-        is_round: (B,) whether it is as one that faces whatever lamp it hides.
-        geom: (B,) which geom it is, -1 for none that is seen.
+        boxes: (B, 10) x and y of the middle, lowest and highest z, cosine and sine of the yaw, half lengths; which geom
+            it is, -1 for none that is seen; 1 if it is round, as one that faces whatever lamp it hides.
         moving: (M,) those that can be anywhere.
         starts: (Y · X · K + 1,) where the list of each cell and lamp begins in `listed`.
         listed: (N,) those that stand still and may hide a lamp from a cell.
     """
 
     boxes: FloatArray
-    is_round: BoolArray
-    geom: Int32Array
     moving: Int32Array
     starts: Int32Array
     listed: Int32Array
@@ -264,7 +261,7 @@ def keep(view: View, shadowing: Shadowing, out: Any) -> None:
     seen, normal_world = view.geom, view.normal_world
     lamps, blockers, glows, strength = shadowing
     every, grid, brightest = lamps
-    boxes, is_round, geom, moving, starts, listed = blockers
+    boxes, moving, starts, listed = blockers
     height, width = seen.shape
     for v in range(height):
         R = nine(view.T_world_camera[v])
@@ -282,9 +279,7 @@ def keep(view: View, shadowing: Shadowing, out: Any) -> None:
                     out[v, at] = 1.0
                 else:
                     p, n = point(v, at, R, view), three(normal_world, v, at)
-                    lost = hidden_at(
-                        p, n, seen[v, at], every, grid, brightest, boxes, is_round, geom, moving, starts, listed
-                    )
+                    lost = hidden_at((p, n, seen[v, at]), every, grid, brightest, boxes, moving, starts, listed)
                     out[v, at] = 1 - strength * lost
             last = u
 
@@ -305,10 +300,10 @@ def eight(of: Any, i: int) -> Any:
 
 @kernel(error_model="numpy", inline="always")
 def hidden_at(
-    p: Any, n: Any, own: int, every: Any, grid: Any, brightest: Any,
-    boxes: Any, is_round: Any, geom: Any, moving: Any, starts: Any, listed: Any,
-) -> Any:  # fmt: skip
-    """Share of the brightest lamps' light that does not reach p, with normal n, on the geom `own`."""
+    place: Any, every: Any, grid: Any, brightest: Any, boxes: Any, moving: Any, starts: Any, listed: Any
+) -> Any:
+    """Share of the brightest lamps' light that does not reach a place: a point, its normal and its geom."""
+    p, n, own = place
     rows, columns, count = brightest.shape
     column = min(max(int((p[0] - grid[0]) / grid[2]), 0), columns - 1)
     row = min(max(int((p[1] - grid[1]) / grid[2]), 0), rows - 1)
@@ -327,7 +322,7 @@ def hidden_at(
             light *= max(1 - least / (power * light_of(d, (0.0, 0.0, 1.0))), 0.0)
         if light > 0:
             entry, half = (row * columns + column) * count + k, (every[number, 4], every[number, 5])
-            walled, hidden = _hidden(p, d, half, own, entry, boxes, is_round, geom, moving, starts, listed)
+            walled, hidden = _hidden((p, d, half), own, entry, boxes, moving, starts, listed)
             lost, whole = lost + light * (1 - walled) * hidden, whole + light * (1 - walled)
     return lost / whole
 
@@ -350,19 +345,17 @@ def light_of(d: Any, n: Any) -> Any:
 
 
 @kernel(error_model="numpy", inline="always")
-def _hidden(
-    p: Any, d: Any, half: Any, own: int, entry: int,
-    boxes: Any, is_round: Any, geom: Any, moving: Any, starts: Any, listed: Any,
-) -> Any:  # fmt: skip
-    """Shares of one lamp that walls hide, and all else; `entry` tells its list of what stands still."""
+def _hidden(way: Any, own: int, entry: int, boxes: Any, moving: Any, starts: Any, listed: Any) -> Any:
+    """Shares of a lamp that walls hide, and all else, on a way: a point, the vector to the lamp, its half lengths."""
+    p, d, half = way
     walled, hidden = 0.0, 0.0
     level = np.sqrt(d[0] * d[0] + d[1] * d[1])
     for i in range(starts[entry], starts[entry + 1]):
         b = listed[i]
-        if geom[b] == own:
+        if boxes[b, 8] == own:
             continue
         box = eight(boxes, b)
-        share = covered(p, d, level, half, box, is_round[b])
+        share = covered(p, d, level, half, box, boxes[b, 9] > 0)
         if box[3] > p[2] + d[2] - _TO_CEILING_M:
             walled += share
             if walled >= 1:
@@ -371,8 +364,8 @@ def _hidden(
             hidden += share
     for i in range(len(moving) if walled < 1 else 0):
         b = moving[i]
-        if geom[b] != own:
-            hidden += covered(p, d, level, half, eight(boxes, b), is_round[b])
+        if boxes[b, 8] != own:
+            hidden += covered(p, d, level, half, eight(boxes, b), boxes[b, 9] > 0)
     return min(walled, 1.0), min(hidden, 1.0)
 
 
@@ -462,7 +455,7 @@ def drop_hidden(lamps: Lamps, blockers: Blockers, out: Any) -> None:
     Of nine places over the cell, at two heights each, none sees a lamp in another room.
     """
     rows, columns, count = lamps.brightest.shape
-    boxes, is_round, geom, moving, starts, listed = blockers
+    boxes, moving, starts, listed = blockers
     for row in range(rows):
         for column in range(columns):
             kept = 0
@@ -479,7 +472,7 @@ def drop_hidden(lamps: Lamps, blockers: Blockers, out: Any) -> None:
                     d = _towards(p, lamps.lamps, lamp)
                     if d[2] <= _LEAST_RISE_M:
                         continue
-                    if _hidden(p, d, half, -1, entry, boxes, is_round, geom, moving, starts, listed)[0] < 1:
+                    if _hidden((p, d, half), -1, entry, boxes, moving, starts, listed)[0] < 1:
                         out[row, column, kept] = lamp
                         kept += 1
                         break

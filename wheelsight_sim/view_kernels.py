@@ -197,9 +197,10 @@ def meet(g: int, boxes: Boxes, origin: Any, rays: Any, hits: Any) -> None:
             if is_inside:
                 s0, s1, s2 = -np.sign(d[0]), -np.sign(d[1]), -np.sign(d[2])
             f = -1.0 if is_inside else 1.0
-            x = _on_side(f * s0, s0 * d[0], o[0], d[0], size[0], o[1], d[1], size[1], o[2], d[2], size[2], near)
-            y = _on_side(f * s1, s1 * d[1], o[1], d[1], size[1], o[0], d[0], size[0], o[2], d[2], size[2], x)
-            z = _on_side(f * s2, s2 * d[2], o[2], d[2], size[2], o[0], d[0], size[0], o[1], d[1], size[1], y)
+            a, b, c = (o[0], d[0], size[0]), (o[1], d[1], size[1]), (o[2], d[2], size[2])
+            x = _on_side(f * s0, s0 * d[0], a, b, c, near)
+            y = _on_side(f * s1, s1 * d[1], b, a, c, x)
+            z = _on_side(f * s2, s2 * d[2], c, a, b, y)
             x, on = z, 2 if z < y else (1 if y < x else 0)
             on = on - 3 if is_inside else on
         elif kind == _PLANE:
@@ -217,14 +218,11 @@ def meet(g: int, boxes: Boxes, origin: Any, rays: Any, hits: Any) -> None:
 
 
 @kernel(error_model="numpy")
-def _on_side(
-    side: float, facing: float, o: float, d: float, half: float,
-    o1: float, d1: float, half1: float, o2: float, d2: float, half2: float, limit: float,
-) -> float:  # fmt: skip
-    """Where a ray meets one of a box's sides; `limit` where it does not meet it before. 1, 2: the other two axes."""
+def _on_side(side: float, facing: float, own: Any, one: Any, other: Any, limit: float) -> Any:
+    """Where a ray meets a box's side before `limit`, or that. Each axis: the ray's origin and way, the half size."""
     if facing < -_PARALLEL:
-        x = (side * half - o) / d
-        if x < limit and abs(o1 + x * d1) <= half1 and abs(o2 + x * d2) <= half2:
+        x = (side * own[2] - own[0]) / own[1]
+        if x < limit and abs(one[0] + x * one[1]) <= one[2] and abs(other[0] + x * other[1]) <= other[2]:
             return x
     return limit
 

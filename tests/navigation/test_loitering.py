@@ -59,7 +59,7 @@ def test_floor_that_was_never_seen_is_not_waited_for_and_named() -> None:
     """It waited for it to be seen, and said that the controller found no way on, which only did not get on."""
     ride = Ride.of(ROOM, (3.0, 3.0, 0.0), (8.0, 6.0), settings=NavigationSettings(navigator=HELD))
     held = MonitorResult(STOP, MonitorState.STOPPED, MonitorReason.NEVER_SEEN)
-    ride.navigator.monitor.check = lambda *asked: held  # type: ignore[method-assign]
+    ride.navigator.monitor.check = lambda *asked, **how: held  # type: ignore[method-assign]
     ride.navigator.go_to_pose((6.0, 3.0, 0.0))
     ride.go(2.0, until=lambda: ride.navigator.state is NavigationState.RECOVERING)
     assert ride.transitions[-1].why == "floor that was never seen; back up, to see where its front was"

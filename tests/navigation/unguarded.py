@@ -30,4 +30,4 @@ class Asks:
 def without_monitor(patch: pytest.MonkeyPatch, ride: Ride) -> None:
     """What is asked is driven."""
     free = MonitorState.FREE
-    patch.setattr(ride.navigator.monitor, "check", lambda asked, *now: MonitorResult(asked, free))
+    patch.setattr(ride.navigator.monitor, "check", lambda asked, *now, **how: MonitorResult(asked, free))

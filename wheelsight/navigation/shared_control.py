@@ -266,7 +266,7 @@ class Assist(OneCaller):
                     self.monitor.add_reading(speed.stamp_s, speed.forward_m_s, speed.turn_rad_s, speed.rolled)
             elif event is newest and isinstance(event, RgbdFrame):
                 self.monitor.add_view(self._viewer.view(event.depth_m, event.stamp_s))
-        intended = self._intended(now_s)
+        intended = self.intended(now_s)
         override_s = self._override_s(now_s, intended)
         asked = intended
         if override_s > 0:
@@ -290,7 +290,7 @@ class Assist(OneCaller):
         self.record.add(feedback, self.settings.limits)
         return feedback
 
-    def _intended(self, now_s: float) -> VelocityCommand:
+    def intended(self, now_s: float) -> VelocityCommand:
         """Return the person's command; a stop if the stick is released, or its newest position is old."""
         stick, limits = self._stick, self.settings.limits
         if stick.is_released or not 0 <= now_s - stick.stamp_s + CONTROL_PERIOD_S <= STICK_AGE_S + CONTROL_PERIOD_S:
