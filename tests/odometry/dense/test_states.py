@@ -19,7 +19,7 @@ from wheelsight.core.keyframes import PredictedView
 from wheelsight.core.messages import RgbdFrame
 from wheelsight.vision.dense import DenseOdometry, DenseSettings
 from wheelsight.vision.dense.alignment import Level
-from wheelsight.vision.dense.tracking import KeypointTracker
+from wheelsight.vision.dense.tracking import KeypointTracker, Locator
 
 TRUTH = wobbling_trajectory(24)
 IN_WORLD = from_start(np.array(TRUTH.T_frame_body))
@@ -207,16 +207,23 @@ class Luring:
 
 
 @pytest.mark.slow
-def test_what_hardly_tells_the_way_does_not_lure_the_camera_off_its_pace() -> None:
+def test_what_hardly_tells_the_way_does_not_lure_the_camera_off_its_pace(monkeypatch: pytest.MonkeyPatch) -> None:
     """A spot is too little to tell the motion, yet enough to pull; it does so by as much in every frame."""
     poses = [se3.from_parts(np.eye(3), [0.01 * k, 0, 0]) for k in range(15)]
-    wall, lured_m = [Plane((0, 0, 1), 1.5, is_painted=True)], []
-    for seed in range(5):  # in each the pace known before is off by what noise made of it, either way
-        frames = [frame_of(wall, T, k / 30, noise_seed=100 * seed + k) for k, T in enumerate(poses)]
-        subject = DenseOdometry(Calibration.registered_camera(SMALL), DenseSettings())
-        run(subject, frames[:10])
-        subject.refer_to(Luring())
-        answers = run(subject, [replace(frame, color=spot(frame.color)) for frame in frames[10:]])
-        assert not answers[-1].shows_all
-        lured_m.append(not_none(answers[-1].T_odom_body)[0, 3] - poses[-1][0, 3])
-    assert abs(np.mean(lured_m)) < 0.0045  # -0.0065 where it is not held
+    wall = [Plane((0, 0, 1), 1.5, is_painted=True)]
+
+    def lured_m() -> float:
+        found_m = []
+        for seed in range(5):  # in each the pace known before is off by what noise made of it, either way
+            frames = [frame_of(wall, T, k / 30, noise_seed=100 * seed + k) for k, T in enumerate(poses)]
+            subject = DenseOdometry(Calibration.registered_camera(SMALL), DenseSettings())
+            run(subject, frames[:10])
+            subject.refer_to(Luring())
+            answers = run(subject, [replace(frame, color=spot(frame.color)) for frame in frames[10:]])
+            assert not answers[-1].shows_all
+            found_m.append(not_none(answers[-1].T_odom_body)[0, 3] - poses[-1][0, 3])
+        return abs(float(np.mean(found_m)))
+
+    held_m, by_view = lured_m(), Locator.by_view
+    monkeypatch.setattr(Locator, "by_view", lambda *given, is_held=False: by_view(*given))
+    assert held_m < 0.5 * lured_m()  # 0.005 and 0.014 m; the mean of five varies by 0.002 m
