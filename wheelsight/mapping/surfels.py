@@ -6,6 +6,7 @@ window is that of Whelan et al. 2015 and 2016.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -166,8 +167,7 @@ class SurfelMap:
         shape, size = depth_m.shape, depth_m.size
         lens = pose.T.astype(np.float32), pose.grid.astype(np.float32), *rays_of(pose.grid, shape)
         camera = Camera(*lens, np.float32(1 / min(pose.grid[:2])), sensor)  # with the size of a pixel at one metre
-        reading = self._room("reading", (size, READING), np.float32)
-        radius = self._room("radius", (size,), np.float32)
+        reading, radius = self._rooms(reading=((size, READING), np.float32), radius=((size,), np.float32))
         looks = (color.reshape(-1, 3), grey.reshape(-1))
         since_s = self.stamp_s - np.array([*self._lifetime_s, self.settings.active_s])
         seen = FrameReadings(depth_m, reading, radius, *looks, self.stamp_s, np.float32(frames), since_s)
@@ -207,17 +207,18 @@ class SurfelMap:
         pages = blocks.pages_in_view(pose.T, pose.grid, (height, width), self._surfels_far_m(camera.noise) + 1, -np.inf)
         entries, surfels = (len(pages) * PAGE,), blocks.surfels
         found = Candidates(
-            self._room("slots", entries, np.int32),
-            self._room("pixel", entries, np.int32),
-            self._room("rank", entries, np.float32),
-            self._room("found", (len(pages), 4), np.int32),
-            self._room("chosen", (seen.depth_m.size,), np.int32),
+            *self._rooms(
+                slots=(entries, np.int32),
+                pixel=(entries, np.int32),
+                rank=(entries, np.float32),
+                found=((len(pages), 4), np.int32),
+                chosen=((seen.depth_m.size,), np.int32),
+            )
         )
+        best, is_new = self._rooms(best=((seen.depth_m.size,), np.float32), is_new=((height, width), np.bool_))
         in_view = InView(pages, blocks.page_fill)
         find_candidates(0, len(pages), in_view, surfels, seen, camera, rules, found)
-        best = self._room("best", (seen.depth_m.size,), np.float32)
         choose(0, height, width, found.pixel, found.rank, found.counts, best, found.chosen)
-        is_new = self._room("is_new", (height, width), np.bool_)
         find_new(0, height, found, surfels, seen, camera.pitch, rules, is_new)
         home = fusion.Home(blocks.page_cell, blocks.cell_xyz, blocks.cell_seen_s, blocks.block_m)
         fusion.update(0, len(pages), found, surfels, home, camera, seen, rules)
@@ -269,9 +270,11 @@ class SurfelMap:
         pages = blocks.pages_in_view(pose.T, pose.grid, shape, far_m, since_s)
         entries = len(pages) * PAGE
         disks = view.Disks(
-            self._room("disk", (entries, view.DISK), np.float32),
-            self._room("bound", (entries, 4), np.int16),
-            self._room("count", (len(pages), 2), np.int32),
+            *self._rooms(
+                disk=((entries, view.DISK), np.float32),
+                bound=((entries, 4), np.int16),
+                count=((len(pages), 2), np.int32),
+            )
         )
         sizes = (_SMALLEST_PX, _LARGEST_PX, _SHOWN_COSINE)
         numbers = (far_m, self.settings.stable_confidence, least, vague_m2, *sizes)
@@ -279,8 +282,7 @@ class SurfelMap:
         lens = view.RenderCamera(pose.T.astype(np.float32), pose.grid.astype(np.float32), width, height)
         in_view = InView(pages, blocks.page_fill)
         view.project_disks(0, len(pages), in_view, blocks.surfels, lens, shown, disks)
-        near = self._room("near", (*shape, view.NEAR), np.float32)
-        sums = self._room("sums", (*shape, view.SUMS), np.float32)
+        near, sums = self._rooms(near=((*shape, view.NEAR), np.float32), sums=((*shape, view.SUMS), np.float32))
         image = view.RenderImage(*rays_of(pose.grid, shape), near, sums, np.float32(_BLEND), np.float32(_BLEND_M))
         view.blend(0, height, disks, image)
         view.fill_in(0, height, disks, image)
@@ -437,13 +439,19 @@ class SurfelMap:
         far_m = self.settings.far_m
         return far_m + _ADDED_SIGMAS * float(sensor[0] + sensor[1] * far_m**2)
 
-    def _room(self, name: str, shape: tuple[int, ...], dtype: type) -> np.ndarray:
-        """Return a buffer that is reused from frame to frame: new memory costs more than the computation in it."""
-        size = int(np.prod(shape))
-        kept = self._scratch.get(name)
-        if kept is None or len(kept) < size:
-            kept = self._scratch[name] = np.empty(size + size // 2, dtype)
-        return kept[:size].reshape(shape)
+    def _rooms(self, **wanted: tuple[tuple[int, ...], type]) -> list[np.ndarray]:
+        """Return buffers by shape and type that are reused from frame to frame.
+
+        New memory costs more than the computation in it.
+        """
+        rooms = []
+        for name, (shape, dtype) in wanted.items():
+            size = math.prod(shape)
+            kept = self._scratch.get(name)
+            if kept is None or len(kept) < size:
+                kept = self._scratch[name] = np.empty(size + size // 2, dtype)
+            rooms.append(kept[:size].reshape(shape))
+        return rooms
 
 
 def _chosen(part: SurfelArrays, which: BoolArray) -> SurfelArrays:
