@@ -132,7 +132,7 @@ def write_drive_model_page(fit: DriveFit, path: StrPath) -> None:
         facts=html.facts_now(f"a lag with dead time, by {fit.model.command} commands"),
         tone=tone,
         phrase=f"It stands {stop} after a stop command at 1 m/s",
-        sentences=[f"Where it was not fitted, predicted speeds err by {max(errors):.3f} m/s at most."]
+        sentences=[f"Where it was not fitted, predicted speeds err by {max(errors):.3f} m/s RMS at most."]
         if errors
         else [],
         tiles=tiles,
