@@ -423,7 +423,7 @@ _UPPER = np.triu_indices(6)
 _DIVERGED_M = 1e3
 # A change of the motion, in metres and radians, below which the finest level has converged: a tenth of a frame's error
 # (real recordings: docs/decisions/dense-alignment.md). At each coarser level the limit is twice as large.
-_SMALL_STEP = 5e-4
+_SMALL_STEP = 3e-4
 # Initial spread of grey residuals, in grey levels; the first iteration replaces it.
 _GREY_SIGMA = 8.0
 
