@@ -20,7 +20,7 @@ FRAMES_HZ, OVERHEAD_MS = 30.0, 0.5
 _SIZE, _RATE_HZ, _SECONDS, _SEED = (640, 480), 30.0, 21.0, 1
 # Kernels are loaded when they are first called, once in a process; that is measured apart.
 _WARMING_S = 1.0
-# Stages of camera and map; the others are of the localizer around them, or name what is left.
+# Stages of camera and map; the others are of the localizer around them, or the rest.
 _OF_CAMERA = ("extract", "recognise", "prepare", "predict", "align", "keyframe", "fuse")
 
 

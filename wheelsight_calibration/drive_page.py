@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,68 +18,61 @@ from wheelsight_report import plotly as go
 from wheelsight_report.drawing import BLUE, GREY, ORANGE
 from wheelsight_report.plotly import make_subplots
 
+Row = tuple[str, ...]
 _HEAD = ("", "straight on", "± σ", "turns", "± σ")
 _WORDS = {"straight": "Straight on", "turn": "Turns"}
 # Rim speeds from which the way to a standstill is stated.
 _STOPS_M_S = (0.5, 1.0)
 
 
-def drive_rows(fit: DriveFit) -> list[tuple[str, ...]]:
-    """One row a parameter, as `_HEAD` names the columns; a pair is for positive and negative commands."""
+def _nothing(axis: DriveAxis) -> str:
+    return ""
 
-    def row(name: str, value: str, sigma: str = "") -> tuple[str, ...]:
-        cells = [name]
-        for axis in (fit.model.straight, fit.model.turn):
-            values = {} if axis is None else {one: getattr(axis, one) for one in DriveAxis.__dataclass_fields__}
-            cells += [text.format(**values, a=axis) if values and text else "" for text in (value, sigma)]
-        return tuple(cells)
+
+def drive_rows(fit: DriveFit) -> list[Row]:
+    """One row a parameter, as `_HEAD` names the columns; a pair is for positive and negative commands."""
+    axes = (fit.model.straight, fit.model.turn)
+
+    def row(name: str, value: Callable[[DriveAxis], str], sigma: Callable[[DriveAxis], str] = _nothing) -> Row:
+        cells = [text(axis) if axis else "" for axis in axes for text in (value, sigma)]
+        return (name, *cells)
+
+    def pair(values: tuple[float, float], decimals: int, unit: str = "") -> str:
+        return f"{values[0]:.{decimals}f}, {values[1]:.{decimals}f}{unit}"
+
+    def stop_row(speed: float) -> Row:
+        """Empty for an axis of which less than half of the speed was driven."""
+
+        def of(axis: DriveAxis, seconds: float) -> str:
+            return f"{speed * seconds:.2f} m" if max(axis.largest_speed_m_s) >= 0.5 * speed else ""
+
+        name = f"way to a stand from {speed:g} m/s"
+        return row(name, lambda a: of(a, a.stop_s(0.0)), lambda a: of(a, a.stop_sigma_s))
 
     unit = "m/s" if fit.model.command == "velocity" else "of the stick"
     rows = [
-        row("dead time", "{dead_time_s:.3f} s", "{dead_time_sigma_s:.3f} s"),
-        row("time constant, speeding up", "{rise_s:.3f} s", "{rise_sigma_s:.3f} s"),
-        row("time constant, slowing down", "{fall_s:.3f} s", "{fall_sigma_s:.3f} s"),
+        row("dead time", lambda a: f"{a.dead_time_s:.3f} s", lambda a: f"{a.dead_time_sigma_s:.3f} s"),
+        row("time constant, speeding up", lambda a: f"{a.rise_s:.3f} s", lambda a: f"{a.rise_sigma_s:.3f} s"),
+        row("time constant, slowing down", lambda a: f"{a.fall_s:.3f} s", lambda a: f"{a.fall_sigma_s:.3f} s"),
+        row(f"dead zone, {unit}", lambda a: pair(a.dead_zone, 3), lambda a: pair(a.dead_zone_sigma, 3)),
         row(
-            f"dead zone, {unit}",
-            "{dead_zone[0]:.3f}, {dead_zone[1]:.3f}",
-            "{dead_zone_sigma[0]:.3f}, {dead_zone_sigma[1]:.3f}",
+            "speed at the largest command",
+            lambda a: pair((a.speed_m_s(a.largest_command[0]), a.speed_m_s(-a.largest_command[1])), 2, " m/s"),
+            lambda a: pair((100 * a.gain_sigma[0], 100 * a.gain_sigma[1]), 0, " %"),
         ),
-        row("largest command", "{largest_command[0]:.2f}, {largest_command[1]:.2f}"),
-        row("largest speed of a rim", "{largest_speed_m_s[0]:.2f}, {largest_speed_m_s[1]:.2f} m/s"),
-        row("largest acceleration, braking", "{acceleration_m_s2:.2f}, {braking_m_s2:.2f} m/s²"),
-        row("not explained, RMS", "{residual_m_s:.4f} m/s"),
+        row("largest command", lambda a: pair(a.largest_command, 2)),
+        row("largest speed of a rim", lambda a: pair(a.largest_speed_m_s, 2, " m/s")),
+        row("largest acceleration, braking", lambda a: pair((a.acceleration_m_s2, a.braking_m_s2), 2, " m/s²")),
+        row("not explained, RMS", lambda a: f"{a.residual_m_s:.4f} m/s"),
     ]
-    gains = [f"{axis.speed_m_s(c):.2f}" for axis in (fit.model.straight,) if axis for c in _ends(axis)]
-    turns = [f"{axis.speed_m_s(c):.2f}" for axis in (fit.model.turn,) if axis for c in _ends(axis)]
-    sigmas = [
-        "" if axis is None else f"{100 * axis.gain_sigma[0]:.0f}, {100 * axis.gain_sigma[1]:.0f} %"
-        for axis in (fit.model.straight, fit.model.turn)
-    ]
-    ends = [f"{', '.join(found)} m/s" if found else "" for found in (gains, turns)]
-    rows.insert(4, ("speed at the largest command", ends[0], sigmas[0], ends[1], sigmas[1]))
-    for speed in _STOPS_M_S:
-        cells = []
-        for axis in (fit.model.straight, fit.model.turn):
-            known = axis is not None and max(axis.largest_speed_m_s) >= 0.5 * speed
-            cells += (
-                [f"{speed * axis.stop_s(0.0):.2f} m", f"{speed * axis.stop_sigma_s:.2f} m"]
-                if axis and known
-                else ["", ""]
-            )
-        rows.append((f"way to a stand from {speed:g} m/s", *cells))
-    held = [
-        "" if one is None or one.held_out_m_s is None else f"{one.held_out_m_s:.4f} m/s"
-        for one in (fit.straight, fit.turn)
-    ]
+    rows += [stop_row(speed) for speed in _STOPS_M_S]
+    found = (fit.straight, fit.turn)
+    held = ["" if one is None or one.held_out_m_s is None else f"{one.held_out_m_s:.4f} m/s" for one in found]
     rows.append(("not explained where it was not fitted", held[0], "", held[1], ""))
     ratio, sigma = fit.model.right_over_left, fit.model.right_over_left_sigma
     if sigma:
         rows.append(("right wheel over left", f"{ratio:.4f}", f"{sigma:.4f}", "", ""))
     return rows
-
-
-def _ends(axis: DriveAxis) -> tuple[float, float]:
-    return axis.largest_command[0], -axis.largest_command[1]
 
 
 def print_drive(fit: DriveFit, written: str, page: Path | None) -> None:

@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
-from wheelsight.app.page import Session, Watch
+from wheelsight.app.page import Session, Watch, token_of
 from wheelsight.app.run.run_record import FrameRecord
 from wheelsight.app.run.track import RunTrack, Watcher
 from wheelsight.core.calibration import Calibration
@@ -183,13 +183,13 @@ class LinkSettings:
     def check(self) -> None:
         """Raise ConfigError for invalid options and for missing libraries."""
         from wheelsight.core.runtime import needed
-        from wheelsight_ros2.foxglove import address_of, check_token
+        from wheelsight_ros2.foxglove import address_of
 
         needed("rosbags.typesys")
         if self.foxglove is not None:
             needed("websockets")
             address_of(self.foxglove)
-            check_token(self.token)
+            token_of("--link-token", self.token)
         elif self.token is not None:
             raise ConfigError("--link-token is of Foxglove's server", fix="--foxglove PORT, or leave it out")
         if self.ros2 is None:

@@ -21,7 +21,7 @@ from types import SimpleNamespace
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from wheelsight.app.page import is_loopback
+from wheelsight.app.page import is_loopback, token_of
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.runtime import needed
 from wheelsight_export.bag_writing import Messages
@@ -36,7 +36,6 @@ _MESSAGES_A_S, _MOST_BAD = 200.0, 20
 # A client that takes nothing, or does not answer a ping, for this time is sent away.
 _SEND_S, _PING_S = 2.0, 5.0
 _STARTS_S, _ENDS_S = 10.0, 5.0
-_TOKEN_BYTES, _SHORTEST_TOKEN = 24, 16
 _MESSAGE, _STATUS_WARNING = 1, 1
 _TWIST = "geometry_msgs/msg/TwistStamped"
 # Types that are accepted on a topic besides its own, and the field that has it.
@@ -50,13 +49,6 @@ def address_of(text: str) -> tuple[str, int]:
     if not port.isdecimal() or int(port) > 65535:
         raise ConfigError(f"--foxglove is {text!r}", fix="a port, such as 8766, or ADDRESS:PORT; 0 is any free port")
     return host, int(port)
-
-
-def check_token(token: str | None) -> None:
-    """Raise ConfigError for a token that can be guessed."""
-    if token is not None and (len(token) < _SHORTEST_TOKEN or not token.isascii() or not token.isalnum()):
-        fix = f"{_SHORTEST_TOKEN} letters and digits, or more"
-        raise ConfigError("--link-token can be guessed, or is no word", fix=fix)
 
 
 class FoxgloveServer:
@@ -89,8 +81,7 @@ class FoxgloveServer:
         on_refusal: Callable[[str], None],
     ) -> None:
         host, port = address_of(address)
-        check_token(token)
-        self._token = token or secrets.token_hex(_TOKEN_BYTES)
+        self._token = token_of("--link-token", token)
         self._inputs, self._on_cdr, self._on_refusal = inputs, on_cdr, on_refusal
         self._types = Messages(is_ros1=False).types
         self._channels = {topic.name: number for number, topic in enumerate(TOPICS.values(), 1) if _is_sent(topic)}

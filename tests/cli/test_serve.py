@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import signal
-import subprocess
 import sys
 import threading
 import time
@@ -15,6 +12,7 @@ from urllib.error import HTTPError
 from urllib.request import urlopen
 
 import pytest
+from running import interrupted
 from sessions.kept_views import write_map
 
 from wheelsight.app.cli.console import print_warning
@@ -117,10 +115,8 @@ def test_it_serves_until_it_is_interrupted_and_leaves_a_map(tmp_path: Path) -> N
     command += ["--out", str(tmp_path / "maps"), "--host", "0.0.0.0"]
     shown = [] if why_missing("rerun") else ["--rerun", str(tmp_path / "drive.rrd")]
     command += shown
-    running = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"})
-    try:
-        assert running.stdout is not None
-        line = running.stdout.readline()
+    with interrupted(command) as output:
+        line = output.readline()
         found = re.fullmatch(r"http://[^:/]+:(\d+)/\?token=(\w{32,})\n", line)
         assert found is not None, line
         port, token = found.groups()
@@ -130,13 +126,6 @@ def test_it_serves_until_it_is_interrupted_and_leaves_a_map(tmp_path: Path) -> N
         with urlopen(f"{home}?token={token}", timeout=20) as answer:
             assert b"STOP" in answer.read()
         time.sleep(5)  # there is something to write
-        running.send_signal(signal.SIGINT)
-        assert running.wait(120) == 0
-    finally:
-        running.kill()
-        running.wait(10)
-        if running.stdout is not None:
-            running.stdout.close()
     (made,) = (tmp_path / "maps").iterdir()
     assert (made / "map" / "map.json").is_file()
     assert not shown or (tmp_path / "drive.rrd").stat().st_size > 10_000

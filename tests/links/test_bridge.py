@@ -61,14 +61,14 @@ def driven() -> tuple[Kept, list[Feedback], GoalDrive]:
     kept = Kept()
     bridge = bridge_to(kept)
     drive, _, _ = rehearsed_drive(on_events=bridge.on_events, on_transition=bridge.note)
-    told: list[Feedback] = []
+    steps: list[Feedback] = []
 
     def step(feedback: Feedback) -> None:
-        told.append(feedback)
+        steps.append(feedback)
         Watches(bridge).step(feedback, drive.navigator)
 
     assert drive.go_to(GOAL, step)
-    return kept, told, drive
+    return kept, steps, drive
 
 
 def T_of(transform: Any) -> FloatArray:
@@ -92,9 +92,9 @@ def transforms(kept: Kept, topic: str = "/tf") -> dict[tuple[str, str], list[tup
 
 
 def test_transforms_compose_to_the_pose_in_the_map(driven: tuple[Kept, list[Feedback], GoalDrive]) -> None:
-    kept, told, _ = driven
+    kept, steps, _ = driven
     found = transforms(kept)
-    known = [one for one in told if one.pose is not None]
+    known = [one for one in steps if one.pose is not None]
     T_map_odom, T_odom_base = found["map", "odom"], found["odom", "base_link"]
     assert [at_s for at_s, _ in T_map_odom] == pytest.approx([one.stamp_s for one in known])
     poses = dict(T_odom_base)
@@ -103,7 +103,7 @@ def test_transforms_compose_to_the_pose_in_the_map(driven: tuple[Kept, list[Feed
         np.testing.assert_allclose(T @ poses[at_s], se3.from_plane(*one.pose), atol=1e-9)
     sent = [one.pose.pose.position for one in kept.messages["/wheelsight/pose"]]
     np.testing.assert_allclose([(p.x, p.y) for p in sent], [one.pose[:2] for one in known if one.pose is not None])
-    assert [seconds_of_clock(one) for one in kept.messages["/clock"]] == pytest.approx([one.stamp_s for one in told])
+    assert [seconds_of_clock(one) for one in kept.messages["/clock"]] == pytest.approx([one.stamp_s for one in steps])
 
 
 def seconds_of_clock(message: Any) -> float:
@@ -111,9 +111,9 @@ def seconds_of_clock(message: Any) -> float:
 
 
 def test_odometry_has_the_speed_of_the_wheels(driven: tuple[Kept, list[Feedback], GoalDrive]) -> None:
-    kept, told, _ = driven
+    kept, steps, _ = driven
     sent = {seconds(one.header): one.twist.twist for one in kept.messages["/odom"]}
-    for one in told:
+    for one in steps:
         if one.stamp_s in sent:
             assert sent[one.stamp_s].linear.x == one.forward_m_s
             assert sent[one.stamp_s].angular.z == one.turn_rad_s
@@ -148,11 +148,11 @@ def test_a_scan_lies_on_the_walls_of_the_map(driven: tuple[Kept, list[Feedback],
 
 
 def test_map_plan_images_joints_and_words_are_sent(driven: tuple[Kept, list[Feedback], GoalDrive]) -> None:
-    kept, told, drive = driven
+    kept, steps, drive = driven
     layer, (grid,) = drive.navigator.senses.floor.layer, kept.messages["/map"]
     assert (grid.info.height, grid.info.width) == layer.state.shape
     assert (grid.info.origin.position.x, grid.info.origin.position.y) == pytest.approx(layer.origin)
-    plans = [one.plan for one in told if one.plan is not None]
+    plans = [one.plan for one in steps if one.plan is not None]
     assert len(kept.messages["/plan"]) <= 2 + len({id(plan) for plan in plans})
     sent = next(one for one in kept.messages["/plan"] if len(one.poses))
     p = [(one.pose.position.x, one.pose.position.y) for one in sent.poses]
@@ -161,7 +161,7 @@ def test_map_plan_images_joints_and_words_are_sent(driven: tuple[Kept, list[Feed
     image = cv2.imdecode(np.array(kept.messages["/camera/color/image_raw/compressed"][0].data), cv2.IMREAD_COLOR)
     assert image is not None
     assert image.shape == (240, 320, 3)
-    assert len(kept.messages["/joint_states"]) > len(told)
+    assert len(kept.messages["/joint_states"]) > len(steps)
     costs = np.array(kept.messages["/local_costmap"][-1].data)
     assert costs.max() == 100
     assert ((costs >= -1) & (costs <= 100)).all()

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -16,6 +13,7 @@ import numpy as np
 import pytest
 from links.foxglove_client import FoxgloveClient
 from pipeline.made import wheel_recording
+from running import interrupted
 from sessions.kept_views import write_map
 from typer.testing import CliRunner
 
@@ -89,12 +87,10 @@ def test_a_simulated_robot_is_led_from_foxglove(tmp_path: Path, command: str) ->
         made = ["run", str(tmp_path / "tour"), "--map", "surfels", "--out", str(tmp_path / "home")]
         assert CliRunner().invoke(app, made).exit_code == 0
         asked += ["--map", str(tmp_path / "home"), "--known-start", "0,0,0"]
-    running = subprocess.Popen(asked, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"})
-    try:
-        assert running.stdout is not None
+    with interrupted(asked) as output:
         address = ""
         while not address:
-            line = running.stdout.readline()
+            line = output.readline()
             assert line, "it ended"
             address = line.removeprefix("Foxglove: ").strip() if line.startswith("Foxglove: ") else ""
         with FoxgloveClient(address) as client:
@@ -113,10 +109,3 @@ def test_a_simulated_robot_is_led_from_foxglove(tmp_path: Path, command: str) ->
             assert len(client.last("/scan").ranges) > 20
             client.last("/camera/color/image_raw/compressed")
             client.last("/map")
-        running.send_signal(signal.SIGINT)
-        assert running.wait(120) == 0
-    finally:
-        running.kill()
-        running.wait(10)
-        if running.stdout is not None:
-            running.stdout.close()

@@ -62,6 +62,22 @@ _BESIDE_M = 0.15
 _TRAIL_S, _TRAIL_M = 1.0, 0.15
 
 
+def watch_floor(
+    monitor: CollisionMonitor, events: Sequence[Event], where: WhereNow, viewer: DepthViewer
+) -> DepthView | None:
+    """Give the collision monitor the wheel readings of a period and its newest frame; return the view of that frame."""
+    newest, view = next((event for event in reversed(events) if isinstance(event, RgbdFrame)), None), None
+    for event in events:
+        if isinstance(event, WheelTicks | WheelSpeeds):
+            speed = where.roll(event)
+            if speed is not None:
+                monitor.add_reading(speed.stamp_s, speed.forward_m_s, speed.turn_rad_s, speed.rolled)
+        elif event is newest and isinstance(event, RgbdFrame):
+            view = viewer.view(event.depth_m, event.stamp_s)
+            monitor.add_view(view)
+    return view
+
+
 class Senses:
     """Sensor data and surroundings of one robot. The collision monitor gets wheel readings and frames first.
 
@@ -110,15 +126,9 @@ class Senses:
 
         The monitor gets only the newest frame of a period, so that a late program does not become later.
         """
-        newest = next((event for event in reversed(events) if isinstance(event, RgbdFrame)), None)
-        for event in events:
-            if isinstance(event, WheelTicks | WheelSpeeds):
-                speed = self.where.roll(event)
-                if speed is not None:
-                    self._monitor.add_reading(speed.stamp_s, speed.forward_m_s, speed.turn_rad_s, speed.rolled)
-            elif event is newest and isinstance(event, RgbdFrame):
-                self._views.append(self._viewer.view(event.depth_m, event.stamp_s))
-                self._monitor.add_view(self._views[-1])
+        view = watch_floor(self._monitor, events, self.where, self._viewer)
+        if view is not None:
+            self._views.append(view)
         for event in events:
             self.where.ask(event.stamp_s)
         for event, estimate in self.localization.process(events):

@@ -8,13 +8,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import FloatArray
-from wheelsight.core.messages import STOP, RgbdFrame, StickPosition, VelocityCommand, WheelSpeeds, WheelTicks
+from wheelsight.core.messages import STOP, StickPosition, VelocityCommand
 from wheelsight.core.robots import CONTROL_PERIOD_S, Robot, RobotLimits
 from wheelsight.core.threads import OneCaller, one_at_a_time
 from wheelsight.navigation.clearance_kernels import clear_share, moved
@@ -25,7 +26,7 @@ from wheelsight.navigation.collision_monitor import (
     MonitorState,
 )
 from wheelsight.navigation.perception import DepthViewer
-from wheelsight.navigation.senses import WhereNow
+from wheelsight.navigation.senses import WhereNow, watch_floor
 from wheelsight.navigation.settings import NavigationSettings, outline_of
 
 # Age of a stick's position beyond which it counts as released: five positions of a stick that sends at 20 Hz.
@@ -120,7 +121,7 @@ class AssistRecord:
             self.changed += max(forward, turn) > _CHANGED
             self.reasons[feedback.words] = self.reasons.get(feedback.words, 0) + 1
 
-    def to_dict(self) -> dict[str, object]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the shares for a JSON file."""
         count = max(self.periods, 1)
         return {
@@ -258,14 +259,7 @@ class Assist(OneCaller):
         """Run one period: send the command, read the sensors, choose the next command. Raises what the robot raises."""
         events = self._robot.step(self._chain.command)
         now_s = self._robot.now_s
-        newest = next((event for event in reversed(events) if isinstance(event, RgbdFrame)), None)
-        for event in events:
-            if isinstance(event, WheelTicks | WheelSpeeds):
-                speed = self._where.roll(event)
-                if speed is not None:
-                    self.monitor.add_reading(speed.stamp_s, speed.forward_m_s, speed.turn_rad_s, speed.rolled)
-            elif event is newest and isinstance(event, RgbdFrame):
-                self.monitor.add_view(self._viewer.view(event.depth_m, event.stamp_s))
+        watch_floor(self.monitor, events, self._where, self._viewer)
         intended = self.intended(now_s)
         override_s = self._override_s(now_s, intended)
         asked = intended
@@ -293,7 +287,7 @@ class Assist(OneCaller):
     def intended(self, now_s: float) -> VelocityCommand:
         """Return the person's command; a stop if the stick is released, or its newest position is old."""
         stick, limits = self._stick, self.settings.limits
-        if stick.is_released or not 0 <= now_s - stick.stamp_s + CONTROL_PERIOD_S <= STICK_AGE_S + CONTROL_PERIOD_S:
+        if stick.is_released or not -CONTROL_PERIOD_S <= now_s - stick.stamp_s <= STICK_AGE_S:
             return STOP
         most_m_s = limits.forward_m_s if stick.forward > 0 else limits.backward_m_s
         return VelocityCommand(stick.forward * most_m_s, stick.left * limits.turn_rad_s)

@@ -19,7 +19,7 @@ from wheelsight.core.runtime import until_stopped
 
 if TYPE_CHECKING:
     from wheelsight.core.robots import Robot
-    from wheelsight.io.devices.sticks import Stick
+    from wheelsight.io.devices.sticks import StickSource
     from wheelsight.navigation.shared_control import Assist
 
 _HELP = "The stick and the help"
@@ -87,7 +87,7 @@ def assist(options: AssistOptions) -> None:
     if options.out is not None:
         make_output_folder(options.out, options.force)
         write_text(options.out / "assist.json", json.dumps(found, indent=2) + "\n")
-    shares = [f"{name.replace('_', ' ')} {100 * float(str(found[name])):.0f} %" for name in _SHARES]
+    shares = [f"{name.replace('_', ' ')} {100 * found[name]:.0f} %" for name in _SHARES]
     print_note(f"Of {helped.record.periods} periods with the stick moved: {', '.join(shares)}.")
     if is_gone and is_device:
         print_note("The joystick is gone; the robot stands.")
@@ -97,7 +97,7 @@ def assist(options: AssistOptions) -> None:
 _SHARES = ("changed_share", "stopped_share", "contradicted_share")
 
 
-def _drive(robot: Robot, helped: Assist, stick: Stick, *, is_paced: bool) -> bool:
+def _drive(robot: Robot, helped: Assist, stick: StickSource, *, is_paced: bool) -> bool:
     """Drive until the stick is gone, which it returns as True, or a signal comes; the robot stands then."""
     from wheelsight.core.messages import StickPosition
     from wheelsight.navigation.controllers import stands

@@ -6,15 +6,14 @@ from __future__ import annotations
 
 import math
 import re
-import secrets
 import threading
 import time
-from collections.abc import Callable
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 import typer
 
@@ -27,7 +26,7 @@ from wheelsight.core.runtime import until_stopped
 
 if TYPE_CHECKING:
     from wheelsight.app.cli.drive_options import DriveOptions
-    from wheelsight.app.page import Access, DriveMaps, Watch
+    from wheelsight.app.page import Access, DriveMaps, Session, Watch
     from wheelsight.config import Config
     from wheelsight.core.robots import Robot
     from wheelsight_export import DriveLog
@@ -89,7 +88,7 @@ def serve(options: ServeOptions) -> None:
     wheelsight serve --robot /dev/ttyUSB0 --camera any --calibration robot.yaml --map home --host 192.168.1.20
     """
     from wheelsight.app.cli.compiling import compile_missing
-    from wheelsight.app.cli.options import check_rerun, link_settings, linked
+    from wheelsight.app.cli.options import check_rerun, link_settings
     from wheelsight.core.runtime import needed
 
     for library in ("starlette", "uvicorn", "websockets"):
@@ -97,66 +96,78 @@ def serve(options: ServeOptions) -> None:
     check_robot(options)
     # Where no map of before is driven in first, and on the page, a new one is made.
     config, access = settings_of(options, {"loops.source": "keyframes"}), access_of(options)
-    from wheelsight.app.page import Session
     from wheelsight.app.page.server import PageServer, page_app
-    from wheelsight_export import open_drive_log
 
     maps, links = maps_of(options, config), link_settings(options)
-    rerun = options.rerun
-    check_rerun(rerun)
+    check_rerun(options.rerun)
     compile_missing(kernels_of(options))
     with (
         CountedLines(print_warning) as lines,
         robot_of(options, config) as robot,
-        nullcontext() if rerun is None else open_drive_log(rerun, robot.calibration, config.viewer) as log,
-        linked(
-            links, robot.calibration, config, lambda: robot.now_s, lines.add, is_simulated=options.is_simulated
-        ) as bridge,
+        _session_of(robot, maps, options, config, links, lines) as session,
     ):
-        on_problem = partial(lines.add, is_problem=True)
-        how: dict[str, Any] = {"paces": options.is_simulated, "on_problem": on_problem}
-        with Session(robot, maps, config.page, **how, watch=watch_of(log, bridge)) as session:
-            if bridge is not None:
-                bridge.lead(session)
-            app = page_app(session, config.page, access, lines.add)
-            with until_stopped() as is_over, PageServer(app, options.host, options.port, config.page) as server:
-                for address in addresses(options.host, server.port, access.token):
-                    typer.echo(address)
-                if access.token and not access.is_loopback:
-                    print_warning("what pages say is not encrypted: on a network that you trust alone")
-                waiting = threading.Event()
-                while not is_over():
-                    waiting.wait(_LOOK_S)
-                # Before slow work, such as closing pages and writing a map.
-                session.stop("the program ends")
-            print_note("stopped; ending")
+        app = page_app(session, config.page, access, lines.add)
+        with until_stopped() as is_over, PageServer(app, options.host, options.port, config.page) as server:
+            for address in addresses(options.host, server.port, access.token):
+                typer.echo(address)
+            if access.token and not access.is_loopback:
+                print_warning("what pages say is not encrypted: on a network that you trust alone")
+            _wait(session, is_over)
+        print_note("stopped; ending")
 
 
 def be_led(robot: Robot, options: DriveOptions, config: Config, links: LinkSettings) -> None:
     """Drive in a known map as other programs ask, without a page, until Ctrl-C. Raises as `drive`."""
+    maps = maps_of(options, config)
+    with (
+        CountedLines(print_warning) as lines,
+        _session_of(robot, maps, options, config, links, lines) as session,
+    ):
+        with until_stopped() as is_over:
+            _wait(session, is_over)
+        print_note("stopped; ending")
+
+
+@contextmanager
+def _session_of(
+    robot: Robot,
+    maps: DriveMaps,
+    options: ServeOptions | DriveOptions,
+    config: Config,
+    links: LinkSettings | None,
+    lines: CountedLines,
+) -> Iterator[Session]:
+    """A session that Rerun shows and other programs lead, where options ask for them."""
     from wheelsight.app.cli.options import linked
     from wheelsight.app.page import Session
     from wheelsight_export import open_drive_log
 
-    rerun, maps = options.rerun, maps_of(options, config)
+    rerun, on_problem = options.rerun, partial(lines.add, is_problem=True)
     with (
-        CountedLines(print_warning) as lines,
         nullcontext() if rerun is None else open_drive_log(rerun, robot.calibration, config.viewer) as log,
         linked(
             links, robot.calibration, config, lambda: robot.now_s, lines.add, is_simulated=options.is_simulated
         ) as bridge,
+        Session(
+            robot,
+            maps,
+            config.page,
+            paces=options.is_simulated,
+            on_problem=on_problem,
+            watch=watch_of(log, bridge),
+        ) as session,
     ):
-        on_problem = partial(lines.add, is_problem=True)
-        how: dict[str, Any] = {"paces": options.is_simulated, "on_problem": on_problem}
-        with Session(robot, maps, config.page, **how, watch=watch_of(log, bridge)) as session:
-            assert bridge is not None
+        if bridge is not None:
             bridge.lead(session)
-            waiting = threading.Event()
-            with until_stopped() as is_over:
-                while not is_over():
-                    waiting.wait(_LOOK_S)
-                session.stop("the program ends")
-            print_note("stopped; ending")
+        yield session
+
+
+def _wait(session: Session, is_over: Callable[[], bool]) -> None:
+    """Wait for the end of the program, and stop the robot before slow work, as closing pages and writing a map."""
+    waiting = threading.Event()
+    while not is_over():
+        waiting.wait(_LOOK_S)
+    session.stop("the program ends")
 
 
 def watch_of(log: DriveLog | None, bridge: Bridge | None) -> Watch | None:
@@ -267,19 +278,12 @@ class _Line:
     times: int = 0
 
 
-_TOKEN_BYTES, _SHORTEST_TOKEN = 24, 16
-
-
 def access_of(options: PageOptions) -> Access:
     """The rules for requests to the page. Raises ConfigError."""
-    from wheelsight.app.page import Access, is_loopback
+    from wheelsight.app.page import Access, is_loopback, token_of
 
-    token = options.token
-    if token is not None and (len(token) < _SHORTEST_TOKEN or not token.isascii() or not token.isalnum()):
-        raise ConfigError("--token can be guessed, or is no word", fix=f"{_SHORTEST_TOKEN} letters and digits, or more")
     at_home = is_loopback(options.host)
-    if token is None:
-        token = "" if at_home else secrets.token_hex(_TOKEN_BYTES)
+    token = "" if options.token is None and at_home else token_of("--token", options.token)
     return Access(at_home, token)
 
 

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from wheelsight.app.page.snapshot import Driven, Watch
     from wheelsight.app.page.stop_switch import StopSwitch
 
-__all__ = ["NEW", "Access", "DriveMaps", "Driven", "Session", "StopSwitch", "Watch", "is_loopback"]
+__all__ = ["NEW", "Access", "DriveMaps", "Driven", "Session", "StopSwitch", "Watch", "is_loopback", "token_of"]
 
 _MODULE_OF = {
-    **dict.fromkeys(("Access", "is_loopback"), "access"),
+    **dict.fromkeys(("Access", "is_loopback", "token_of"), "access"),
     **dict.fromkeys(("DriveMaps", "NEW"), "maps"),
     "Session": "session",
     **dict.fromkeys(("Driven", "Watch"), "snapshot"),

@@ -6,9 +6,11 @@ import ipaddress
 from collections.abc import Awaitable, Callable, MutableMapping
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
-from secrets import compare_digest
+from secrets import compare_digest, token_hex
 from typing import Any
 from urllib.parse import parse_qs
+
+from wheelsight.core.errors import ConfigError
 
 _Scope = MutableMapping[str, Any]
 _Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -16,6 +18,7 @@ _Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 App = Callable[[_Scope, _Receive, _Send], Awaitable[None]]
 
 _COOKIE, _MOST_FIELDS = "wheelsight", 10
+_TOKEN_BYTES, _SHORTEST_TOKEN = 24, 16
 # Nothing of the page comes from elsewhere, goes elsewhere, or is shown within another page.
 HEADERS = (
     (b"cache-control", b"no-store"),
@@ -32,6 +35,16 @@ def is_loopback(host: str) -> bool:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
+
+
+def token_of(option: str, token: str | None) -> str:
+    """The token that an option gives, or a new one. Raises ConfigError for one that can be guessed."""
+    if token is None:
+        return token_hex(_TOKEN_BYTES)
+    if len(token) < _SHORTEST_TOKEN or not token.isascii() or not token.isalnum():
+        fix = f"{_SHORTEST_TOKEN} letters and digits, or more"
+        raise ConfigError(f"{option} can be guessed, or is no word", fix=fix)
+    return token
 
 
 @dataclass(frozen=True, slots=True)

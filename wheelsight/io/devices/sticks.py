@@ -22,7 +22,7 @@ _FULL = 32767
 _LEFT_AXIS, _FORWARD_AXIS, _OVERRIDE_BUTTON = 0, 1, 0
 
 
-class Stick(Protocol):
+class StickSource(Protocol):
     """Gives the newest position of a stick."""
 
     def read(self, now_s: float) -> StickPosition | None:
@@ -50,7 +50,7 @@ class Joystick(Closing):
         self._axes, self._is_held, self._rest = {_LEFT_AXIS: 0.0, _FORWARD_AXIS: 0.0}, False, b""
 
     def read(self, now_s: float) -> StickPosition | None:
-        """See `Stick`."""
+        """See `StickSource`."""
         if self._file is None:
             return None
         try:
@@ -120,7 +120,7 @@ class StickLog(Closing):
         self._begun_s: float | None = None
 
     def read(self, now_s: float) -> StickPosition | None:
-        """See `Stick`."""
+        """See `StickSource`."""
         self._begun_s = now_s if self._begun_s is None else self._begun_s
         at = bisect_right(self._times_s, now_s - self._begun_s) - 1
         if at == len(self._times_s) - 1:
