@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wheelsight._version import __version__
+from wheelsight import __version__
 from wheelsight.app.run import words
 from wheelsight.app.run.run_record import RectificationRecord, RunRecord
 from wheelsight.app.run.verdict import (

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from wheelsight._version import __version__
+from wheelsight import __version__
 from wheelsight.app.run import words
 from wheelsight.app.run.drive_record import DriveRecord
 from wheelsight.app.run.verdict import runs

@@ -10,7 +10,7 @@ from importlib import resources
 from pathlib import Path
 from string import Template
 
-from wheelsight._version import __version__
+from wheelsight import __version__
 from wheelsight.app.run.verdict import Finding, Tone
 from wheelsight.core.files import StrPath, write_text
 from wheelsight_report import plotly as go

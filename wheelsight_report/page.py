@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from wheelsight._version import __version__
+from wheelsight import __version__
 from wheelsight.app.run import words
 from wheelsight.app.run.run_record import RunRecord
 from wheelsight.app.run.verdict import Finding, RunVerdict, notes, summarise, verdict_of_run

@@ -15,8 +15,8 @@ import pytest
 from running import interrupted
 from sessions.kept_views import write_map
 
-from wheelsight.app.cli.console import print_warning
-from wheelsight.app.cli.serve import CountedLines, PageOptions, access_of, addresses
+from wheelsight.app.cli.console import CountedLines, print_warning
+from wheelsight.app.cli.serve import PageOptions, access_of, addresses
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.runtime import why_missing
 

@@ -11,11 +11,15 @@ import io
 import json
 import logging
 import math
+import re
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar, get_type_hints
 
 import typer
 import typer.core
@@ -344,3 +348,88 @@ def takes(kind: type[Options]) -> Callable[[Callable[[Options], None]], Callable
         return command
 
     return command_of
+
+
+_LOOK_S, _ENDS_S = 0.1, 2.0
+# Different lines of refusals at once, and one more each 10 s: less than 1 MB a day. Up to 10 minutes apart.
+_NEW_LINES, _NEW_LINE_S, _LONGEST_S = 8.0, 10.0, 600.0
+_TIMES = re.compile(r" \((\d+) times\)$")
+
+
+class CountedLines:
+    """Shows lines from its own thread, so that a blocked terminal blocks no other thread; counts repeats.
+
+    A line that comes again and again is shown with its count after 1 s, 2 s, 4 s and so on, up to 10 minutes. Of lines
+    that differ, which a stranger can make up, few are shown, and the others counted.
+
+    Args:
+        show: called with a line, in that thread.
+    """
+
+    def __init__(self, show: Callable[[str], None]) -> None:
+        self._show = show
+        self._lines: dict[str, _Line] = {}
+        self._left, self._filled_s = _NEW_LINES, time.monotonic()
+        self._changed, self._is_over = threading.Condition(), False
+        self._thread = threading.Thread(target=self._run, name="wheelsight-lines", daemon=True)
+        self._thread.start()
+
+    def add(self, line: str, *, is_problem: bool = False) -> None:
+        """Add a line. Problems of the robot are always shown."""
+        found = _TIMES.search(line)
+        text, times = (line[: found.start()], int(found[1])) if found else (line, 1)
+        now_s = time.monotonic()
+        with self._changed:
+            if text not in self._lines and not is_problem:
+                self._left = min(self._left + (now_s - self._filled_s) / _NEW_LINE_S, _NEW_LINES)
+                self._filled_s = now_s
+                if self._left < 1:
+                    text = "refused others"
+                else:
+                    self._left -= 1
+            kept = self._lines.setdefault(text, _Line(due_s=now_s))
+            kept.times += times
+            self._changed.notify()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Print the remaining lines, and end."""
+        with self._changed:
+            self._is_over = True
+            self._changed.notify()
+        self._thread.join(_ENDS_S)
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                is_over = self._is_over
+                # Lines to print with their counts; lines that have not come for long are removed
+                now_s = math.inf if is_over else time.monotonic()
+                printed = []
+                for known_text, said in list(self._lines.items()):
+                    if said.times and said.due_s <= now_s:
+                        printed.append((known_text, said.times))
+                        said.times, said.due_s = 0, now_s + said.wait_s
+                        said.wait_s = min(2 * said.wait_s, _LONGEST_S)
+                    elif not said.times and said.due_s + said.wait_s < now_s:
+                        del self._lines[known_text]
+                if not printed and not is_over:
+                    waits = any(line.times for line in self._lines.values())
+                    self._changed.wait(_LOOK_S if waits else None)
+                    continue
+            for text, times in printed:
+                with suppress(OSError):
+                    self._show(text if times == 1 else f"{text} ({times} times)")
+            if is_over:
+                return
+
+
+@dataclass
+class _Line:
+    """Number of repeats of a line since it was printed, and the time of its next print."""
+
+    due_s: float
+    wait_s: float = 1.0
+    times: int = 0

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, nullcontext
@@ -16,14 +17,15 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from wheelsight.app.cli.console import print_error, print_note, print_warning, takes
+from wheelsight.app.cli.console import CountedLines, print_error, print_note, print_warning, takes
 from wheelsight.app.cli.drive_options import DriveOptions
 from wheelsight.core.errors import CalibrationError, ConfigError, DeviceError, MapError
 from wheelsight.core.runtime import exit_code, until_stopped
 
 if TYPE_CHECKING:
-    from wheelsight.app.cli.drive_options import RobotOptions, SettingsOptions
+    from wheelsight.app.cli.drive_options import RobotOptions, SessionOptions, SettingsOptions
     from wheelsight.app.cli.drive_view import DriveWatch
+    from wheelsight.app.page import DriveMaps, Session, Watch
     from wheelsight.app.run.drive_record import DriveRecord
     from wheelsight.app.run.drives import GoalDrive, NamedGoal, OnStep
     from wheelsight.config import Config
@@ -31,7 +33,8 @@ if TYPE_CHECKING:
     from wheelsight.core.robots import Robot
     from wheelsight.navigation import Feedback, NavigationResult
     from wheelsight.slam.maps import MapFolder
-    from wheelsight_ros2 import LinkSettings
+    from wheelsight_export import DriveLog
+    from wheelsight_ros2 import Bridge, LinkSettings
     from wheelsight_sim import SimulationSettings
 
 
@@ -73,8 +76,6 @@ def drive(options: DriveOptions) -> None:
     compile_missing(kernels_of(options))
     with robot_of(options, config) as robot:
         if links is not None and is_led(options):
-            from wheelsight.app.cli.serve import be_led
-
             be_led(robot, options, config, links)
             return
         if options.out is not None:
@@ -100,6 +101,83 @@ def is_led(options: DriveOptions) -> bool:
     return not (options.to or options.follow or options.explore) and bool(options.foxglove or options.ros2)
 
 
+def be_led(robot: Robot, options: DriveOptions, config: Config, links: LinkSettings) -> None:
+    """Drive in a known map as other programs ask, without a page, until Ctrl-C. Raises as `drive`."""
+    maps = maps_of(options, config)
+    with (
+        CountedLines(print_warning) as lines,
+        session_of(robot, maps, options, config, links, lines) as session,
+    ):
+        with until_stopped() as is_over:
+            wait_for_end(session, is_over)
+        print_note("stopped; ending")
+
+
+@contextmanager
+def session_of(
+    robot: Robot,
+    maps: DriveMaps,
+    options: SessionOptions,
+    config: Config,
+    links: LinkSettings | None,
+    lines: CountedLines,
+) -> Iterator[Session]:
+    """A session that Rerun shows and other programs lead, where options ask for them."""
+    from wheelsight.app.cli.options import linked
+    from wheelsight.app.page import Session
+    from wheelsight_export import open_drive_log
+
+    rerun, on_problem = options.rerun, partial(lines.add, is_problem=True)
+    with (
+        nullcontext() if rerun is None else open_drive_log(rerun, robot.calibration, config.viewer) as log,
+        linked(
+            links, robot.calibration, config, lambda: robot.now_s, lines.add, is_simulated=options.is_simulated
+        ) as bridge,
+        Session(
+            robot,
+            maps,
+            config.page,
+            paces=options.is_simulated,
+            on_problem=on_problem,
+            watch=watch_of(log, bridge),
+        ) as session,
+    ):
+        if bridge is not None:
+            bridge.lead(session)
+        yield session
+
+
+def wait_for_end(session: Session, is_over: Callable[[], bool]) -> None:
+    """Wait for the end of the program, and stop the robot before slow work, as closing pages and writing a map."""
+    waiting = threading.Event()
+    while not is_over():
+        waiting.wait(_WAIT_S)
+    session.stop("the program ends")
+
+
+def watch_of(log: DriveLog | None, bridge: Bridge | None) -> Watch | None:
+    """One listener of those that there are."""
+    if log is None or bridge is None:
+        return log or bridge
+    from wheelsight_ros2 import Watches
+
+    return Watches(log, bridge)
+
+
+def maps_of(options: SessionOptions, config: Config) -> DriveMaps:
+    """The maps to drive in. Raises ConfigError, MapError."""
+    from wheelsight.app.page import DriveMaps
+    from wheelsight.config import StartSettings
+
+    start = None
+    if options.known_start is not None:
+        if options.map_ is None:
+            raise ConfigError("--known-start is of a map", fix="--map DIR")
+        x_m, y_m, yaw = start_of("--known-start", options.known_start)
+        start = StartSettings(x_m=x_m, y_m=y_m, yaw_deg=math.degrees(yaw))
+    return DriveMaps(config, options.map_, start, options.out, in_step=options.is_simulated)
+
+
 def _driven(
     robot: Robot,
     config: Config,
@@ -111,7 +189,6 @@ def _driven(
     """The record of the drive, and a sentence on tasks that were not begun; "" if there are none."""
     from wheelsight.app.cli.drive_view import watching
     from wheelsight.app.cli.options import linked
-    from wheelsight.app.cli.serve import CountedLines
     from wheelsight.app.run.drives import loops_of, wheels_recorded
     from wheelsight.slam.maps import MAP_FOLDER
 
@@ -428,7 +505,7 @@ def _opened(path: Path) -> closing[MapFolder]:
 
 _QUESTION = "Is the floor around the robot free, and is somebody at the stop button?"
 # The paper's format is recognised within 3 s, the framed protocol at its first frame.
-_HEARD_WITHIN_S, _LOOK_S = 3.5, 0.02
+_HEARD_WITHIN_S, _LOOK_S, _WAIT_S = 3.5, 0.02, 0.1
 _SIMULATED_CAMERA = "kinect-v1"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Protocol
 
 import typer
 
@@ -141,3 +141,27 @@ class TaskOptions:
 @dataclass(frozen=True)
 class DriveOptions(LinkOptions, RobotOptions, SettingsOptions, TaskOptions):
     """All options; fields of the last base come first."""
+
+
+class SessionOptions(Protocol):
+    """Options that `drive` without a goal and `serve` share."""
+
+    @property
+    def map_(self) -> Path | None:
+        """Folder of the map."""
+
+    @property
+    def known_start(self) -> str | None:
+        """X,Y,YAW_DEG in the map."""
+
+    @property
+    def out(self) -> Path | None:
+        """Folder of maps that are made."""
+
+    @property
+    def rerun(self) -> str | None:
+        """File or viewer of Rerun."""
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the robot is simulated."""
