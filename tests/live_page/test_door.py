@@ -237,7 +237,11 @@ def test_presses_beyond_what_can_wait_are_answered_while_the_program_lives(monke
         ends, port = held.enter_context(door_here())
         ends.control.send(PULSE)
         assert ends.control.recv(10) == PULSE
-        first, *others = [held.enter_context(call(port, STOPPING)) for _ in range(12)]
+        pressed = []
+        for _ in range(12):
+            pressed.append(held.enter_context(call(port, STOPPING)))
+            assert ends.control.recv(10) == STOP, "passed on before the next press, which has room then"
+        first, *others = pressed
         assert first.recv(1000).endswith(b"not confirmed yet\n")
         for _ in range(12):
             ends.control.send(STOP)
