@@ -19,6 +19,7 @@ from wheelsight_report.drawing import BLUE, GREY, ORANGE
 from wheelsight_report.plotly import make_subplots
 
 Row = tuple[str, ...]
+Pair = tuple[float, ...]
 _HEAD = ("", "straight on", "± σ", "turns", "± σ")
 _WORDS = {"straight": "Straight on", "turn": "Turns"}
 # Rim speeds from which the way to a standstill is stated.
@@ -30,45 +31,57 @@ def _nothing(axis: DriveAxis) -> str:
 
 
 def drive_rows(fit: DriveFit) -> list[Row]:
-    """One row a parameter, as `_HEAD` names the columns; a pair is for positive and negative commands."""
+    """One row a parameter, as `_HEAD` names the columns."""
     axes = (fit.model.straight, fit.model.turn)
 
     def row(name: str, value: Callable[[DriveAxis], str], sigma: Callable[[DriveAxis], str] = _nothing) -> Row:
         cells = [text(axis) if axis else "" for axis in axes for text in (value, sigma)]
         return (name, *cells)
 
-    def pair(values: tuple[float, float], decimals: int, unit: str = "") -> str:
-        return f"{values[0]:.{decimals}f}, {values[1]:.{decimals}f}{unit}"
-
     def stop_row(speed: float) -> Row:
         """Empty for an axis of which less than half of the speed was driven."""
 
         def of(axis: DriveAxis, seconds: float) -> str:
-            return f"{speed * seconds:.2f} m" if max(axis.largest_speed_m_s) >= 0.5 * speed else ""
+            return f"{speed * seconds:.2f}" if max(axis.largest_speed_m_s) >= 0.5 * speed else ""
 
-        name = f"way to a stand from {speed:g} m/s"
+        name = f"way to a stand from {speed:g} m/s, m"
         return row(name, lambda a: of(a, a.stop_s(0.0)), lambda a: of(a, a.stop_sigma_s))
 
-    unit = "m/s" if fit.model.command == "velocity" else "of the stick"
+    def each_way(name: str, values: Callable[[DriveAxis], Pair], sigmas: Callable[[DriveAxis], Pair]) -> list[Row]:
+        """A row for positive and a row for negative commands."""
+        return [
+            row(
+                f"{name}, {way}",
+                lambda axis, i=i: f"{values(axis)[i]:.3f}",  # type: ignore[misc]
+                lambda axis, i=i: f"{sigmas(axis)[i]:.3f}" if sigmas(axis) else "",  # type: ignore[misc]
+            )
+            for i, way in enumerate(("command > 0", "command < 0"))
+        ]
+
+    def full_speed(axis: DriveAxis) -> Pair:
+        return axis.speed_m_s(axis.largest_command[0]), axis.speed_m_s(-axis.largest_command[1])
+
+    def full_sigma(axis: DriveAxis) -> Pair:
+        ahead_m_s, back_m_s = full_speed(axis)
+        return abs(ahead_m_s) * axis.gain_sigma[0], abs(back_m_s) * axis.gain_sigma[1]
+
+    unit = ", m/s" if fit.model.command == "velocity" else ""
     rows = [
-        row("dead time", lambda a: f"{a.dead_time_s:.3f} s", lambda a: f"{a.dead_time_sigma_s:.3f} s"),
-        row("time constant, speeding up", lambda a: f"{a.rise_s:.3f} s", lambda a: f"{a.rise_sigma_s:.3f} s"),
-        row("time constant, slowing down", lambda a: f"{a.fall_s:.3f} s", lambda a: f"{a.fall_sigma_s:.3f} s"),
-        row(f"dead zone, {unit}", lambda a: pair(a.dead_zone, 3), lambda a: pair(a.dead_zone_sigma, 3)),
-        row(
-            "speed at the largest command",
-            lambda a: pair((a.speed_m_s(a.largest_command[0]), a.speed_m_s(-a.largest_command[1])), 2, " m/s"),
-            lambda a: pair((100 * a.gain_sigma[0], 100 * a.gain_sigma[1]), 0, " %"),
-        ),
-        row("largest command", lambda a: pair(a.largest_command, 2)),
-        row("largest speed of a rim", lambda a: pair(a.largest_speed_m_s, 2, " m/s")),
-        row("largest acceleration, braking", lambda a: pair((a.acceleration_m_s2, a.braking_m_s2), 2, " m/s²")),
-        row("not explained, RMS", lambda a: f"{a.residual_m_s:.4f} m/s"),
+        row("dead time, s", lambda a: f"{a.dead_time_s:.3f}", lambda a: f"{a.dead_time_sigma_s:.3f}"),
+        row("time constant, speeding up, s", lambda a: f"{a.rise_s:.3f}", lambda a: f"{a.rise_sigma_s:.3f}"),
+        row("time constant, slowing down, s", lambda a: f"{a.fall_s:.3f}", lambda a: f"{a.fall_sigma_s:.3f}"),
+        *each_way(f"dead zone{unit}", lambda a: a.dead_zone, lambda a: a.dead_zone_sigma),
+        *each_way("full speed, m/s", full_speed, full_sigma),
+        *each_way("largest command", lambda a: a.largest_command, lambda a: ()),
+        *each_way("largest rim speed, m/s", lambda a: a.largest_speed_m_s, lambda a: ()),
+        row("largest acceleration, m/s²", lambda a: f"{a.acceleration_m_s2:.2f}"),
+        row("largest braking, m/s²", lambda a: f"{a.braking_m_s2:.2f}"),
+        row("residual RMS, m/s", lambda a: f"{a.residual_m_s:.4f}"),
     ]
     rows += [stop_row(speed) for speed in _STOPS_M_S]
     found = (fit.straight, fit.turn)
-    held = ["" if one is None or one.held_out_m_s is None else f"{one.held_out_m_s:.4f} m/s" for one in found]
-    rows.append(("not explained where it was not fitted", held[0], "", held[1], ""))
+    held = ["" if one is None or one.held_out_m_s is None else f"{one.held_out_m_s:.4f}" for one in found]
+    rows.append(("residual RMS, held out, m/s", held[0], "", held[1], ""))
     ratio, sigma = fit.model.right_over_left, fit.model.right_over_left_sigma
     if sigma:
         rows.append(("right wheel over left", f"{ratio:.4f}", f"{sigma:.4f}", "", ""))
