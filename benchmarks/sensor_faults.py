@@ -16,7 +16,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -210,6 +210,8 @@ class FaultFigures:
         found_s, found_m: time and way from the fault to the first warning that names the sensor; nan without one.
         warnings: all of them.
         slowest_ms: longest time for one event.
+        found_m: see `found_s`.
+        nees: mean of dᵀ C⁻¹ d / 3 of x, y and yaw in odom; 1 is right, 0.5 to 2 is asked for.
     """
 
     case: str
@@ -225,6 +227,7 @@ class FaultFigures:
     warnings: tuple[str, ...]
     slowest_ms: float
     found_m: float = math.nan
+    nees: float = math.nan
 
     @property
     def limit_m(self) -> float:
@@ -262,6 +265,7 @@ class _Run:
     found_m: float = math.nan
     warnings: tuple[str, ...] = ()
     slowest_s: float = 0.0
+    nees: list[float] = field(default_factory=list)
 
 
 def drive(recording: Recording, case: SensorFaultCase, odometry: str, **overrides: str) -> _Run:
@@ -300,6 +304,8 @@ def drive(recording: Recording, case: SensorFaultCase, odometry: str, **override
             run.odom_m, run.map_m = max(run.odom_m, odom_m), max(run.map_m, map_m)
             is_doubtful = isinstance(answer, FusedEstimate) and answer.doubtful
             run.doubtful += is_doubtful
+            if answer.body == "base" and answer.covariance is not None and run.frames > 1:
+                run.nees.append(planar_nees(se3.invert(T_world_odom) @ T_true, T, answer.covariance))
             if answer.status is Status.TRACKING and not is_doubtful:
                 assert answer.covariance is not None
                 C_map = answer.covariance if answer.covariance_map is None else answer.covariance_map
@@ -316,6 +322,14 @@ def _is_wrong(error_m: float, T: FloatArray, covariance: FloatArray) -> bool:
         return False
     C = se3.position_covariance(T, covariance)[:2, :2]
     return error_m > 3 * math.sqrt(max(np.linalg.eigvalsh(C)[-1], 0.0))
+
+
+def planar_nees(T_true: FloatArray, T: FloatArray, covariance: FloatArray) -> float:
+    """Return dᵀ C⁻¹ d / 3 of x, y and yaw in the axes of the body, for a pose (4, 4) and a covariance (6, 6)."""
+    to_body = se3.adjoint(se3.invert(T))
+    planar = np.ix_([0, 1, 5], [0, 1, 5])
+    off = se3.log(se3.invert(T) @ T_true)[[0, 1, 5]]
+    return float(off @ np.linalg.solve((to_body @ covariance @ to_body.T)[planar], off)) / 3
 
 
 def measure_case(
@@ -339,6 +353,7 @@ def measure_case(
         run.warnings,
         1000 * run.slowest_s,
         run.found_m,
+        float(np.mean(run.nees)) if run.nees else math.nan,
     )
 
 
@@ -367,6 +382,7 @@ def faults_sheet(figures: Sequence[FaultFigures], title: str) -> Sheet:
                 else f"{alarms} alarms",
                 str(soon) if case.named else "—",
                 f"{np.median(found, axis=0)[0]:.1f} ({max(found)[0]:.1f})" if found else "—",
+                " ".join(f"{one.nees:.2g}" for one in of_case),
                 f"{max(one.slowest_ms for one in of_case):.0f}",
             )
         )
@@ -380,6 +396,7 @@ def faults_sheet(figures: Sequence[FaultFigures], title: str) -> Sheet:
         "named",
         f"in {SOON_S:g} s or {SOON_M:g} m",
         "after s (worst)",
+        "NEES / 3",
         "slowest event ms",
     )
     return Sheet(f"{title}: {worlds} worlds, {seeds} seeds", head, tuple(rows))

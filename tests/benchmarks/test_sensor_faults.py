@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from benchmarks.clock_rows import drive_of
-from benchmarks.sensor_faults import BEGIN_S, CASES, FaultFigures, SensorFaultCase, drive, faults_sheet
+from benchmarks.sensor_faults import BEGIN_S, CASES, FaultFigures, SensorFaultCase, drive, faults_sheet, planar_nees
 from wheelsight import RgbdFrame, SimulationSettings, WheelTicks
+from wheelsight.core.geometry import se3
 from wheelsight.core.messages import YawRate
 
 
@@ -63,16 +64,26 @@ def test_a_gyroscope_changes_alone() -> None:
 
 def test_the_table_has_the_worst_and_what_was_named() -> None:
     one = FaultFigures(
-        "left encoder dies", "flat", 3, 0.4, 0.1, 0.1, 400, 0, 4, 1.5, ("the left wheel was left out",), 90.0, 0.7
+        "left encoder dies", "flat", 3, 0.4, 0.1, 0.1, 400, 0, 4, 1.5, ("the left wheel was left out",), 90.0, 0.7, 1.5
     )
-    other = FaultFigures("left encoder dies", "flat", 4, 0.2, 0.9, 0.1, 400, 2, 0, math.nan, (), 70.0)
+    other = FaultFigures("left encoder dies", "flat", 4, 0.2, 0.9, 0.1, 400, 2, 0, math.nan, (), 70.0, nees=0.25)
     clean = FaultFigures("clean", "flat", 3, 0.1, 0.1, 0.1, 400, 0, 0, math.nan, (), 60.0)
     late = replace(other, warnings=one.warnings, found_s=3.5, found_m=1.2)
     (row, sound) = faults_sheet([one, other, late, clean], "Faults").rows
     assert row[:5] == ("left encoder dies", "0.40 0.20 0.20", "0.10 0.90 0.90", "2, 1 of 3", "4")
-    assert row[5:] == ("0 %", "2 of 3", "1", "2.5 (3.5)", "90")
+    assert row[5:] == ("0 %", "2 of 3", "1", "2.5 (3.5)", "1.5 0.25 0.25", "90")
     assert sound[6] == "0 alarms"
     assert case_of("left encoder dies").begin_s == BEGIN_S
+
+
+def test_normalised_errors_are_one_where_the_covariance_is_right() -> None:
+    rng = np.random.default_rng(2)
+    root = rng.normal(0.0, 0.02, (6, 6))
+    T, C = se3.exp(np.array([3.0, -2.0, 0.1, 0.0, 0.0, 0.8])), root @ root.T + 1e-6 * np.eye(6)
+    errors = rng.multivariate_normal(np.zeros(6), C, 4000)
+    found = [planar_nees(se3.exp(error) @ T, T, C) for error in errors]
+    assert np.mean(found) == pytest.approx(1.0, abs=0.05)
+    assert np.mean([planar_nees(se3.exp(error) @ T, T, 4 * C) for error in errors]) == pytest.approx(0.25, abs=0.02)
 
 
 @pytest.mark.slow
