@@ -304,7 +304,7 @@ def drive(recording: Recording, case: SensorFaultCase, odometry: str, **override
             run.odom_m, run.map_m = max(run.odom_m, odom_m), max(run.map_m, map_m)
             is_doubtful = isinstance(answer, FusedEstimate) and answer.doubtful
             run.doubtful += is_doubtful
-            if answer.body == "base" and answer.covariance is not None and run.frames > 1:
+            if isinstance(answer, FusedEstimate) and answer.covariance is not None and run.frames > 1:
                 run.nees.append(planar_nees(se3.invert(T_world_odom) @ T_true, T, answer.covariance))
             if answer.status is Status.TRACKING and not is_doubtful:
                 assert answer.covariance is not None
