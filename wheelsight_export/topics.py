@@ -17,6 +17,8 @@ POSE_TOPIC, STATUS_TOPIC, COSTMAP_TOPIC = "/wheelsight/pose", "/wheelsight/statu
 PLAN_TOPIC, SCAN_TOPIC, CLOCK_TOPIC, MARKERS_TOPIC = "/plan", "/scan", "/clock", "/wheelsight/markers"
 VELOCITY_TOPIC, GOAL_TOPIC, CLICKED_TOPIC = "/cmd_vel", "/goal_pose", "/clicked_point"
 INITIAL_TOPIC, STOP_TOPIC = "/initialpose", "/wheelsight/stop"
+# Of ROS 2 over DDS alone: an action, which is three services and two topics; and the nodes of each participant.
+NAVIGATE_ACTION, NODES_TOPIC = "/navigate_to_pose", "ros_discovery_info"
 
 
 class Flow(Enum):
