@@ -103,7 +103,7 @@ def filled(kind, value):
 
 def play(domain: int, path: Path, shifts: dict[str, float]) -> None:
     network, participant = Domain(domain, LOOPBACK), DomainParticipant(domain)
-    reliable = Policy.Reliability.Reliable(duration(seconds=1))
+    reliable = Policy.Reliability.Reliable(duration(infinite=True))  # as rmw_cyclonedds
     with AnyReader([path]) as reader:
         taken = [one for one in reader.connections if one.msgtype in KINDS]
         messages = [
