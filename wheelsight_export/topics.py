@@ -15,8 +15,11 @@ ODOM_TOPIC, DIAGNOSTICS_TOPIC, MAP_TOPIC, POINTS_TOPIC = "/odom", "/diagnostics"
 WAY_TOPIC, TRUTH_TOPIC = "/trajectory", "/ground_truth"
 POSE_TOPIC, STATUS_TOPIC, COSTMAP_TOPIC = "/wheelsight/pose", "/wheelsight/status", "/local_costmap"
 PLAN_TOPIC, SCAN_TOPIC, CLOCK_TOPIC, MARKERS_TOPIC = "/plan", "/scan", "/clock", "/wheelsight/markers"
+ROBOT_TOPIC = "/robot_description"
 VELOCITY_TOPIC, GOAL_TOPIC, CLICKED_TOPIC = "/cmd_vel", "/goal_pose", "/clicked_point"
 INITIAL_TOPIC, STOP_TOPIC = "/initialpose", "/wheelsight/stop"
+# Of ROS 2 over DDS alone: an action, which is three services and two topics; and the nodes of each participant.
+NAVIGATE_ACTION, NODES_TOPIC = "/navigate_to_pose", "ros_discovery_info"
 
 
 class Flow(Enum):
@@ -73,6 +76,7 @@ TOPICS: dict[str, Topic] = {
         Topic(IMU, "sensor_msgs/msg/Imu", Flow.SENSOR),
         Topic(WHEEL_ODOMETRY, "nav_msgs/msg/Odometry", Flow.RELIABLE),
         Topic(CALIBRATION, "std_msgs/msg/String", Flow.LATCHED),
+        Topic(ROBOT_TOPIC, "std_msgs/msg/String", Flow.LATCHED),
         *_images(COLOR, "compressed"),
         *_images(DEPTH, "compressedDepth"),
         *_images(REGISTERED, "compressedDepth"),

@@ -19,6 +19,7 @@ from wheelsight.core.messages import Event
 from wheelsight.navigation import Feedback, NavigationSettings, Navigator, Transition
 from wheelsight_export.bag_writing import Messages, Sent, nanoseconds
 from wheelsight_export.topics import TOPICS, Topic
+from wheelsight_ros2.actions import NavigateServer
 from wheelsight_ros2.inputs import Inputs
 from wheelsight_ros2.live_topics import LiveTopics, main_track
 
@@ -54,12 +55,19 @@ class Bridge:
         topics: makes messages.
         inputs: takes messages of the peers.
         on_problem: called with one line about a peer that fails.
+        action: goals of other programs; None for none.
     """
 
     def __init__(
-        self, peers: Sequence[Peer], topics: LiveTopics, inputs: Inputs, on_problem: Callable[[str], None]
+        self,
+        peers: Sequence[Peer],
+        topics: LiveTopics,
+        inputs: Inputs,
+        on_problem: Callable[[str], None],
+        action: NavigateServer | None = None,
     ) -> None:
         self._peers, self._topics, self.inputs, self._on_problem = list(peers), topics, inputs, on_problem
+        self._action = action
         self._stamp_s = 0.0
 
     @property
@@ -77,12 +85,14 @@ class Bridge:
 
     def note(self, transition: Transition) -> None:
         """See `Watch`: the state follows with the period."""
+        self._act(lambda action: action.note(transition))
 
     def step(self, feedback: Feedback, navigator: Navigator) -> None:
         """See `Watch`."""
         self._stamp_s = feedback.stamp_s
         words = {"refused": self.inputs.refused, "counts": dict(self.inputs.counts)}
         self._send(lambda: self._topics.of_drive(feedback, navigator, words))
+        self._act(lambda action: action.step(feedback, navigator))
 
     def run_step(self, event: Event, answers: Mapping[str, FrameRecord], tracks: Sequence[RunTrack]) -> None:
         """An answered event of a run."""
@@ -92,6 +102,16 @@ class Bridge:
     def run_end(self, tracks: Sequence[RunTrack]) -> None:
         """The end of a run: the finished map, and its loops."""
         self._send(lambda: self._topics.points(self._stamp_s, main_track(tracks), is_last=True))
+
+    def _act(self, do: Callable[[NavigateServer], None]) -> None:
+        """Let the action follow the drive; its errors leave it out, too."""
+        if self._action is None:
+            return
+        try:
+            do(self._action)
+        except Exception as error:
+            self._action = None
+            self._on_problem(f"no goals of actions are taken any more: {type(error).__name__}: {error}")
 
     def _send(self, made: Callable[[], Iterable[Sent]]) -> None:
         """Send messages to all peers. Nothing of an interface stops a robot: errors are reported, and leave it out."""
@@ -247,6 +267,7 @@ def open_bridge(
         inputs.receive(topic, message)
 
     peers: list[Peer] = []
+    action: NavigateServer | None = None
 
     def wants(topic: str) -> bool:
         return any(peer.wants(topic) for peer in peers)
@@ -269,8 +290,12 @@ def open_bridge(
             node = kind(settings.domain, settings.namespace, settings.interface, receive)
             opened.callback(node.close)
             peers.append(node)
+            if isinstance(node, DdsPeer):
+                action = NavigateServer(make, inputs, robot_s)
+                opened.callback(action.close)
+                node.serve(action)
             on_note(f"ROS 2: {node.name}")
             if settings.interface is not None:
                 on_problem("ROS 2 asks for no token: each computer of that network can move the robot")
         topics = LiveTopics(calibration, wants, is_simulated=is_simulated, settings=navigation)
-        yield Bridge(peers, topics, inputs, on_problem)
+        yield Bridge(peers, topics, inputs, on_problem, action)

@@ -22,6 +22,7 @@ from wheelsight_export.topics import (
     GOAL_TOPIC,
     INITIAL_TOPIC,
     MAP,
+    NAVIGATE_ACTION,
     STOP_TOPIC,
     TOPICS,
     VELOCITY_TOPIC,
@@ -37,11 +38,16 @@ _REST_S = 1.0
 _OLD_S = 5.0
 _FARTHEST_M = 1e4
 _LONGEST = 120  # characters of a refusal
+_NOT_LED = "no robot is led here (wheelsight serve, or drive without --to, takes goals)"
 INPUTS = {name: topic for name, topic in TOPICS.items() if topic.flow in (Flow.INPUT, Flow.COMMAND)}
 
 
 class Led(Protocol):
     """What inputs lead: a `Session`."""
+
+    @property
+    def begun(self) -> Task | None:
+        """The task that the navigator has."""
 
     def ask(self, task: Task) -> str:
         """Queue a task. Returns the reason if it is refused, else ""."""
@@ -99,16 +105,17 @@ class Inputs:
         stick: the velocity commands.
         refused: the last refusal; "" without any.
         counts: how often each topic was refused.
+        led: what is led; None for nothing.
     """
 
     def __init__(self, robot_s: Callable[[], float], on_refusal: Callable[[str], None] = lambda line: None) -> None:
         self._robot_s, self._on_refusal = robot_s, on_refusal
         self.stick, self.refused, self.counts = Stick(), "", Counter[str]()
-        self._led: Led | None = None
+        self.led: Led | None = None
 
     def lead(self, led: Led) -> None:
         """Pass messages on from now on."""
-        self._led = led
+        self.led = led
 
     def receive(self, topic: str, message: Any) -> None:
         """Take a message: an object with the fields of the topic's type. A refusal is counted and reported."""
@@ -119,37 +126,46 @@ class Inputs:
 
     def refuse(self, topic: str, why: str) -> None:
         """Count and report a refused message."""
-        if topic in INPUTS:
+        if topic in INPUTS or topic == NAVIGATE_ACTION:
             self.counts[topic] += 1
         self.refused = f"{topic[:_LONGEST]}: {why[:_LONGEST]}"
         self._on_refusal(f"refused {self.refused}")
 
+    def goal_of(self, message: Any) -> GoToPose:
+        """The goal of a PoseStamped. Raises ArgumentError."""
+        self._check_header(message)
+        x_m, y_m, yaw_rad = pose_of(message, "pose")
+        return GoToPose(type="goal", x_m=x_m, y_m=y_m, yaw_rad=yaw_rad)
+
+    def pass_on(self, task: Task) -> str:
+        """Ask for a task. Returns the reason if it is refused, else ""."""
+        return _NOT_LED if self.led is None else self.led.ask(task)
+
     def _do(self, topic: str, message: Any) -> None:
-        if self._led is None:
-            raise ArgumentError("no robot is led here", fix="wheelsight serve, or drive without --to, takes goals")
+        if self.led is None:
+            raise ArgumentError(_NOT_LED)
         if topic == STOP_TOPIC:
-            self._led.stop("another program pressed stop")
+            self.led.stop("another program pressed stop")
             return
         if topic == VELOCITY_TOPIC:
             command = VelocityCommand(number(message, "linear.x"), number(message, "angular.z"))
             if self.stick.push(command):
                 self._ask(DriveByHand(self.stick.commands))
             return
+        if topic == GOAL_TOPIC:
+            self._ask(self.goal_of(message))
+            return
         self._check_header(message)
         if topic == CLICKED_TOPIC:
             x_m, y_m = (_coordinate(message, f"point.{axis}") for axis in "xy")
             self._ask(GoToPose(type="goal", x_m=x_m, y_m=y_m))
-        elif topic == GOAL_TOPIC:
-            x_m, y_m, yaw_rad = pose_of(message, "pose")
-            self._ask(GoToPose(type="goal", x_m=x_m, y_m=y_m, yaw_rad=yaw_rad))
         elif topic == INITIAL_TOPIC:
             self._ask(SetPose(np.array(pose_of(message, "pose.pose"))))
         else:
             raise ArgumentError("is no input", fix=", ".join(INPUTS))
 
     def _ask(self, task: Task) -> None:
-        assert self._led is not None
-        if why := self._led.ask(task):
+        if why := self.pass_on(task):
             raise ArgumentError(why)
 
     def _check_header(self, message: Any) -> None:

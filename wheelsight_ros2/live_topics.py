@@ -38,6 +38,7 @@ from wheelsight_export.topics import (
     POINTS_TOPIC,
     POSE_TOPIC,
     REGISTERED,
+    ROBOT_TOPIC,
     SCAN_FRAME,
     SCAN_TOPIC,
     STATUS_TOPIC,
@@ -45,6 +46,7 @@ from wheelsight_export.topics import (
     TF_STATIC,
     TOPICS,
 )
+from wheelsight_ros2.urdf import urdf_of
 
 # Least times between two messages of a kind, by stamps: of images, of maps that grow, and of words that stay the same.
 _IMAGE_S, _MAP_S, _COSTMAP_S, _WORDS_S, _POINTS_S = 0.1, 1.0, 0.5, 1.0, 5.0
@@ -83,6 +85,7 @@ class LiveTopics:
             self._viewer = DepthViewer(calibration, s.footprint.outline, s.live)
         except InputError:  # no camera, or one whose mount is unknown: there is no scan
             self._viewer = None
+        self._outline = (s.footprint.front_m, s.footprint.back_m, s.footprint.width_m)
         is_base = calibration.T_base_camera is not None or calibration.color is None
         self._body = "base" if is_base else "camera"
         self._begun = False
@@ -176,6 +179,8 @@ class LiveTopics:
                     self.make.transforms(stamp_s, [(BASE, SCAN_FRAME, T_base_scan)]).transforms
                 )
             yield sent
+        robot = self.make.text(urdf_of(self._calibration, "robot", self._outline))
+        yield Sent(stamp_s, ROBOT_TOPIC, robot, is_latched=True)
 
     def _clock(self, stamp_s: float) -> Iterator[Sent]:
         if self._is_simulated and self._has_changed(CLOCK_TOPIC, stamp_s):

@@ -18,12 +18,12 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.runtime import needed
 from wheelsight_export.bag_writing import Messages
 from wheelsight_export.topics import TOPICS, Flow, Topic
-from wheelsight_ros2.dds import DEPTH, TAKE_S, check_names
+from wheelsight_ros2.dds import DEPTH, NODE, TAKE_S, check_names
 from wheelsight_ros2.inputs import INPUTS
 
 # Where ROS 2's router waits: `ros2 run rmw_zenoh_cpp rmw_zenohd`.
 _ROUTER = "tcp/127.0.0.1:7447"
-_ENDS_S, _GID_BYTES, _NODE = 5.0, 16, "wheelsight"
+_ENDS_S, _GID_BYTES = 5.0, 16
 # rmw's numbers of what differs from rmw_zenoh's own default: best effort, and transient local.
 _BEST_EFFORT, _TRANSIENT_LOCAL = "2", "1"
 
@@ -68,7 +68,7 @@ class ZenohPeer:
             raise ConfigError(f"zenoh cannot use {endpoint}: {error}", fix=fix) from error
         types = Messages(is_ros1=False).types
         about = f"@ros2_lv/{domain}/{self._session.zid()}/0"
-        self._tokens = [self._session.liveliness().declare_token(f"{about}/0/NN/%/%/{_NODE}")]
+        self._tokens = [self._session.liveliness().declare_token(f"{about}/0/NN/%/%/{NODE}")]
         self._publishers: dict[str, tuple[Any, bytes]] = {}
         self._numbers: dict[str, int] = {}
         self._inputs: list[tuple[Topic, Any]] = []
@@ -85,7 +85,7 @@ class ZenohPeer:
                 self._publishers[topic.name] = self._publisher(topic, key), secrets.token_bytes(_GID_BYTES)
             else:
                 continue
-            token = f"{about}/{number}/{kind}/%/%/{_NODE}/{path.replace('/', '%')}/{type_}/{quality_of(topic.flow)}"
+            token = f"{about}/{number}/{kind}/%/%/{NODE}/{path.replace('/', '%')}/{type_}/{quality_of(topic.flow)}"
             self._tokens.append(self._session.liveliness().declare_token(token))
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._receive, name="wheelsight-zenoh", daemon=True)

@@ -182,7 +182,7 @@ GIVEN = {"cmd_vel": Twist, "goal_pose": PoseStamped, "initialpose": PoseWithCova
 
 def plain(value: Any) -> Any:
     """For JSON, which has no NaN and no infinity."""
-    if isinstance(value, list | tuple):
+    if isinstance(value, list | tuple | bytes):
         return [plain(one) for one in value]
     if isinstance(value, str | int):
         return value

@@ -165,6 +165,8 @@ def test_map_plan_images_joints_and_words_are_sent(driven: tuple[Kept, list[Feed
     costs = np.array(kept.messages["/local_costmap"][-1].data)
     assert costs.max() == 100
     assert ((costs >= -1) & (costs <= 100)).all()
+    description = kept.messages["/robot_description"][0].data
+    assert all(name in description for name in ("left_wheel_joint", "camera_depth_optical_frame", "base_link"))
     levels = [one.level for one in kept.messages["/diagnostics"][-1].status]
     assert levels == [0, 0, 0]
     assert set(kept.messages) <= {topic.name for topic in TOPICS.values() if topic.is_live}

@@ -31,10 +31,11 @@ LONGEST_S = 30.0
 class DdsProgram:
     """The other process."""
 
-    def __init__(self, domain: int, namespace: str) -> None:
-        command = [sys.executable, str(Path(__file__).with_name("dds_peer.py")), str(domain), namespace]
+    def __init__(self, domain: int, namespace: str, file: str) -> None:
+        command = [sys.executable, str(Path(__file__).with_name(file)), str(domain), namespace]
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.received: dict[str, list[Any]] = {}
+        self.said = 0
         self._lines: queue.Queue[str] = queue.Queue()
         threading.Thread(target=self._read, daemon=True).start()
 
@@ -45,6 +46,7 @@ class DdsProgram:
 
     def say(self, topic: str, **said: Any) -> None:
         assert self.process.stdin is not None
+        self.said += 1
         self.process.stdin.write(json.dumps({"topic": topic, **said}) + "\n")
         self.process.stdin.flush()
 
@@ -71,8 +73,8 @@ class DdsProgram:
 
 
 @contextmanager
-def program(domain: int = DOMAIN, namespace: str = "") -> Iterator[DdsProgram]:
-    made = DdsProgram(domain, namespace)
+def program(domain: int = DOMAIN, namespace: str = "", file: str = "dds_peer.py") -> Iterator[DdsProgram]:
+    made = DdsProgram(domain, namespace, file)
     try:
         yield made
     finally:

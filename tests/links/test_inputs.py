@@ -38,6 +38,7 @@ class Recorded:
     tasks: list[Task] = field(default_factory=list)
     stops: list[str] = field(default_factory=list)
     refusal: str = ""
+    begun: Task | None = None
 
     def ask(self, task: Task) -> str:
         self.tasks.append(task)

@@ -20,7 +20,7 @@ from wheelsight_calibration.cli import calibrate_app
 from wheelsight_calibration.cli_camera import board_board
 from wheelsight_export.cli import export
 from wheelsight_papers.cli import places_app
-from wheelsight_ros2.cli import foxglove_layout
+from wheelsight_ros2.cli import foxglove_layout, urdf
 
 _LOG = logging.getLogger(__name__)
 
@@ -108,6 +108,7 @@ _COMMANDS: tuple[tuple[str, tuple[tuple[Any, str, str], ...]], ...] = (
         (
             (warm_up_warm_up, "warm-up", "Compile all kernels, once after installation"),
             (config_config, "config", "The settings that a run would go by"),
+            (urdf, "urdf", "A robot's calibration from its URDF, and back"),
         ),
     ),
 )

@@ -583,13 +583,14 @@ def start_of(option: str, text: str) -> tuple[float, float, float]:
 
 @contextmanager
 def _linked(options: RobotOptions, config: Config) -> Iterator[Robot]:
+    from wheelsight.app.cli.options import robot_camera
     from wheelsight.io.devices import LinkRobot, WheelLink
-    from wheelsight.io.devices.cameras import ANY, open_robot_camera
+    from wheelsight.io.devices.cameras import ANY
 
     assert options.robot is not None
     assert options.calibration is not None
     with ExitStack() as opened:
-        frames, calibration = open_robot_camera(options.camera or ANY, config.camera, [options.calibration])
+        frames, calibration = robot_camera(options.camera or ANY, config.camera, [options.calibration])
         opened.callback(frames.close)
         # Refuse a calibration without the robot's geometry
         if calibration.holonomic is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +13,9 @@ import typer
 if TYPE_CHECKING:
     from wheelsight.config import Config
     from wheelsight.core.calibration import Calibration
+    from wheelsight.core.files import StrPath
+    from wheelsight.core.settings import LiveCameraSettings
+    from wheelsight.io.devices.live_camera import LiveCamera
     from wheelsight.io.recordings import Recording
     from wheelsight_ros2 import Bridge, LinkSettings
 
@@ -286,6 +289,19 @@ def linked(
     how: dict[str, Any] = {"is_simulated": is_simulated, "robot_s": robot_s, "navigation": config.navigation}
     with open_bridge(settings, calibration, **how, on_problem=on_problem, on_note=typer.echo) as bridge:
         yield bridge
+
+
+def robot_camera(
+    which: str, settings: LiveCameraSettings, files: Sequence[StrPath] = (), known: Calibration | None = None
+) -> tuple[LiveCamera, Calibration]:
+    """As `open_robot_camera`, also of topics of ROS 2. Raises as that."""
+    from wheelsight.io.devices.cameras import LIVE_CAMERAS, open_robot_camera
+
+    if which.partition(":")[0] == "ros2":
+        from wheelsight_ros2.sensors import open_ros2_camera
+
+        LIVE_CAMERAS["ros2"] = open_ros2_camera
+    return open_robot_camera(which, settings, files, known)
 
 
 def can_draw() -> bool:

@@ -138,14 +138,16 @@ def _check(asked: RecordOptions) -> None:
 
     if asked.camera is None and asked.wheels is None:
         raise ConfigError("there is nothing to record", fix="--camera NAME, --wheels PORT, or both")
+    if (asked.wheels or "").startswith("ros2:"):
+        raise ConfigError("--wheels ros2:… is of run --live", fix="record topics by ros2 bag record; its bags are read")
     if asked.color not in get_args(ColorFormat):
         raise ConfigError(f"--color is {asked.color!r}", fix=f"one of {', '.join(get_args(ColorFormat))}")
     if asked.force and asked.resume:
         raise ConfigError("--force starts over and --resume does not", fix="one of them")
     if asked.infrared and asked.camera is None:
         raise ConfigError("--infrared is of a camera", fix="add --camera NAME")
-    if asked.topic and not (asked.camera or "").startswith("recording:"):
-        raise ConfigError("--topic is of a bag", fix="--camera recording:BAG, or leave it out")
+    if asked.topic and not (asked.camera or "").startswith(("recording:", "ros2:")):
+        raise ConfigError("--topic is of a bag, or of ROS 2", fix="--camera recording:BAG, or leave it out")
 
 
 def _camera(
@@ -153,8 +155,8 @@ def _camera(
 ) -> tuple[LiveCamera | None, Calibration | None]:
     """The camera, if any, and the calibration of the recording. Raises DeviceError, CalibrationError."""
     from wheelsight.app.cli.console import print_warning
+    from wheelsight.app.cli.options import robot_camera
     from wheelsight.core.calibration import load_calibration
-    from wheelsight.io.devices.cameras import open_robot_camera
     from wheelsight.io.recordings.native import resumed_calibration
 
     # That of the resumed recording overrides the camera's.
@@ -163,7 +165,7 @@ def _camera(
         raise ConfigError("--resume goes by the recording's own calibration", fix="leave out --calibration")
     if asked.camera is None:
         return None, known or (load_calibration(*asked.calibration) if asked.calibration else None)
-    camera, calibration = open_robot_camera(asked.camera, settings, asked.calibration or (), known)
+    camera, calibration = robot_camera(asked.camera, settings, asked.calibration or (), known)
     opened.callback(camera.close)
     for warning in camera.warnings:
         print_warning(warning)

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from wheelsight.config import Config
     from wheelsight.core.robots import EventSource
     from wheelsight.core.settings import RealTimeSettings
+    from wheelsight.io.devices.live_camera import LiveCamera
+    from wheelsight.io.devices.wheel_source import ReadingLink
     from wheelsight.io.recordings import Recording
     from wheelsight_ros2 import LinkSettings
 
@@ -192,7 +194,8 @@ def source_of(asked: RunOptions, settings: Config) -> AbstractContextManager[Eve
 def _opened(asked: RunOptions, settings: Config) -> Iterator[LiveSource]:
     """Sensors, kernels and recorder, ready for the first event."""
     from wheelsight.app.cli.compiling import compile_missing
-    from wheelsight.app.cli.console import print_note
+    from wheelsight.app.cli.console import print_note, print_warning
+    from wheelsight.app.cli.options import robot_camera
     from wheelsight.app.cli.record import note, print_end
     from wheelsight.app.cli.wheels import note_status
     from wheelsight.app.run import LiveSensors, LiveSource
@@ -201,26 +204,33 @@ def _opened(asked: RunOptions, settings: Config) -> Iterator[LiveSource]:
     from wheelsight.core.files import new_output_folder
     from wheelsight.core.runtime import until_stopped
     from wheelsight.io.devices import BAUDRATE, WheelLink
-    from wheelsight.io.devices.cameras import open_robot_camera
     from wheelsight.io.devices.recorder import LiveRecorder
     from wheelsight.io.recordings import RecordingWriter
 
     with ExitStack() as opened:
         opened.enter_context(new_output_folder(asked.out, asked.force))  # refused before a device is touched
         compile_missing(parts_of(settings))  # minutes, in which a camera had better not run
-        camera = None
-        if asked.camera is not None:
-            of_camera = settings.camera.model_copy(
-                update={"topics": settings.recording.topics or settings.camera.topics}
+        topics = settings.recording.topics or settings.camera.topics
+        of_camera = settings.camera.model_copy(update={"topics": topics})
+        camera: LiveCamera | None = None
+        link: ReadingLink | None = None
+        if asked.wheels is not None and asked.wheels.startswith("ros2:"):
+            from wheelsight_ros2.sensors import open_ros2_sensors
+
+            ros2 = opened.enter_context(
+                open_ros2_sensors(asked.camera, asked.wheels, of_camera, asked.calibration or ())
             )
-            camera, calibration = open_robot_camera(asked.camera, of_camera, asked.calibration or ())
+            camera, link, calibration = ros2.camera, ros2.link, ros2.calibration
+            for warning in ros2.warnings:
+                print_warning(warning)
+        elif asked.camera is not None:
+            camera, calibration = robot_camera(asked.camera, of_camera, asked.calibration or ())
             opened.callback(camera.close)
         elif asked.calibration:
             calibration = load_calibration(*asked.calibration)
         else:
             raise ConfigError("nothing says how large the wheels are", fix="--calibration FILE")
-        link = None
-        if asked.wheels is not None:
+        if asked.wheels is not None and link is None:
             link = opened.enter_context(WheelLink(asked.wheels, asked.baud or BAUDRATE, note_status(asked.wheels)))
         recorder = None
         if asked.record is not None:

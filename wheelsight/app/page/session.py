@@ -134,8 +134,23 @@ class SetPose:
     pose: FloatArray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveTo:
+    """Drive to a pose for another program. `left_out` is called with the reason where the drive does not begin."""
+
+    goal: GoToPose
+    left_out: Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CancelDrive:
+    """End a drive, unless another task has replaced it."""
+
+    drive: DriveTo
+
+
 _PageTask = GoToPose | GoToName | ClearObstacles | ClearFault | Explore | NamePlace | SaveMap | StartMap
-Task = _PageTask | DriveByHand | SetPose
+Task = _PageTask | DriveByHand | SetPose | DriveTo | CancelDrive
 """What the driver alone may ask: from a page, or from other programs."""
 Message = Alive | Take | Leave | ShowCostmap | _PageTask
 _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="type")])
@@ -176,7 +191,7 @@ _HELD_S = 4.0
 # Periods one after another that fail before the map is given up.
 _MOST_FAILURES, _STEP_S = 5, 0.05
 _MOST_TRACED = 20
-_DRIVING = "the thread that drives"
+_DRIVING, _STOPPED = "the thread that drives", "left out: the robot was stopped after it was asked"
 _log = logging.getLogger(__name__)
 
 
@@ -210,6 +225,7 @@ class Session(Closing):
         switch: stops the robot.
         silent_s: how long a part of the program may be silent while the robot moves.
         wants_costmap: whether any page shows the costmap.
+        begun: the task of the navigator; None in a map without any yet.
     """
 
     def __init__(
@@ -231,6 +247,7 @@ class Session(Closing):
         self._numbers, self._name, self._share = count(1), "", 1.0
         self._cancelled = self.switch.presses
         self._reported: NavigationResult | None = None
+        self.begun: Task | None = None
         self.wants_costmap = False
         self.silent_s = _SILENT_IN_STEP_S if paces else SILENT_S
         self._is_driving = self._has_task = False
@@ -329,7 +346,7 @@ class Session(Closing):
 
     def _in_map(self, chosen: _Next, beat: Callable[[], None]) -> _Next | None:
         """Drive in a map until the next map; None if the driver must choose one, and at the end."""
-        self._name, self._reported = chosen.name, None
+        self._name, self._reported, self.begun = chosen.name, None, None
         self._snapshots.begin()
         self._latest = self._snapshots.of_words(self._facts("opening"))
         following, doing, has_driven = None, "the map is not opened", False
@@ -363,7 +380,7 @@ class Session(Closing):
                 continue
             if isinstance(task, StartMap) and task.map in self._maps.names():
                 return _Next(task.map)
-            self.say("choose a map first", is_problem=True)
+            self._leave_out(task, "choose a map first")
         return None
 
     def _drive(self, driven: Driven, beat: Callable[[], None]) -> _Next | None:
@@ -429,23 +446,35 @@ class Session(Closing):
         except queue.Empty:
             return None
         if asked.presses != self.switch.presses:
-            self.say("left out: the robot was stopped after it was asked", is_problem=True)
+            self._leave_out(asked.task, _STOPPED)
             return None
         try:
             return self._do(asked, driven, feedback)
         except WheelsightError as error:
-            self.say(str(error), is_problem=True)
-            return None
+            self._leave_out(asked.task, str(error))
         except Exception as error:
             self._fail("not done", error)
-            return None
+            self._leave_out(asked.task, "something went wrong")
+        return None
+
+    def _leave_out(self, task: Task, why: str) -> None:
+        self.say(why, is_problem=True)
+        if isinstance(task, DriveTo):
+            task.left_out(why)
 
     def _do(self, asked: _Asked, driven: Driven, feedback: Feedback) -> _Next | None:
         task, navigator = asked.task, driven.navigator
-        if isinstance(task, GoToPose | GoToName | Explore | DriveByHand):
-            begin = _begin_of(task, driven)
+        if isinstance(task, GoToPose | GoToName | Explore | DriveByHand | DriveTo):
+            begin = _begin_of(task.goal if isinstance(task, DriveTo) else task, driven)
             if self.switch.release(asked.presses):
                 begin()
+                self.begun = task
+            else:
+                self._leave_out(task, _STOPPED)
+            return None
+        if isinstance(task, CancelDrive):
+            if self.begun is task.drive:
+                navigator.cancel_task()
             return None
         if isinstance(task, ClearObstacles):
             navigator.clear_obstacles((task.x_m, task.y_m))

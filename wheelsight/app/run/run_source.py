@@ -15,7 +15,7 @@ from wheelsight.app.run.run_record import RealTimeRecord
 from wheelsight.config import Config
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import ConfigError
-from wheelsight.core.messages import AngularVelocity, Event, RgbdFrame, WheelTicks, YawRate
+from wheelsight.core.messages import AngularVelocity, Event, RgbdFrame, WheelReading, WheelTicks, YawRate
 from wheelsight.core.robots import EventSource
 from wheelsight.estimation.odometry_choice import (
     FRAMES,
@@ -39,6 +39,7 @@ from wheelsight.io.devices.live_camera import (
     take_angular_velocities,
 )
 from wheelsight.io.devices.recorder import LiveRecorder
+from wheelsight.io.devices.wheel_source import ReadingLink
 from wheelsight.io.recordings import Recording
 
 _WAIT_S = 0.005  # for what comes next; a frame waits no longer for a reading
@@ -61,7 +62,7 @@ class LiveSensors:
 
     calibration: Calibration
     camera: LiveCamera | None = None
-    link: WheelLink | None = None
+    link: ReadingLink | None = None
     recorder: LiveRecorder | None = None
 
 
@@ -91,10 +92,10 @@ class LiveSource:
     ) -> None:
         if sensors.camera is None and sensors.link is None:
             raise ConfigError("there is no sensor to listen to", fix="--camera NAME, --wheels PORT, or both")
-        if sensors.link is not None and sensors.calibration.holonomic is not None:
+        if isinstance(sensors.link, WheelLink) and sensors.calibration.holonomic is not None:
             problem = f"wheels at {sensors.link.port} are two, and the calibration has a holonomic base"
             raise ConfigError(problem, fix="record its odometry in a bag, or leave out --wheels")
-        if sensors.link is not None and sensors.calibration.wheels is None:
+        if sensors.link is not None and sensors.calibration.any_wheels is None:
             problem = f"wheels at {sensors.link.port} give no motion without their sizes"
             raise ConfigError(problem, fix="--calibration FILE with wheels, or leave out --wheels")
         if sensors.camera is not None and sensors.calibration.color is None:
@@ -214,7 +215,7 @@ class LiveSource:
             return False
         return host_clock.now_s() - (self._heard_s or self._began_s) > _SILENT_S
 
-    def _ticks(self, timeout_s: float = 0.0) -> Iterator[WheelTicks]:
+    def _ticks(self, timeout_s: float = 0.0) -> Iterator[WheelReading | YawRate]:
         """All waiting readings; waits for the first."""
         while self._sensors.link is not None and (ticks := self._sensors.link.read(timeout_s)) is not None:
             timeout_s = 0.0
@@ -235,7 +236,7 @@ class LiveSource:
             self._keep(turn)
         return [] if mount is None else [turn.yaw_rate(mount) for turn in turns]
 
-    def _keep(self, event: WheelTicks | LiveFrame | AngularVelocity) -> None:
+    def _keep(self, event: WheelReading | YawRate | LiveFrame | AngularVelocity) -> None:
         """Record an event, if there is a recorder, from the first requested event on."""
         recorder = self._sensors.recorder
         if recorder is None or self._began_s is None:

@@ -15,7 +15,7 @@ from typing import Any
 
 from wheelsight.core.errors import ArgumentError, OutputError, RecordingError
 from wheelsight.core.files import StrPath, output_error
-from wheelsight.core.messages import AngularVelocity, WheelTicks, YawRate
+from wheelsight.core.messages import AngularVelocity, WheelReading, YawRate
 from wheelsight.core.settings import RecorderSettings
 from wheelsight.core.threads import Closing
 from wheelsight.io.devices.live_camera import (
@@ -110,7 +110,7 @@ class LiveRecorder(Closing):
             self._waiting.append(_Waiting(live, written, now_s))
             self._changed.notify_all()
 
-    def add_reading(self, reading: WheelTicks | YawRate | AngularVelocity) -> None:
+    def add_reading(self, reading: WheelReading | YawRate | AngularVelocity) -> None:
         """Write a reading of wheels or gyroscope."""
         if self._is_over or self._problem is not None:
             return

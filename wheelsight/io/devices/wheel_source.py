@@ -17,12 +17,25 @@ from typing import Protocol
 from wheelsight.core.errors import DeviceError, OutputError
 from wheelsight.core.files import StrPath, output_error
 from wheelsight.core.inputs import parse_json
-from wheelsight.core.messages import WheelTicks
+from wheelsight.core.messages import WheelReading, WheelTicks, YawRate
 from wheelsight.core.threads import Closing
 from wheelsight.io.devices.wheel_link import BAUDRATE, LinkStatus, WheelLink
 
 _LOOK_MS = 100
 _READ_BYTES = 1 << 16
+
+
+class ReadingLink(Protocol):
+    """A link to wheels in a thread of its own: `WheelLink`, or topics of ROS 2.
+
+    Attributes:
+        port: its name in messages.
+    """
+
+    port: str
+
+    def read(self, timeout_s: float) -> WheelReading | YawRate | None:
+        """The next reading, or None if none comes within `timeout_s` seconds."""
 
 
 class WheelSource(Protocol):

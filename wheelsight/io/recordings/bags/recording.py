@@ -48,6 +48,9 @@ _LARGEST_SENSIBLE_GAP_S = 0.1
 _ORDER_S = 0.5
 # How long frames wait for the next wheel reading at most, by stamps: an increment is known only with it.
 _SLOWEST_WHEELS_S = 5.0
+# How long a message that comes now waits for other topics: a driving robot does not wait for a silent sensor.
+_LIVE_S = 0.2
+Come = Callable[[Sequence[str]], Iterator[Message]]
 _WRONG_SIZE = "choose its CameraInfo by --topic, or give --camera"
 
 
@@ -208,6 +211,23 @@ class BagRecording:
                 break
         return turns
 
+    def live(self, bag: OpenBag, come: Come, *, images: bool) -> Iterator[Event]:
+        """Events of messages that come now, by the topics, clocks and calibration of this recording.
+
+        Args:
+            bag: this recording's, open; it decodes the messages.
+            come: yields messages of some topics as they are received.
+            images: frames alone, or else readings alone: neither waits for the other's stamps.
+        """
+        roles, plan = self._plan.roles, self._plan
+        if images:
+            plan = replace(plan, roles=replace(roles, wheels=None, source=None, gyro=None), speed_reader=None)
+        for item in _Pass(bag, plan, come).items(images):
+            if isinstance(item, ImagePair):
+                yield frame_or_reason(partial(self._read, bag, item), item.stamp_s, item.index)
+            else:
+                yield item
+
     def _pass(self, images: bool = True) -> Iterator[Event | ListedFrame]:
         """Readings and undecoded frames in order of time; frames lack the stamp of the next one.
 
@@ -251,6 +271,7 @@ class _Pass:
     """One pass over a bag's messages, with its counts.
 
     Attributes:
+        come: yields messages as they are received; None for those of the bag.
         clocks: of each topic, to validate header stamps.
         messages: sorts messages by stamp.
         pairing: of colour with depth.
@@ -260,6 +281,7 @@ class _Pass:
 
     bag: OpenBag
     plan: BagPlan
+    come: Come | None = None
     unusable: int = 0
 
     def __post_init__(self) -> None:
@@ -275,8 +297,10 @@ class _Pass:
     def items(self, images: bool, stop_ns: int | None = None) -> Iterator[Event | ImagePair]:
         """Events and undecoded frames, in order of time."""
         topics = self.plan.topics(images)
-        counts = {topic.name: topic.count for topic in self.bag.topics if topic.name in topics}
+        counts: dict[str, float] = {topic.name: topic.count for topic in self.bag.topics if topic.name in topics}
         self.messages = MessageQueue(counts, _ORDER_S)
+        if self.come is not None:  # no topic ends, and each comes in order
+            self.messages = MessageQueue(dict.fromkeys(counts, math.inf), 0.0, _LIVE_S)
         for stamp_s, message in self._in_order(topics, stop_ns):
             event = self._event_of(stamp_s, message)
             self._enqueue(event, self.pairing.settled(stamp_s))
@@ -293,7 +317,8 @@ class _Pass:
 
     def _in_order(self, topics: Sequence[str], stop_ns: int | None) -> Iterator[tuple[float, Message]]:
         """Stamps and messages, in order of stamps."""
-        for message in self.bag.messages(topics, stop_ns=stop_ns):
+        come = self.bag.messages(topics, stop_ns=stop_ns) if self.come is None else self.come(topics)
+        for message in come:
             topic, clock = message.topic, self.clocks[message.topic]
             is_last = self.messages.received(message)
             try:
@@ -459,13 +484,15 @@ class MessageQueue:
     Args:
         counts: the number of messages of each topic.
         wait_s: how long a message waits for older ones of its own topic.
+        longest_s: how long it waits for other topics, by receipt.
 
     Attributes:
         late: the number of messages of each topic that came too late to be sorted.
         twice: the number that repeat a stamp of their topic.
     """
 
-    def __init__(self, counts: Mapping[str, int], wait_s: float) -> None:
+    def __init__(self, counts: Mapping[str, float], wait_s: float, longest_s: float = _LONGEST_WAIT_S) -> None:
+        self._longest_s = longest_s
         self.late: Counter[str] = Counter()
         self.twice: Counter[str] = Counter()
         self._wait_s, self._to_come = wait_s, dict(counts)
@@ -508,7 +535,7 @@ class MessageQueue:
         while self._heap:
             stamp_s, _, since_s, _ = self._heap[0]
             waited_s = self._elapsed_s - since_s
-            is_due = (stamp_s <= reached_s and waited_s >= self._wait_s) or waited_s >= _LONGEST_WAIT_S
+            is_due = (stamp_s <= reached_s and waited_s >= self._wait_s) or waited_s >= self._longest_s
             if not (is_due or self._bytes > _MOST_BYTES or len(self._heap) > _MOST_MESSAGES):
                 return
             yield from self._pop()

@@ -150,15 +150,19 @@ class OpenBag:
                     for connection, receipt_ns, data in reader.messages(wanted, start_ns, stop_ns):
                         if data[:4] == _ZSTD:
                             data = self._decompressed(data, connection.topic, reader)
-                        if connection.topic in topics:
-                            yield Message(connection.topic, receipt_ns, data)
-                        for part in parts:
-                            if part.of == connection.topic and part.child.encode() in data:
-                                with suppress(RecordingError):  # a damaged message
-                                    if part.found_in(self.decode(Message(part.of, 0, data))) is not None:
-                                        yield Message(part.name, receipt_ns, data)
+                        yield from self.served(Message(connection.topic, receipt_ns, data), topics)
         except Exception as error:
             raise _refusal(self.path, error) from error
+
+    def served(self, message: Message, topics: Sequence[str]) -> Iterator[Message]:
+        """The message if its topic is one of these, and transforms in it that are served as topics of theirs."""
+        if message.topic in topics:
+            yield message
+        for part in self._transforms.values():
+            if part.name in topics and part.of == message.topic and part.child.encode() in message.data:
+                with suppress(RecordingError):  # a damaged message
+                    if part.found_in(self.decode(message)) is not None:
+                        yield Message(part.name, message.receipt_ns, message.data)
 
     def _decompressed(self, data: bytes, topic: str, reader: _Reader) -> bytes:
         """The data of a message that is compressed by itself, which a bag may not state."""
