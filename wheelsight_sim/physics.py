@@ -156,18 +156,11 @@ def simulate_drive(
     The base is the middle between the driven wheels, on the ground. Wheels slip as friction, an uneven floor and a
     fidgeting rider make them; with `slip` False they roll as odometry takes them to. Equal arguments, equal drives.
 
-    Args:
-        world: what there is to bump into, and where the drive starts unless the driver says so.
-        robot, driver: the robot as it truly is, and who gives it commands.
-        faults: what goes wrong with the wheels, and when.
-        slip: whether the wheels may slip.
-        seed, floor_seed: of the rider, castors, encoders' phases and gyroscope; of the floor, or else by `seed`.
-        realism: what tyres and floor do beside slipping, or None for nothing.
-        time_limit_s: when a drive ends that has not arrived.
-        on_progress: called with the simulated seconds, once for each.
+    The drive starts where the driver says, or at the world's start, and ends after `time_limit_s` at the latest.
+    `seed` is of the rider, castors, encoders' phases and gyroscope, `floor_seed` of the floor (None: `seed`). `realism`
+    adds errors of tyres and floor. `on_progress` is called with each simulated second.
 
-    Raises:
-        ConfigError: a time limit that is none, or a world MuJoCo does not take.
+    Raises ConfigError for a time limit that is none, or a world that MuJoCo does not take.
     """
     if not (math.isfinite(time_limit_s) and time_limit_s > 0):
         raise ConfigError(f"time_limit_s is {time_limit_s}", fix="give seconds above 0")

@@ -123,16 +123,10 @@ class Patch:
 
 @dataclass(frozen=True, slots=True)
 class WheelFaults:
-    """What goes wrong with the wheels during a drive.
+    """Faults of the wheels during a drive: (from, to) times, and patches of low friction.
 
-    Attributes:
-        dropouts_s: (from, to) times in which no reading arrives; counting goes on.
-        unplugged_s: (from, to) times in which an encoder's cable is out and its pulses are lost; both wheels.
-        patches: of low friction.
-        lifted_s: (from, to) times in which the left driven wheel hangs free.
-
-    Raises:
-        ConfigError: a time that ends before it begins.
+    No reading arrives in `dropouts_s`, and counting goes on. In `unplugged_s` the pulses of both wheels are lost. In
+    `lifted_s` the left driven wheel hangs free. Raises ConfigError for a time that ends before it begins.
     """
 
     dropouts_s: tuple[tuple[float, float], ...] = ()
@@ -155,8 +149,7 @@ class Drive:
         truth: T_world_base at a constant rate of at least 100 Hz, from 0 s; interpolate between.
         ticks: the wheel controller's readings in order of time, every 20 ms where none dropped out.
         yaw_rates: of the gyroscope; empty where the robot has none.
-        is_complete: False where the driver gave up or the time limit ended the drive before the route's end.
-        reason: why not, in words; empty where it is complete.
+        is_complete, reason: whether the route was driven to its end, and why not.
         holonomic: in place of `ticks`, the readings of a holonomic base.
     """
 

@@ -122,6 +122,11 @@ class Simulator(Closing, OneCaller):
         return self._robot.time_s
 
     @property
+    def wheels_rad(self) -> FloatArray:
+        """(2,) true angles of the left and right wheel since the start."""
+        return self._robot.chair.wheels_rad
+
+    @property
     def now_s(self) -> float:
         """`time_s`; see `Robot.now_s`."""
         return self.time_s
@@ -174,28 +179,38 @@ class Simulator(Closing, OneCaller):
         if self._is_closed or self.time_s >= LONGEST_S:
             problem = "is closed" if self._is_closed else f"has run for {LONGEST_S:g} s"
             raise ArgumentError(f"the simulator {problem}", fix="make a new one")
-        for _ in range(self._steps):
+        for _ in range(0 if self._broken else self._steps):
+            reading, rims_m_s = self.read(), None
+            if reading.ticks is not None:
+                self.put(self._wheel_delays.stamped(reading.ticks))
+            if self._robot.tick % ticks_of(COMMAND_PERIOD_S) == 0:
+                rims_m_s = self._rims_m_s(self._control.update(reading.stamp_s, reading.ticks, command))
+            self.advance(rims_m_s)
             if self._broken:
                 break
-            robot, tick = self._robot, self._robot.tick
-            reading = robot.read()
-            self._camera.follow(reading)
-            if reading.ticks is not None:
-                self._put(self._wheel_delays.stamped(reading.ticks))
-            if reading.yaw_rate is not None:
-                self._put(self._gyro_delays.stamped(reading.yaw_rate))
-            for frame in self._camera.frames() if self._has_camera else ():
-                self._put(frame)
-            if tick % ticks_of(COMMAND_PERIOD_S) == 0:
-                duties = self._control.update(reading.stamp_s, reading.ticks, command)
-                robot.chair.turn_wheels(self._rims_m_s(duties))
-            self._live.step(tick, robot)
-            robot.advance()
-            if robot.chair.is_broken:
-                self._broken = f"the physics became unstable at {self.time_s:.1f} s"
-            elif robot.chair.T_world_base[2, 2] < _FALLEN:
-                self._broken = f"the wheelchair fell over at {self.time_s:.1f} s"
-        return self._due()
+        return self.due()
+
+    def read(self) -> Reading:
+        """The sensors at this moment; frames and yaw rates become events. For parts of a simulated robot."""
+        reading = self._robot.read()
+        self._camera.follow(reading)
+        if reading.yaw_rate is not None:
+            self.put(self._gyro_delays.stamped(reading.yaw_rate))
+        for frame in self._camera.frames() if self._has_camera else ():
+            self.put(frame)
+        return reading
+
+    def advance(self, rims_m_s: tuple[float, float] | None) -> None:
+        """Advance by `TRUTH_PERIOD_S`, once after `read`. The motors lead both rims to new speeds, if given."""
+        robot = self._robot
+        if rims_m_s is not None:
+            robot.chair.turn_wheels(rims_m_s)
+        self._live.step(robot.tick, robot)
+        robot.advance()
+        if robot.chair.is_broken:
+            self._broken = f"the physics became unstable at {self.time_s:.1f} s"
+        elif robot.chair.T_world_base[2, 2] < _FALLEN:
+            self._broken = f"the wheelchair fell over at {self.time_s:.1f} s"
 
     def stop(self) -> None:
         """Cut the motors' voltage; the chair brakes by itself in later steps, until it receives STOP."""
@@ -213,10 +228,11 @@ class Simulator(Closing, OneCaller):
         now = self._control.velocity
         return self._response.after(now.forward_m_s, now.turn_rad_s * self._half_track_m, COMMAND_PERIOD_S)
 
-    def _put(self, event: Event) -> None:
+    def put(self, event: Event) -> None:
+        """Add an event of this period."""
         heapq.heappush(self._waiting, (event.stamp_s, next(self._order), event))
 
-    def _due(self) -> list[Event]:
+    def due(self) -> list[Event]:
         """Events with stamps up to now, and before any pending frame."""
         until_s = min(self.time_s, self._camera.next_stamp_s if self._has_camera else np.inf)
         due: list[Event] = []

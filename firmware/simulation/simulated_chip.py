@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple
@@ -47,6 +48,20 @@ class Reading(NamedTuple):
     hz: float
 
 
+def sent_of(words: Sequence[str]) -> Sent:
+    """The bytes of an answer to `take`."""
+    return [(int(cycle), int(byte, 16)) for cycle, byte in (word.split(":") for word in words)]
+
+
+def outputs_of(words: Sequence[str]) -> tuple[Reading, Reading]:
+    """Both outputs of an answer to `pwm`."""
+    left, right = (
+        Reading(driven == "1", int(periods), float(duty), float(hz))
+        for driven, periods, duty, hz in (words[:4], words[4:])
+    )
+    return left, right
+
+
 class Chip(FramedChip):
     """A running chip. Its time stands still but for `run`, `rest` and `live`.
 
@@ -70,13 +85,21 @@ class Chip(FramedChip):
 
     def ask(self, command: str) -> list[str]:
         """The words of the answer to a command of the simulator."""
+        (words,) = self.ask_all([command])
+        return words
+
+    def ask_all(self, commands: Sequence[str]) -> list[list[str]]:
+        """The words of the answers to commands that are sent together, which takes less time."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._process.stdin.write(command + "\n")
+        self._process.stdin.write("".join(f"{command}\n" for command in commands))
         self._process.stdin.flush()
-        status, *words = self._process.stdout.readline().split() or ["the simulator has ended"]
-        assert status == "ok", f"{command[:60]}: {' '.join([status, *words])}"
-        return words
+        answers = []
+        for command in commands:
+            status, *words = self._process.stdout.readline().split() or ["the simulator has ended"]
+            assert status == "ok", f"{command[:60]}: {' '.join([status, *words])}"
+            answers.append(words)
+        return answers
 
     def run(self, seconds: float) -> None:
         """Let the chip's time pass."""
@@ -102,7 +125,7 @@ class Chip(FramedChip):
 
     def sent(self) -> Sent:
         """The bytes that the chip has sent since last asked, each with the cycle at which it began."""
-        return [(int(cycle), int(byte, 16)) for cycle, byte in (word.split(":") for word in self.ask("take"))]
+        return sent_of(self.ask("take"))
 
     def pwm(self, seconds: float = 0.01) -> tuple[Reading, Reading]:
         """The left and right output, measured for so long from now on."""
@@ -112,12 +135,7 @@ class Chip(FramedChip):
 
     def pwm_until_now(self) -> tuple[Reading, Reading]:
         """The left and right output since last asked."""
-        words = self.ask("pwm")
-        left, right = (
-            Reading(driven == "1", int(periods), float(duty), float(hz))
-            for driven, periods, duty, hz in (words[:4], words[4:])
-        )
-        return left, right
+        return outputs_of(self.ask("pwm"))
 
     def duties(self) -> tuple[float, float]:
         """Both outputs in permille of the command: -1000 at 0 V, 0 at half scale, 1000 at full scale."""

@@ -26,7 +26,6 @@ USB_BEGIN, USB_SIZE = 0x50000000, 0x40000
 UNIQUE_ID = 0x1FFF7A10
 SERIAL_NUMBER = bytes(range(0x31, 0x3D))
 SLICE_S, INSTRUCTIONS = 40e-6, 100
-_SLICE = round(SLICE_S * CORE_HZ)
 _GARBAGE = b"\xa5"
 _ENDLESS_LOOP = b"\xfe\xe7"  # b .
 
@@ -44,12 +43,13 @@ class Stm32(FramedChip):
     Args:
         program: controller.bin, as its Makefile built it.
         has_crystal: whether one is soldered in.
+        slice_s: time that `INSTRUCTIONS` take; longer ones let a long time pass sooner.
 
     Attributes:
         resets: how often the watchdog has bitten.
     """
 
-    def __init__(self, program: Path, has_crystal: bool = True) -> None:
+    def __init__(self, program: Path, has_crystal: bool = True, slice_s: float = SLICE_S) -> None:
         import unicorn
         from unicorn.arm_const import UC_ARM_REG_PC, UC_ARM_REG_SP
 
@@ -64,7 +64,7 @@ class Stm32(FramedChip):
             self._processor.mmio_map(begin, size, self._read, begin, self._write, begin)
         self._processor.mem_write(FLASH_BEGIN, program.read_bytes())
         self.peripherals = Peripherals(self._write_memory, has_crystal)
-        self.resets = 0
+        self.resets, self._cycles = 0, round(slice_s * CORE_HZ)
         self._problem: Exception | None = None
         self._terminal: tuple[int, int] | None = None
         self._processor.mem_write(RAM_BEGIN, _GARBAGE * RAM_SIZE)
@@ -160,7 +160,7 @@ class Stm32(FramedChip):
         self._processor.emu_start(at | 1, 0, count=INSTRUCTIONS)
         if self._problem is not None:
             raise self._problem
-        self.peripherals.advance(_SLICE)
+        self.peripherals.advance(self._cycles)
         if self.peripherals.is_bitten:
             self.resets += 1
             self.peripherals.bite()

@@ -379,7 +379,7 @@ class VelocityControl:
             for loop, count in zip(self._loops, (ticks.left, ticks.right), strict=True):
                 loop.count(ticks.stamp_s, count)
         if now_s - self._last_ticks_s > TICKS_SILENT_S:
-            self.stop("no wheel readings come")
+            self.stop(self.reason or "no wheel readings come")
         else:
             self._stopped_s = now_s if self._stopped_s is None else self._stopped_s
             if any(abs(loop.speed_m_s) >= _RIM_STANDS_M_S for loop in self._loops):

@@ -13,6 +13,7 @@ from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -63,6 +64,7 @@ def drive(options: DriveOptions) -> None:
     wheelsight drive --robot /dev/ttyUSB0 --camera any --calibration robot.yaml --map home --to kitchen
     wheelsight drive --sim flat --map home --known-start 0,0,0 --to kitchen --set navigation.limits.forward_m_s=0.5
     wheelsight drive --sim flat --map home --foxglove 8766 --ros2 dds
+    wheelsight drive --sim flat --hardware atmega8 --map home --to kitchen
     """
     from wheelsight.app.cli.compiling import compile_missing
     from wheelsight.app.cli.options import check_rerun, link_settings
@@ -435,7 +437,11 @@ def check_robot(options: RobotOptions, check_task: Callable[[], None] = lambda: 
             raise ConfigError(
                 "--drive-model is of a simulated robot", fix="put drive_model into the --calibration file"
             )
+        if options.hardware is not None:
+            raise ConfigError("--hardware is of a simulated robot", fix="leave it out: --robot drives the real chip")
         return
+    if options.hardware is not None:
+        _hardware().check_board(options.hardware)
     _simulated(options)  # before kernels are compiled, which takes minutes
 
 
@@ -524,7 +530,8 @@ def robot_words(options: RobotOptions) -> str:
     if options.robot is not None:
         return f"a robot at {options.robot}"
     people = f", {options.people} people" if options.people else ""
-    return f"simulated in {options.sim}, seed {options.seed}, day {options.day}, {options.realism}{people}"
+    hardware = f", through the firmware of the {options.hardware}" if options.hardware else ""
+    return f"simulated in {options.sim}, seed {options.seed}, day {options.day}, {options.realism}{people}{hardware}"
 
 
 def _simulator(options: RobotOptions, config: Config) -> Robot:
@@ -537,10 +544,28 @@ def _simulator(options: RobotOptions, config: Config) -> Robot:
         raise CalibrationError("has no drive_model", path=path, fix="wheelsight calibrate drive RECORDING --out FILE")
     # The identified robot may be another one: only its answers to commands count here.
     drive = None if drive is None else replace(drive, track_width_m=0.0)
-    robot = Simulator(settings, start=start, limits=config.navigation.limits, drive=drive)
+    how: dict[str, Any] = {"start": start, "limits": config.navigation.limits, "drive": drive}
+    if options.hardware is None:
+        robot = Simulator(settings, **how)
+    else:
+        robot = _hardware().HardwareRobot(options.hardware, settings, **how)
     for warning in robot.world.warnings:
         print_warning(warning)
     return robot
+
+
+def _hardware() -> ModuleType:
+    """The module of robots with the firmware in their loop. Raises ConfigError without the firmware's folder."""
+    try:
+        from firmware.simulation import hardware_robot
+    except ModuleNotFoundError as error:
+        if error.name is None or not error.name.startswith("firmware"):
+            raise
+        raise ConfigError(
+            "--hardware needs the firmware's sources, which are not installed with wheelsight",
+            fix="git clone wheelsight, and in its folder: python -m wheelsight drive",
+        ) from error
+    return hardware_robot
 
 
 def _simulated(options: RobotOptions) -> tuple[SimulationSettings, tuple[float, float, float] | None]:

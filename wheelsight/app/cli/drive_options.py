@@ -35,6 +35,12 @@ class RobotOptions:
     drive_model: Path | None = option_field(
         "File with the drive_model that its wheels answer by, of calibrate drive.", "FILE", "quick motors", _SIMULATED
     )
+    hardware: str | None = option_field(
+        "Drive its wheels through the compiled firmware on a simulated chip: atmega8 or stm32.",
+        "CHIP",
+        "the simulator's own loop",
+        _SIMULATED,
+    )
     realism: str = option_field("real or ideal, as for simulate.", "NAME", default="real", panel=_SIMULATED)
     camera: str | None = option_field(
         "Of a simulated robot as for simulate; of a real one the live camera, as for record.",

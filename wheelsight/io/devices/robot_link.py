@@ -28,6 +28,7 @@ from wheelsight.io.devices.wire_formats import Format
 # The first firmware that stops the motors 0.25 s after the last command. The one before waits for half a second, in
 # which a robot at 1 m/s moves 0.5 m without control (docs/decisions/monitor-and-safety).
 OLDEST_FIRMWARE = (1, 1)
+_NOW_S = 1e-9  # rounding of simulated time
 
 
 class Frames(Protocol):
@@ -83,8 +84,8 @@ class LinkRobot(Closing):
     @property
     def now_s(self) -> float:
         """See `Robot`; before the first ticks the host's time, without the delay of the line."""
-        after_s = self._quickest_s
-        return time.time() if after_s is None else time.monotonic() - after_s
+        host = self._link.host
+        return host.now_s() + (host.unix_offset_s() if self._quickest_s is None else -self._quickest_s)
 
     @property
     def stop_reason(self) -> str:
@@ -122,7 +123,8 @@ class LinkRobot(Closing):
             self._control.stop("two programs drive it at once")
             raise DeviceError("another program drives the robot", path=self._link.port, fix="let one drive")
         try:
-            ends_s = time.monotonic() + self._period_s
+            now_s = self._link.host.now_s
+            ends_s = now_s() + self._period_s
             events: list[Event] = []
             while (backlog := self._link.read(0)) is not None:
                 events.append(backlog)
@@ -131,11 +133,11 @@ class LinkRobot(Closing):
                 self._restarts = restarts
                 self._control.stop("the wheel controller restarted")
             self._obey(events[-1] if events and isinstance(events[-1], WheelTicks) else None, command)
-            while (left_s := ends_s - time.monotonic()) > 0:
+            while (left_s := ends_s - now_s()) > _NOW_S:
                 ticks = self._link.read(left_s)
                 self._obey(ticks, command)
                 events += [] if ticks is None else [ticks]
-                if ticks is None and (left_s := ends_s - time.monotonic()) > 0:
+                if ticks is None and (left_s := ends_s - now_s()) > _NOW_S:
                     time.sleep(left_s)  # a closed link returns at once
         finally:
             self._stepping.release()
@@ -169,7 +171,7 @@ class LinkRobot(Closing):
 
     def _obey(self, ticks: WheelTicks | None, command: VelocityCommand) -> None:
         """Update the wheels' loop and send its duties. Ticks that came late are ignored."""
-        now_s = time.monotonic()
+        now_s = self._link.host.now_s()
         if ticks is not None:
             after_s = now_s - ticks.stamp_s
             self._quickest_s = after_s if self._quickest_s is None else min(self._quickest_s, after_s)

@@ -45,6 +45,7 @@ BAUDRATE = 115200
 _QUIET_S = 1.0
 _RETRY_S = 0.2
 _MOST_QUEUED = 1 << 16
+_NOW_S = 1e-9  # rounding of simulated time
 
 
 class LinkStatus(StrEnum):
@@ -87,6 +88,27 @@ class LinkReport:
     other_line: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class LinkHost:
+    """Clock and ports of the computer that a link runs on.
+
+    Attributes:
+        now_s: returns monotonic seconds.
+        unix_offset_s: returns the seconds from 1970 to zero of `now_s`.
+        open_port: opens a port by name and baud rate, as `open_port`.
+        advance: of simulated time: lets a short time pass, at most until a time. The link then has no thread, and who
+            waits for it advances. None for real time.
+    """
+
+    now_s: Callable[[], float] = time.monotonic
+    unix_offset_s: Callable[[], float] = host_clock.unix_offset_s
+    open_port: Callable[[str, int], Serial] = lambda path, baudrate: open_port(path, baudrate)
+    advance: Callable[[float], None] | None = None
+
+
+REAL_HOST = LinkHost()
+
+
 class WheelLink(Closing):
     """The serial line to a wheel controller. Use it in a `with` block.
 
@@ -96,26 +118,35 @@ class WheelLink(Closing):
     Args:
         port: such as /dev/ttyUSB0, or better /dev/serial/by-id/…, which does not change when it is plugged in again.
         on_status: called with each new status, from the link's thread.
+        host: the computer, also a simulated one.
 
     Raises:
         DeviceError: the port is missing, denied, in use by another program, or not a serial port.
     """
 
     def __init__(
-        self, port: str, baudrate: int = BAUDRATE, on_status: Callable[[LinkStatus], None] | None = None
+        self,
+        port: str,
+        baudrate: int = BAUDRATE,
+        on_status: Callable[[LinkStatus], None] | None = None,
+        *,
+        host: LinkHost = REAL_HOST,
     ) -> None:
-        self.port, self.baudrate = str(port), baudrate
+        self.port, self.baudrate, self.host = str(port), baudrate, host
         self._on_status = on_status
         self.status = LinkStatus.LISTENING
         self._decoder, self._tracker = LineDecoder(), TickTracker()
         self._ticks: queue.Queue[WheelTicks | None] = queue.Queue(_MOST_QUEUED)
         self._last: WheelTicks | None = None
         self._reconnects = self._overrun = 0
-        self._serial: Serial | None = open_port(self.port, baudrate)
-        self._commands = Commands(self.port, self._write)
-        self._unix_s = host_clock.unix_offset_s()
-        self._opened_s = self._received_s = self._decoded_s = time.monotonic()
+        self._serial: Serial | None = host.open_port(self.port, baudrate)
+        self._commands = Commands(self.port, self._write, host.now_s)
+        self._unix_s = host.unix_offset_s()
+        self._opened_s = self._received_s = self._decoded_s = host.now_s()
         self._is_closing = threading.Event()
+        if host.advance is not None:
+            self._commands.wait = self._advance
+            return
         self._thread = threading.Thread(target=self._run, name=f"wheel link {self.port}", daemon=True)
         atexit.register(self.close)
         self._thread.start()
@@ -128,6 +159,9 @@ class WheelLink(Closing):
 
     def read(self, timeout_s: float) -> WheelTicks | None:
         """The next ticks, or None if none come within `timeout_s` seconds or the link is closed."""
+        if self.host.advance is not None:
+            self._advance(lambda: not self._ticks.empty(), timeout_s)
+            timeout_s = 0.0
         try:
             ticks = self._ticks.get(timeout=timeout_s)
         except queue.Empty:
@@ -232,6 +266,9 @@ class WheelLink(Closing):
     def close(self) -> None:
         """Stop the motors if they were driven, and release the port; may be called twice."""
         self._is_closing.set()
+        if self.host.advance is not None:
+            self._end()
+            return
         if self._thread is not threading.current_thread():
             self._thread.join()
         atexit.unregister(self.close)
@@ -245,18 +282,30 @@ class WheelLink(Closing):
                 except (SerialException, OSError):
                     self._wait_for_port()
         finally:
-            self._commands.end()
-            if self._serial is not None:
-                self._serial.close()
-            self._set_status(LinkStatus.CLOSED)
-            self._put(None)
+            self._end()
+
+    def _end(self) -> None:
+        """Stop the motors if they were driven, close the port, and end the ticks."""
+        self._commands.end()
+        if self._serial is not None:
+            self._serial.close()
+        self._set_status(LinkStatus.CLOSED)
+        self._put(None)
+
+    def _advance(self, is_done: Callable[[], bool], timeout_s: float) -> None:
+        """Let simulated time pass until `is_done`, and handle what arrives meanwhile."""
+        assert self.host.advance is not None
+        until_s = self.host.now_s() + timeout_s
+        while not is_done() and not self._is_closing.is_set() and self.host.now_s() < until_s - _NOW_S:
+            self.host.advance(until_s)
+            self._step()
 
     def _step(self) -> None:
         """Read and decode, repeat the motors' command where it is due, and update the status."""
         assert self._serial is not None
         waiting = self._serial.in_waiting
         data = self._serial.read(waiting or 1)
-        now_s = time.monotonic()
+        now_s = self.host.now_s()
         if data:
             self._received_s = now_s
         self._receive(data, now_s, waiting > 0)
@@ -304,13 +353,13 @@ class WheelLink(Closing):
         self._set_status(LinkStatus.VANISHED)
         while not self._is_closing.wait(_RETRY_S):
             try:
-                self._serial = open_port(self.port, self.baudrate)
+                self._serial = self.host.open_port(self.port, self.baudrate)
             except DeviceError:
                 continue
             self._reconnects += 1
             self._decoder.restart()
             self._tracker.replugged()
-            self._opened_s = self._received_s = self._decoded_s = time.monotonic()
+            self._opened_s = self._received_s = self._decoded_s = self.host.now_s()
             self._set_status(LinkStatus.LISTENING)
             return
 
@@ -356,11 +405,12 @@ class Commands:
 
     Attributes:
         version: the last version that the controller sent, or None.
+        wait: waits until a condition holds, for some seconds at most.
     """
 
-    def __init__(self, port: str, write: Callable[[bytes], None]) -> None:
+    def __init__(self, port: str, write: Callable[[bytes], None], now_s: Callable[[], float] = REAL_HOST.now_s) -> None:
         self.version: Version | None = None
-        self._port, self._write = port, write
+        self._port, self._write, self._now_s = port, write, now_s
         self._sending = threading.RLock()
         self._sequence = 0
         self._drive: bytes | None = None
@@ -368,6 +418,7 @@ class Commands:
         self._next_s = self._until_s = math.inf
         self._answer = threading.Condition()
         self._answers: dict[tuple[int, int], int] = {}
+        self.wait: Callable[[Callable[[], bool], float], object] = self._answer.wait_for
 
     def drive(self, left: float, right: float, hold_s: float | None) -> None:
         """Send DRIVE now and with each `keep_alive`, for `hold_s` seconds or until the next command."""
@@ -378,7 +429,7 @@ class Commands:
         with self._sending:
             self._drive, self._has_driven = None, True
             self._send(LinkCommand.DRIVE, body)  # where this raises, nothing is repeated after a reconnection
-            now_s = time.monotonic()
+            now_s = self._now_s()
             self._drive, self._next_s = body, now_s + KEEP_ALIVE_S
             self._until_s = math.inf if hold_s is None else now_s + hold_s
 
@@ -434,7 +485,7 @@ class Commands:
             with self._answer:
                 self._answers.clear()
                 key = (int(command), self._send(command, body))
-                self._answer.wait_for(partial(contains, self._answers, key), _ANSWER_S)
+                self.wait(partial(contains, self._answers, key), _ANSWER_S)
                 status = self._answers.get(key)
             if status == 0:
                 return
