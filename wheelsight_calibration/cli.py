@@ -10,6 +10,7 @@ import typer
 from wheelsight.app.cli.console import CliCommand, Group
 from wheelsight.app.cli.options import CalibrationFile, RateHz, RecordingPath, Topics, option, settings_from
 from wheelsight.app.cli.run_options import SettingsFile
+from wheelsight.core.errors import ConfigError
 from wheelsight_calibration.cli_camera import camera
 from wheelsight_calibration.cli_options import Force, Out, kept_in, open_for, page_beside, save_found, wheel_fields
 
@@ -64,19 +65,65 @@ Check = Annotated[
 ]
 
 
-def robot(file: Robot, check: Check = None, topic: Topics = None) -> None:
-    """Lead through the calibration of a robot: what FILE has, what is missing, and what to do next.
+From = Annotated[
+    Path | None,
+    option("Calibrate it by the map of an ordinary drive: a map, or a run or drive that left one.", "MAP", False, flag="--from"),
+]
+FromWheels = Annotated[
+    Path | None, option("With --from: the recording of that drive, with its wheels.", "RECORDING", "beside the map")
+]
+FromOut = Annotated[
+    Path | None, option("With --from: the calibration.yaml to write, with a page beside it.", "FILE", "FILE")
+]
+Sensor = Annotated[
+    str | None,
+    option("With --from: structured-light, tof or stereo.", "NAME", "by the calibration's depth noise"),
+]
 
-    In order: the camera by a board, the wheels by a drive, the mount by a drive, then a loop to check them on; and the
-    drive, for a robot that drives by itself.
+
+def robot(
+    file: Robot,
+    check: Check = None,
+    topic: Topics = None,
+    source: From = None,
+    wheels: FromWheels = None,
+    out: FromOut = None,
+    sensor: Sensor = None,
+    force: Force = False,
+) -> None:
+    """Lead through the calibration of a robot, or calibrate it by the map of an ordinary drive, without a board.
+
+    Without --from it says what FILE has, what is missing, and what to do next: the camera by a board, the wheels by a
+    drive, the mount by a drive, then a loop to check them on; and the drive, for a robot that drives by itself.
     Each step writes its part into FILE and keeps the others.
+
+    --from estimates depth, lens, mount, wheels, their delay and the gyroscope together from one drive's map, checks
+    them on pairs of views that it did not use, and says what the drive did not show.
+    A FILE that is there already is written with --force, or beside it with --out.
 
     [bold]Examples[/bold]
 
     wheelsight calibrate robot robot.yaml
 
+    wheelsight calibrate robot robot.yaml --from home
+
+    wheelsight calibrate robot robot.yaml --from results --wheels my_drive --out calibrated.yaml
+
     wheelsight calibrate robot robot.yaml --check loop
     """
+    if source is not None:
+        from wheelsight.app.cli.compiling import compile_missing
+        from wheelsight_calibration.cli_self import calibrate_from
+
+        compile_missing(("wheels",))
+        calibrate_from(file, source, wheels=wheels, out=out, force=force, sensor=sensor)
+        return
+    if wheels is not None or out is not None or sensor is not None or force:
+        raise ConfigError("--wheels, --out, --sensor and --force belong to --from", fix="add --from MAP")
+    _show_steps(file, check, topic)
+
+
+def _show_steps(file: Path, check: Path | None, topic: list[str] | None) -> None:
     from wheelsight.app.cli.console import console, print_warning, rows_table
     from wheelsight.core.inputs import is_there
     from wheelsight_calibration.cli_results import HEAD, history_rows, loop_check, steps_of

@@ -65,7 +65,7 @@ def robust_fit(problem: Problem, start: FloatArray) -> RobustFit:
         residuals = problem.residuals(values)
         if values is not start:
             scales = np.maximum(spread(residuals), _LEAST_SCALE)
-        weights = _weights(((residuals / (factor * scales)) ** 2).sum(axis=1))
+        weights = robust_weights(((residuals / (factor * scales)) ** 2).sum(axis=1))
         values = _solve(problem, values, scales, weights)
     residuals = problem.residuals(values)
     is_outlier = ((residuals / scales) ** 2).sum(axis=1) > _OUTLIER_CHI2
@@ -108,7 +108,7 @@ def _solve(problem: Problem, start: FloatArray, scales: FloatArray, weights: Flo
     return np.asarray(least_squares(misfit, within, jac="3-point", bounds=(-bounds, bounds), x_scale=_STEP * bounds).x)
 
 
-def _weights(chi2: FloatArray) -> FloatArray:
+def robust_weights(chi2: FloatArray) -> FloatArray:
     """Return Geman and McClure's weights (M,) of squared residuals (M,) in units of their scale."""
     return np.asarray((_OUTLIER_CHI2 / (_OUTLIER_CHI2 + chi2)) ** 2)
 
@@ -122,7 +122,7 @@ def _covariances(problem: Problem, values: FloatArray, scales: FloatArray) -> tu
     r = problem.residuals(values) / scales
     J = _jacobian(problem, values) / scales[None, :, None]
     chi2 = (r**2).sum(axis=1)
-    w = _weights(chi2)
+    w = robust_weights(chi2)
     slope = -4 * _OUTLIER_CHI2**2 / (_OUTLIER_CHI2 + chi2) ** 3
     H = np.einsum("mip,m,miq->pq", J, w, J)
     along = np.einsum("mip,mi->mp", J, r)
