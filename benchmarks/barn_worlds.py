@@ -1,149 +1,171 @@
-"""Worlds as the BARN challenge has them, of our own generator: obstacles by a cellular automaton, and a way through.
+"""The real fields of the BARN challenge (Perille et al. 2020), as worlds of the simulator, for two robots.
 
-By the published description (Perille et al. 2020: "Benchmarking Metric Ground Navigation"): cells are filled at random,
-15 to 30 % of them, and smoothed 2 to 4 times: more than 4 of 8 neighbours fill a cell, less than 2 empty it. The field
-is closed at its sides and open at its ends. There is a way through for a square of 5 cells: the challenge's generator
-gives the Jackal two cells to each side of its own. Where there is none, a strip of that width is cleared from the
-largest region that is open at the begin to that at the end.
-
-A Jackal (0.51 × 0.43 m) crosses 5 × 5 m of cells of 0.15 m, to a goal 10 m on. The simulated wheelchair (1.10 × 0.60 m)
-has 3 times the Jackal's area: all lengths are 1.75 times as long, which is the root of that.
+A field is a CSV file of the centres of cylinders (`cylinder`) and of the published reference path (`path`), in metres
+of the challenge's world. There a Jackal begins at (-2.25, 3) and heads along y, to a goal 10 m on. Here the robot
+begins at the origin and heads along x. Cylinders of 0.075 m radius stand on three sides of the corridor and in the
+field itself; the end is open. Walls of a hall, 1 m beyond, give the camera something to see there.
 """
 
 from __future__ import annotations
 
+import csv
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
-import cv2
 import numpy as np
 
-from benchmarks.box_worlds import Box, hall
-from wheelsight.core.geometry import BoolArray, IntArray
-from wheelsight.mapping import CellKind, OccupancyGrid
-from wheelsight.navigation import Costmap, NavigationSettings, Plan, Planner, StaticLayer
-from wheelsight_sim import World
+from benchmarks.box_worlds import hall, with_pillars
+from wheelsight.core.errors import InputError
+from wheelsight.core.geometry import FloatArray
+from wheelsight.core.robots import RobotLimits
+from wheelsight.navigation import CostmapSettings, NavigationSettings
+from wheelsight.navigation.settings import FollowSettings, FootprintSettings, MonitorSettings, PlannerSettings
+from wheelsight_sim import RobotModel, World
 
-SCALE = 1.75
-CELL_M, SIDE_CELLS, WAY_M = 0.15 * SCALE, 33, 10.0 * SCALE
-FILLS, ROUNDS = (0.15, 0.20, 0.25, 0.30), (2, 3, 4)
-WAY_CELLS = 5
-_FIELD_M = SIDE_CELLS * CELL_M
-_BEGIN_M = (WAY_M - _FIELD_M) / 2
-_BEHIND_M, _BEYOND_M = 2.0, 2.5
-# Of a truth that a planner is given: five to a cell of the automaton.
-_FINE = 5
-_HEIGHTS_M = (1.0, 1.5)
+WAY_M, RADIUS_M, HEIGHT_M = 10.0, 0.075, 1.0
+_START_M = (-2.25, 3.0)
+_HALL_M, _BEYOND_M = 1.0, 2.5
 
 
-def automaton(rng: np.random.Generator, fill: float, rounds: int, side: int = SIDE_CELLS) -> BoolArray:
-    """(side, side) filled cells; first and last row are walls."""
-    filled = rng.random((side, side)) < fill
-    filled[[0, -1]] = True
-    for _ in range(rounds):
-        filled = smoothed(filled)
-    return filled
+@dataclass(frozen=True, eq=False)
+class FieldRobot:
+    """A robot that crosses fields.
+
+    Attributes:
+        name: as `ROBOTS` has it.
+        scale: of the field; robots are as they are.
+        model: its true sizes and its camera's mount.
+        camera: of the simulator's.
+        settings: of its navigation.
+    """
+
+    name: str
+    scale: float
+    model: RobotModel
+    camera: str
+    settings: NavigationSettings
+
+    @property
+    def longest_s(self) -> float:
+        """The time within which it must cross: the challenge's 100 s, longer as the field is."""
+        return 100.0 * self.scale
 
 
-def smoothed(filled: BoolArray) -> BoolArray:
-    """Once: of 8 neighbours more than 4 fill a cell, less than 2 empty it; beyond first and last row all is filled."""
-    padded = np.pad(np.pad(filled.astype(int), ((0, 0), (1, 1))), ((1, 1), (0, 0)), constant_values=1)
-    rows, columns = filled.shape
-    shifts = [(i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
-    neighbours = np.sum([padded[i : i + rows, j : j + columns] for i, j in shifts], axis=0)
-    return np.asarray((neighbours > 4) | (filled & (neighbours >= 2)))
-
-
-def opened(filled: BoolArray) -> BoolArray | None:
-    """The same with a way from the first column to the last for a square of `WAY_CELLS`; None where an end is shut."""
-    reach = WAY_CELLS // 2
-    closed = np.pad(np.pad(filled, ((reach, reach), (0, 0)), constant_values=True), ((0, 0), (reach, reach)))
-    square = np.ones((WAY_CELLS, WAY_CELLS), np.uint8)
-    is_open = cv2.erode((~closed).astype(np.uint8), square)[reach:-reach, reach:-reach]
-    _, labels, about, _ = cv2.connectedComponentsWithStats(is_open, connectivity=4)
-    ends = [np.unique(column[column > 0]) for column in (labels[:, 0], labels[:, -1])]
-    if not all(map(len, ends)):
-        return None
-    first, last = (there[about[there, cv2.CC_STAT_AREA].argmax()] for there in ends)
-    cleared = filled.copy()
-    return cleared if first == last else _cleared(cleared, np.argwhere(labels == first), np.argwhere(labels == last))
-
-
-def _cleared(cleared: BoolArray, begins: IntArray, ends: IntArray) -> BoolArray:
-    """With a strip from the last of some cells (N, 2) to the first of others, along the row and then the column."""
-    reach = WAY_CELLS // 2
-    (row, column), (row_to, column_to) = begins[begins[:, 1].argmax()], ends[ends[:, 1].argmin()]
-    for rows, columns in (((row, row), (column, column_to)), ((row, row_to), (column_to, column_to))):
-        (top, bottom), (left, right) = sorted(rows), sorted(columns)
-        cleared[top - reach : bottom + reach + 1, max(left - reach, 0) : right + reach + 1] = False
-    return cleared
+# Clearpath's data sheet: 0.508 × 0.43 m and 2 m/s. The simulator gives it the chair's wheels, which its outline hides,
+# and their acceleration. Margins are those of the chair in proportion to the widths, but for errors of depth.
+_JACKAL = FieldRobot(
+    "jackal",
+    1.0,
+    RobotModel(
+        length_m=0.508,
+        width_m=0.43,
+        tail_m=0.254,
+        camera_height_m=0.45,
+        camera_forward_m=0.15,
+        camera_pitch_rad=0.35,
+        height_m=0.6,
+    ),
+    "realsense-d455",
+    NavigationSettings(
+        footprint=FootprintSettings(front_m=0.254, back_m=0.254, width_m=0.43),
+        limits=RobotLimits(
+            forward_m_s=2.0,
+            backward_m_s=0.3,
+            turn_rad_s=2.0,
+            acceleration_m_s2=1.5,
+            braking_m_s2=1.5,
+            turn_acceleration_rad_s2=4.0,
+            jerk_m_s3=10.0,
+        ),
+        costmap=CostmapSettings(unknown="costly", inflation_m=0.35),
+        planner=PlannerSettings(wanted_margin_m=0.07),
+        follow=FollowSettings(margin_m=0.03),
+        monitor=MonitorSettings(margin_m=0.03, slow_zone_m=0.1, slow_m_s=0.5, slow_rad_s=1.0),
+    ),
+)
+_CHAIR = NavigationSettings(costmap=CostmapSettings(unknown="costly"))
+# The same camera looks down far enough to see the floor from 1.2 m before the axle on, 0.4 m before the front.
+_WHEELCHAIR = FieldRobot("wheelchair", 1.75, RobotModel(camera_pitch_rad=0.35), "realsense-d455", _CHAIR)
+# Its usual camera sees 57°, and the floor from 2.3 m on.
+_KINECT = FieldRobot("wheelchair-kinect", 1.75, RobotModel(), "kinect-v1", _CHAIR)
+ROBOTS = {robot.name: robot for robot in (_JACKAL, _WHEELCHAIR, _KINECT)}
 
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """One world. The robot begins at the origin and heads along x, and its goal is `WAY_M` on.
+    """One field, scaled. The robot begins at the origin and heads along x.
 
     Attributes:
-        number: of it.
-        fill, rounds: of the automaton.
-        tries: how many were drawn until one could be crossed.
-        filled: (33, 33) cells; rows are along y.
-        plan: the best way through it, of one who knows it all.
+        number: of it, 0 to 299.
+        scale: of lengths against the challenge's.
+        pillars_m: (N, 2) centres of cylinders.
+        path_m: (M, 2) the published reference path, from start to goal.
     """
 
     number: int
-    fill: float
-    rounds: int
-    tries: int
-    filled: BoolArray
-    plan: Plan
+    scale: float
+    pillars_m: FloatArray
+    path_m: FloatArray
+
+    @property
+    def goal_m(self) -> FloatArray:
+        """(2,) of the goal."""
+        return np.array([WAY_M * self.scale, 0.0])
+
+    @property
+    def best_m(self) -> float:
+        """Length of the reference path with the ways to its begin and from its end, as the challenge has it."""
+        return float(np.hypot(*np.diff(self.path_m, axis=0).T).sum())
 
     @cached_property
     def world(self) -> World:
         """With walls round it."""
-        heights = np.random.default_rng([self.number, 1])
-        boxes = [
-            Box(x, y, long_m, CELL_M, float(heights.uniform(*_HEIGHTS_M))) for x, y, long_m in _stretches(self.filled)
-        ]
-        side_m = _FIELD_M / 2
-        return hall(f"field {self.number}", (-_BEHIND_M, -side_m, WAY_M + _BEYOND_M, side_m), boxes, self.number)
+        low, high = self.pillars_m.min(axis=0), self.pillars_m.max(axis=0)
+        out, end_m = _HALL_M * self.scale, (WAY_M + _BEYOND_M) * self.scale
+        size = float(low[0] - out), float(low[1] - out), end_m, float(high[1] + out)
+        empty = hall(f"BARN field {self.number}", size, [], self.number)
+        return with_pillars(empty, self.pillars_m, RADIUS_M * self.scale, HEIGHT_M, self.number)
 
 
-def field_of(number: int, seed: int, settings: NavigationSettings) -> Field:
-    """The worlds take turns in fill and rounds; those in which the robot finds no way are drawn again."""
-    fill, rounds = FILLS[number % len(FILLS)], ROUNDS[number // len(FILLS) % len(ROUNDS)]
-    rng, tries = np.random.default_rng([seed, number]), 0
-    footprint = settings.footprint.outline
-    planner = Planner(footprint, settings.drivable, settings.limits)
-    while True:
-        filled, tries = opened(automaton(rng, fill, rounds)), tries + 1
-        if filled is None:
-            continue
-        costmap = Costmap.of(StaticLayer.of(grid_of(filled)), footprint, settings.costmap)
-        plan = planner.plan(costmap, (0.0, 0.0, 0.0), (WAY_M, 0.0))
-        if isinstance(plan, Plan) and not plan.goal_change:
-            return Field(number, fill, rounds, tries, filled, plan)
+def read_field(folder: Path, number: int, scale: float) -> Field:
+    """A field of a folder of `world_NNN.csv`. Raises InputError, with the line, for a file that is none."""
+    path = folder / f"world_{number:03d}.csv"
+    found: dict[str, list[FloatArray]] = {"cylinder": [], "path": []}
+    try:
+        rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"cannot be read: {error}", path=path, fix="give the folder of the fields by --data"
+        ) from error
+    for line, row in enumerate(rows[1:], 2):
+        if len(row) != 3 or row[0] not in found:
+            raise InputError(f"line {line} is no cylinder or path", path=path, fix="what,x_m,y_m")
+        x, y = (float(cell) if _is_number(cell) else math.nan for cell in row[1:])
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise InputError(f"line {line}: x_m, y_m are {row[1]}, {row[2]}", path=path, fix="give metres")
+        # Ahead of the challenge's start is y, and left of it is -x.
+        found[row[0]].append(scale * np.array([y - _START_M[1], _START_M[0] - x]))
+    if not found["cylinder"] or not found["path"]:
+        raise InputError("has no cylinders or no path", path=path, fix="give a whole file of the data set")
+    ends = np.zeros((1, 2)), np.array([[WAY_M * scale, 0.0]])
+    return Field(number, scale, np.array(found["cylinder"]), np.concatenate([ends[0], found["path"], ends[1]]))
 
 
-def grid_of(filled: BoolArray) -> OccupancyGrid:
-    """The whole hall, as it truly is."""
-    cell_m, free = CELL_M / _FINE, np.uint8(CellKind.FREE)
-    before, after = (np.full((SIDE_CELLS * _FINE, round(m / cell_m)), free) for m in _ends_m())
-    field = np.where(filled.repeat(_FINE, axis=0).repeat(_FINE, axis=1), np.uint8(CellKind.OBSTACLE), free)
-    kind = np.pad(np.hstack([before, field, after]), 1, constant_values=int(CellKind.OBSTACLE)).astype(np.uint8)
-    origin = (_BEGIN_M - before.shape[1] * cell_m - cell_m, -_FIELD_M / 2 - cell_m)
-    return OccupancyGrid.of_kinds(kind, np.zeros(kind.shape, bool), cell_m, origin)
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
-def _ends_m() -> tuple[float, float]:
-    """Of floor before the field and after it."""
-    return _BEGIN_M + _BEHIND_M, _BEGIN_M + _BEYOND_M
-
-
-def _stretches(filled: BoolArray) -> list[tuple[float, float, float]]:
-    """Filled cells that follow each other along x: middle x, y, and length, metres."""
-    steps = np.diff(np.pad(filled, ((0, 0), (1, 1))).astype(int), axis=1)
-    (rows, begins), (_, ends) = np.nonzero(steps == 1), np.nonzero(steps == -1)
-    y = (rows + 0.5) * CELL_M - _FIELD_M / 2
-    x = _BEGIN_M + (begins + ends) / 2 * CELL_M
-    return list(zip(x.tolist(), y.tolist(), ((ends - begins) * CELL_M).tolist(), strict=True))
+def numbers_in(folder: Path) -> Sequence[int]:
+    """Numbers of the fields in a folder, in order. Raises InputError if there are none."""
+    names = sorted(path.stem.removeprefix("world_") for path in folder.glob("world_*.csv"))
+    numbers = [int(name) for name in names if name.isdecimal()]
+    if not numbers:
+        raise InputError("has no world_NNN.csv", path=folder, fix="give the folder of the BARN fields by --data")
+    return numbers

@@ -101,6 +101,20 @@ def with_boxes(world: World, boxes: Sequence[Box], seed: int) -> World:
     return replace(world, mjcf=ET.tostring(root, "unicode"), surfaces=surfaces)
 
 
+def with_pillars(world: World, centres_m: FloatArray, radius_m: float, height_m: float, seed: int) -> World:
+    """The same with upright cylinders at (N, 2); each has one of the looks."""
+    root, rng, surfaces = ET.fromstring(world.mjcf), np.random.default_rng([seed, _STREAM, 1]), dict(world.surfaces)
+    assets, body = _part(root, "asset"), _part(root, "worldbody")
+    for number, look in enumerate(_LOOKS):
+        surfaces[f"pillar{number}"] = look
+        ET.SubElement(assets, "material", name=f"pillar{number}", rgba="0.5 0.5 0.5 1")
+    for number, (x_m, y_m) in enumerate(centres_m.tolist()):
+        material, size = f"pillar{rng.integers(len(_LOOKS))}", f"{radius_m:.6g} {height_m / 2:.6g}"
+        place = {"pos": f"{x_m:.6g} {y_m:.6g} {height_m / 2:.6g}", "size": size}
+        ET.SubElement(body, "geom", place | {"name": f"cylinder{number}", "type": "cylinder", "material": material})
+    return replace(world, mjcf=ET.tostring(root, "unicode"), surfaces=surfaces)
+
+
 def _panels(size_m: tuple[float, float, float, float]) -> list[Box]:
     """Walls, in panels."""
     x_min, y_min, x_max, y_max = size_m

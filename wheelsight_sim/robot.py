@@ -24,9 +24,10 @@ _POSSIBLE = {
     "track_width_m": (0.2, 2.0),
     "gear_ratio": (0.1, 1000.0),
     "counts_per_turn": (1, 1_000_000),
-    "length_m": (0.9, 2.0),
-    "width_m": (0.5, 2.0),
+    "length_m": (0.4, 2.0),
+    "width_m": (0.3, 2.0),
     "height_m": (0.6, 2.5),
+    "tail_m": (0.1, 1.0),
     "camera_height_m": (0.05, 3.0),
     "camera_forward_m": (-1.0, 2.0),
     "camera_left_m": (-1.0, 1.0),
@@ -45,7 +46,7 @@ class RobotModel:
         track_width_m: true distance between the points where they touch the ground.
         gear_ratio: turns of a motor a turn of its wheel.
         counts_per_turn: of the encoder on the motor.
-        length_m, width_m, height_m: of the whole wheelchair.
+        length_m, width_m, height_m: of the whole wheelchair; `tail_m` of its length is behind the axle.
         camera_height_m, camera_forward_m, camera_left_m: where the camera sits over the ground, ahead of the axle and
             left of its middle.
         camera_pitch_rad, camera_yaw_rad, camera_roll_rad: how far it looks down, looks to the left, and leans to the
@@ -71,6 +72,7 @@ class RobotModel:
     camera_yaw_rad: float = 0.0
     camera_roll_rad: float = 0.0
     has_gyro: bool = False
+    tail_m: float = 0.30
 
     def __post_init__(self) -> None:
         for name, (least, most) in _POSSIBLE.items():
@@ -171,12 +173,9 @@ class Drive:
         return self.truth.duration_s
 
 
-TAIL_M = 0.3  # how far a wheelchair reaches behind its axle
-
-
 def outline_m(robot: RobotModel) -> FloatArray:
     """(3,) how far it reaches along x, from and to, and half its width, in the frame of the base."""
-    return np.array([-TAIL_M, robot.length_m - TAIL_M, robot.width_m / 2])
+    return np.array([-robot.tail_m, robot.length_m - robot.tail_m, robot.width_m / 2])
 
 
 def outline_at(robot: RobotModel, T_world_base: FloatArray) -> shapely.Polygon:

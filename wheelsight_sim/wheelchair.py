@@ -16,7 +16,7 @@ from wheelsight_sim.body_motion import CASTOR_X_M, CASTOR_Y_M, FloorSurface, Loa
 from wheelsight_sim.doors import Leaves
 from wheelsight_sim.drivers import COMMAND_PERIOD_S
 from wheelsight_sim.readings import is_during
-from wheelsight_sim.robot import TAIL_M, Patch, RobotModel, WheelFaults
+from wheelsight_sim.robot import Patch, RobotModel, WheelFaults
 from wheelsight_sim.world import World
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def wheelchair_mjcf(robot: RobotModel) -> str:
         .read_text(encoding="utf-8")
         .format(
             chassis_kg=_WEIGHT_KG - _WHEELS_KG,
-            middle=robot.length_m / 2 - TAIL_M,
+            middle=robot.length_m / 2 - robot.tail_m,
             half_length=robot.length_m / 2,
             half_width=robot.width_m / 2,
             hull_z=_CLEARANCE_M + half_height,
@@ -62,7 +62,7 @@ def wheelchair_mjcf(robot: RobotModel) -> str:
             jack_z=0.02 - LIFT_M,
             back_z=(0.5 + robot.height_m) / 2,
             back_half_z=(robot.height_m - 0.5) / 2,
-            foot_x=robot.length_m - TAIL_M - 0.12,
+            foot_x=robot.length_m - robot.tail_m - 0.12,
             left_y=half_y,
             left_radius=robot.left_radius_m,
             left_spoke=0.9 * robot.left_radius_m,

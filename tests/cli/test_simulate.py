@@ -155,7 +155,10 @@ def test_help_shows_examples(wheelsight: Command) -> None:
     [
         ((), "a WORLD is missing (wheelsight simulate floor4 --out DIR, or --list)"),
         (("nowhere",), "there is no world nowhere (choose from floor4, "),
-        (("square", "--camera", "eye"), "camera 'eye' is not known (choose from ideal, kinect-v1, kinect-v2)"),
+        (
+            ("square", "--camera", "eye"),
+            "camera 'eye' is not known (choose from ideal, kinect-v1, kinect-v2, realsense-d455)",
+        ),
         (("square", "--size", "big"), "--size is 'big' (write it as 320x240, half or full)"),
         (("square", "--size", "1x1"), "--size is 1x1 (16 to 4096 pixels)"),
         (("square", "--speed", 3), "--speed is 3 m/s (over 0, up to 1.2 m/s)"),

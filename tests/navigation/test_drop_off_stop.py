@@ -10,7 +10,7 @@ from narrowing import not_none
 from navigation.rooms import Ride
 from navigation.unguarded import FULL, Asks, without_monitor
 
-from benchmarks.plain_rooms import CAMERA, SENSES_M, Walls, walls_about
+from benchmarks.plain_rooms import EYE, SENSES_M, DepthEye, Walls, walls_about
 from wheelsight.core.geometry import FloatArray
 from wheelsight.navigation import MonitorReason, MonitorState, NavigationSettings
 from wheelsight.navigation.controllers import ControlResult
@@ -37,8 +37,8 @@ class Stair(Walls):
         c, s = np.cos(self.slant_rad), np.sin(self.slant_rad)
         return np.asarray((points[..., 0] - EDGE_M) * c + (points[..., 1] - BEGIN[1]) * s)
 
-    def depth_m(self, T_map_camera: FloatArray) -> FloatArray:
-        rays, origin = CAMERA.rays() @ T_map_camera[:3, :3].T, T_map_camera[:3, 3]
+    def depth_m(self, T_map_camera: FloatArray, eye: DepthEye = EYE) -> FloatArray:
+        rays, origin = eye.camera.rays() @ T_map_camera[:3, :3].T, T_map_camera[:3, 3]
         seen = super().depth_m(T_map_camera)
         with np.errstate(divide="ignore", invalid="ignore"):
             floor = np.where(rays[..., 2] < 0, -origin[2] / rays[..., 2], np.inf)

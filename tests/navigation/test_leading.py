@@ -83,8 +83,9 @@ def test_the_loop_of_the_page_arrives(project_folder: Path, capsys: pytest.Captu
     loops = [text for _, text in python_blocks(project_folder / "docs" / "navigation.md") if "is_task_complete" in text]
     (block,) = loops
     assert f"go_to_pose({GOAL})" in block
-    robot = RoomRobot(Walls.of(*ROOM), BEGIN)
-    names = {"robot": robot, "localization": StandInLocalization(robot), "floor": KnownFloor(robot.walls.grid(*SIZE_M))}
+    walls = Walls.of(*ROOM)
+    robot = RoomRobot(walls, BEGIN)
+    names = {"robot": robot, "localization": StandInLocalization(robot), "floor": KnownFloor(walls.grid(*SIZE_M))}
     exec(block, names)
     navigator = names["navigator"]
     assert isinstance(navigator, Navigator)

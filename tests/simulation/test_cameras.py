@@ -11,18 +11,20 @@ from wheelsight_sim.depth_sensor import IdealDepth, StructuredLight, TimeOfFligh
 from wheelsight_sim.scene import Scene
 
 
-def test_there_are_two_kinects_and_an_ideal_camera() -> None:
-    assert camera_names() == ("ideal", "kinect-v1", "kinect-v2")
+def test_there_are_two_kinects_a_stereo_and_an_ideal_camera() -> None:
+    assert camera_names() == ("ideal", "kinect-v1", "kinect-v2", "realsense-d455")
     models = {name: camera_model(name) for name in camera_names()}
     assert {name: model.name for name, model in models.items()} == {name: name for name in camera_names()}
     assert isinstance(models["kinect-v1"].depth, StructuredLight)
     assert isinstance(models["kinect-v2"].depth, TimeOfFlight)
     assert isinstance(models["ideal"].depth, IdealDepth)
     sizes = [(model.camera.width, model.camera.height) for model in models.values()]
-    assert sizes == [(640, 480), (640, 480), (512, 424)]
+    assert sizes == [(640, 480), (640, 480), (512, 424), (848, 480)]
 
 
-@pytest.mark.parametrize(("name", "across_deg", "down_deg"), [("kinect-v1", 57, 43), ("kinect-v2", 70.6, 60)])
+@pytest.mark.parametrize(
+    ("name", "across_deg", "down_deg"), [("kinect-v1", 57, 43), ("kinect-v2", 70.6, 60), ("realsense-d455", 87, 58)]
+)
 def test_fields_of_view_are_the_makers_to_two_degrees(name: str, across_deg: float, down_deg: float) -> None:
     lens = camera_model(name).camera
     seen = np.degrees(2 * np.arctan([lens.width / 2 / lens.fx, lens.height / 2 / lens.fy]))
@@ -64,7 +66,7 @@ def test_its_calibration_tells_the_noise_it_has(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["kinect-v3", "", "Ideal"])
 def test_an_unknown_camera_is_refused_with_those_there_are(name: str) -> None:
-    with pytest.raises(ConfigError, match="ideal, kinect-v1, kinect-v2"):
+    with pytest.raises(ConfigError, match="ideal, kinect-v1, kinect-v2, realsense-d455"):
         camera_model(name)
 
 

@@ -19,7 +19,7 @@ from shapely.ops import substring
 from wheelsight.core.errors import ConfigError
 from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray, IntArray
 from wheelsight_sim.drivers import Path2d, laps_of, smooth_path
-from wheelsight_sim.robot import TAIL_M, RobotModel
+from wheelsight_sim.robot import RobotModel
 from wheelsight_sim.settings import FloorPlan
 from wheelsight_sim.worlds.floor_plan_rooms import Doorway, FreeSpace, drawn
 
@@ -81,7 +81,7 @@ class Body:
     @classmethod
     def of(cls, robot: RobotModel) -> Body:
         """The wheelchair's."""
-        return cls(robot.length_m - TAIL_M, TAIL_M, robot.width_m / 2)
+        return cls(robot.length_m - robot.tail_m, robot.tail_m, robot.width_m / 2)
 
     @property
     def turning_m(self) -> float:
