@@ -8,7 +8,7 @@ import numpy as np
 
 from wheelsight import __version__
 from wheelsight.app.run import words
-from wheelsight.app.run.drive_record import DriveRecord
+from wheelsight.app.run.drive_record import DriveRecord, TimeCause
 from wheelsight.app.run.verdict import runs
 from wheelsight.core.files import StrPath, settings_text
 from wheelsight.core.geometry import ByteArray, FloatArray
@@ -76,6 +76,10 @@ def render_drive(record: DriveRecord) -> str:
     time_alt = f"States and speeds over {words.duration(record.time_s)}."
     time_plot = html.plot("time-line", time_line_figure(record), "States and speeds", sentence, time_alt)
     time_section = html.section("time", "What it did when", "", time_plot)
+    spent_alt = f"What {words.duration(record.time_s)} were spent on: {record.spent_words}."
+    spent_plot = html.plot("spent", spent_figure(record), "Time by cause", "Each control period has one.", spent_alt)
+    spent_table = html.fold("As a table", html.table("Time by cause.", *spent_rows(record)))
+    spent = html.section("spent", "Where its time went", "", spent_plot, spent_table)
     film = ""
     if record.images:
         pictures = []
@@ -125,7 +129,7 @@ def render_drive(record: DriveRecord) -> str:
         phrase=phrase,
         sentences=[sentences],
         tiles=tiles,
-        sections=(plan, time_section, film, goals, stop_section, log),
+        sections=(plan, spent, time_section, film, goals, stop_section, log),
         footer=_FOOTER,
     )
 
@@ -153,7 +157,7 @@ def verdict(record: DriveRecord) -> tuple[str, str, str]:
     return "Arrived", " ".join(remarks) or "At every goal, by its own localization.", "amber" if remarks else "green"
 
 
-_PLAN_PX, _TIME_PX = 640, 460
+_PLAN_PX, _TIME_PX, _SPENT_PX = 640, 460, 260
 _AROUND_M = 0.5
 # A person who is tracked without a break has a row each 0.05 s; a walking person moves less than this in the time.
 _SAME_WALKER_S, _SAME_WALKER_M = 0.5, 0.8
@@ -210,6 +214,53 @@ def plan_figure(record: DriveRecord) -> go.Figure:
     _add_marks(figure, places, [stop.reason for stop in held], "held", {"symbol": "x", "color": VERMILLION})
     figure.update_layout(plot_bgcolor="#ffffff")
     return figure
+
+
+_CAUSE_COLOURS = {
+    TimeCause.FULL_SPEED: GREEN,
+    TimeCause.GAINS_SPEED: "#8fd3bd",
+    TimeCause.BRAKES: "#c5e8dd",
+    TimeCause.CAREFUL: BLUE,
+    TimeCause.TURNS: SKY,
+    TimeCause.NOT_SEEN_LATELY: ORANGE,
+    TimeCause.NEVER_SEEN: "#b35900",
+    TimeCause.OBSTACLE: VERMILLION,
+    TimeCause.SENSORS: "#7a3e00",
+    TimeCause.LOCALIZATION: LAVENDER,
+    TimeCause.PLANNING: PURPLE,
+    TimeCause.EXPLORING: "#e8b8d4",
+    TimeCause.RECOVERY: "#8c5a7a",
+    TimeCause.STANDS: GREY,
+}
+
+
+def spent_figure(record: DriveRecord) -> go.Figure:
+    """One bar of seconds by cause, the longest first."""
+    figure = drawing.style(go.Figure(), _SPENT_PX, hovermode="closest", showlegend=True)
+    for cause, seconds in record.spent_s.items():
+        share = words.percent(seconds / max(record.time_s, 1e-9))
+        figure.add_bar(
+            x=[seconds],
+            y=["time"],
+            orientation="h",
+            name=cause,
+            marker={"color": _CAUSE_COLOURS[TimeCause(cause)], "line": {"width": 0}},
+            hovertemplate=f"{cause}: %{{x:.1f}} s, {share}<extra></extra>",
+        )
+    figure.update_layout(barmode="stack")
+    figure.update_xaxes(title_text="s", range=[0, record.time_s])
+    figure.update_yaxes(showticklabels=False, showgrid=False)
+    return figure
+
+
+def spent_rows(record: DriveRecord) -> words.Table:
+    """Column names with units, and one row a cause."""
+    seconds = list(record.spent_s.values())
+    return words.table(
+        ("The robot", list(record.spent_s)),
+        words.column("Time", seconds, "s"),
+        ("Share", [words.percent(one / max(record.time_s, 1e-9)) for one in seconds]),
+    )
 
 
 def time_line_figure(record: DriveRecord) -> go.Figure:

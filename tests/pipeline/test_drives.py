@@ -14,13 +14,23 @@ from rehearsed_drive import CALIBRATION, recorded, rehearsed_drive
 from sessions.kept_views import write_map
 
 from wheelsight.app.run import drives
-from wheelsight.app.run.drive_record import write_drive
+from wheelsight.app.run.drive_record import TimeCause, time_cause, write_drive
 from wheelsight.app.run.drives import GoalDrive, NamedGoal, drive_in_map
 from wheelsight.app.run.kernel_process import DrawnRobot, drawn_room
 from wheelsight.config import load_config
 from wheelsight.core.errors import ArgumentError, ConfigError, DeviceError
+from wheelsight.core.estimates import Status
+from wheelsight.core.messages import VelocityCommand
+from wheelsight.core.robots import RobotLimits
 from wheelsight.core.trajectory import read_tum
-from wheelsight.navigation import Feedback, NavigationReason, NavigationState
+from wheelsight.navigation import (
+    Feedback,
+    MonitorReason,
+    MonitorResult,
+    MonitorState,
+    NavigationReason,
+    NavigationState,
+)
 from wheelsight.slam.maps import MapFolder
 
 NEAR = NamedGoal.of((-0.7, -0.4), "the middle")
@@ -190,3 +200,45 @@ def test_a_drive_takes_a_planner_and_a_controller_of_the_user(
     with pytest.raises(TakenError), made:
         pass
     assert (taken["planner"], taken["controller"]) == (own["planner"], own["controller"])
+
+
+def fed_back(
+    state: NavigationState = NavigationState.DRIVING,
+    asked: tuple[float, float] = (0.5, 0.0),
+    measured: tuple[float, float] = (0.5, 0.0),
+    reason: MonitorReason | None = None,
+    **more: Any,
+) -> Feedback:
+    does = MonitorState.FREE if reason is None else MonitorState.SLOWED
+    monitor = MonitorResult(VelocityCommand(*asked), does if any(asked) or not reason else MonitorState.STOPPED, reason)
+    facts: dict[str, Any] = {"status": Status.TRACKING, "doing": "the kitchen", "to_go_m": 5.0, **more}
+    return Feedback(
+        1.0, state, facts["status"], None, *measured, None, facts["to_go_m"], None, np.empty((0, 3)), monitor,
+        facts["doing"], 1, facts.get("robot_stop", ""),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("feedback", "cause"),
+    [
+        (fed_back(asked=(0.7, 0.0), measured=(0.66, 0.0)), TimeCause.FULL_SPEED),
+        (fed_back(asked=(0.4, 0.0), measured=(0.3, 0.0)), TimeCause.GAINS_SPEED),
+        (fed_back(asked=(0.3, 0.0), measured=(0.31, 0.0), to_go_m=0.3), TimeCause.BRAKES),
+        (fed_back(asked=(0.4, 0.3), measured=(0.4, 0.3)), TimeCause.CAREFUL),
+        (fed_back(asked=(0.0, 0.5), measured=(0.0, 0.5)), TimeCause.TURNS),
+        (fed_back(asked=(0.0, 0.5), reason=MonitorReason.NOT_SEEN_LATELY), TimeCause.TURNS),
+        (fed_back(asked=(0.2, 0.0), reason=MonitorReason.NOT_SEEN_LATELY), TimeCause.NOT_SEEN_LATELY),
+        (fed_back(asked=(0.0, 0.0), reason=MonitorReason.NEVER_SEEN), TimeCause.NEVER_SEEN),
+        (fed_back(asked=(0.3, 0.0), reason=MonitorReason.IN_ZONE), TimeCause.OBSTACLE),
+        (fed_back(asked=(0.0, 0.0), reason=MonitorReason.NO_FRAME), TimeCause.SENSORS),
+        (fed_back(robot_stop="its button"), TimeCause.SENSORS),
+        (fed_back(asked=(0.3, 0.0), reason=MonitorReason.UNCONFIRMED), TimeCause.LOCALIZATION),
+        (fed_back(NavigationState.RECOVERING, status=Status.LOST), TimeCause.LOCALIZATION),
+        (fed_back(NavigationState.RECOVERING), TimeCause.RECOVERY),
+        (fed_back(NavigationState.PLANNING, (0.0, 0.0)), TimeCause.PLANNING),
+        (fed_back(NavigationState.PLANNING, (0.0, 0.0), doing="explore"), TimeCause.EXPLORING),
+        (fed_back(NavigationState.ARRIVED, (0.0, 0.0)), TimeCause.STANDS),
+    ],
+)
+def test_a_period_has_the_cause_that_a_person_would_name(feedback: Feedback, cause: TimeCause) -> None:
+    assert time_cause(feedback, RobotLimits(forward_m_s=0.7)) is cause

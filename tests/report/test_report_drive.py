@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rehearsed_drive import recorded, rehearsed_drive
 
-from wheelsight.app.run.drive_record import DriveRecord, StopRecord, drive_dict
+from wheelsight.app.run.drive_record import DriveRecord, StopRecord, TimeCause, drive_dict
 from wheelsight.app.run.drives import NamedGoal
 from wheelsight.mapping import CellKind
 from wheelsight_report.drive_page import (
@@ -17,6 +17,8 @@ from wheelsight_report.drive_page import (
     drive_picture,
     plan_figure,
     render_drive,
+    spent_figure,
+    spent_rows,
     time_line_figure,
     verdict,
     walked,
@@ -90,6 +92,17 @@ def test_periods_that_came_late_are_counted(record: DriveRecord) -> None:
     page = unescape(render_drive(late))
     assert "Longest period" in page
     assert f"1 period of {count:,} of the control loop took longer" in page
+
+
+def test_each_period_has_one_cause_and_their_sum_is_the_time(record: DriveRecord) -> None:
+    spent_s = drive_dict(record)["spent_s"]
+    assert sum(spent_s.values()) == pytest.approx(record.time_s, abs=0.01)
+    assert {TimeCause.GAINS_SPEED, TimeCause.BRAKES} <= {TimeCause(cause) for cause in spent_s}
+    assert list(spent_s.values()) == sorted(spent_s.values(), reverse=True)
+    bars = spent_figure(record).data
+    assert [(bar.name, bar.x[0]) for bar in bars] == list(record.spent_s.items())
+    assert [row[0] for row in spent_rows(record)[1]] == list(spent_s)
+    assert f"% {next(iter(spent_s))}" in unescape(render_drive(record))
 
 
 def test_two_who_walk_side_by_side_have_a_way_each(record: DriveRecord) -> None:

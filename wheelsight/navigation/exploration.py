@@ -62,6 +62,7 @@ class Exploration:
     """
 
     is_asked_for = False  # a place beside a viewpoint shows as much
+    name = "explore"
 
     def __init__(self, footprint: Footprint, margin_m: float, near_m: float, half_view_rad: float) -> None:
         self._footprint = footprint
@@ -75,7 +76,6 @@ class Exploration:
         self._next: _Viewpoint | None = None
         self._turns = TURNS
         self.left = 1
-        self.name = "explore"
 
     def upcoming(self, pose: FloatArray, costmap: Costmap) -> tuple[FloatArray, ...]:
         """Return the next poses of a full turn at first, then the best viewpoint; see `Goals`."""

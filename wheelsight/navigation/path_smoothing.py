@@ -15,14 +15,15 @@ from wheelsight.core.robots import RobotLimits
 from wheelsight.navigation.costmap import Costmap
 from wheelsight.navigation.planner_kernels import (
     CURVE,
-    CURVE_BACK,
+    ROOM,
     TURN_AND_DRIVE,
-    WAYS,
     DriveRules,
     PlanCells,
     Shape,
+    centre,
     cost_of,
     least_clearance,
+    shorten,
     tightnesses,
     write_arc,
     write_way,
@@ -31,11 +32,8 @@ from wheelsight.navigation.settings import Footprint, PlannerSettings
 
 # Distances before and after a corner where a curve may begin and end; the first free one is used.
 _ROUNDINGS_M = (1.5, 1.0, 0.6, 0.35)
-# Least relative gain of a replacement.
-_LEAST_GAIN = 1e-3
-# Poses of a part whose middle is moved, about two metres, and how: metres to the left, radians.
-_PIECE_POSES = 40
-_SHIFTS = [(a, t) for a in (0.0, 0.02, -0.02, 0.05, -0.05) for t in (0.0, 0.04, -0.04) if a or t]
+# Rounds in which a path is moved away from obstacles.
+_ROUNDS = 4
 
 
 def any_angle(way: IntArray, known: FloatArray, drivable: Drivable, metre_cost: Float32Array) -> FloatArray:
@@ -119,82 +117,6 @@ def _corner(
     return np.concatenate([line, curve[1:]]) if len(curve) else curve
 
 
-def shortened(poses: FloatArray, drivable: Drivable) -> FloatArray:
-    """Replace parts of a path (N, 4) by curves, or turns and lines, where those are free and cheaper.
-
-    It tries long parts first, then shorter ones. Each begins halfway along the last.
-    """
-    span = len(poses) - 1
-    while span >= 4:
-        at = 0
-        while at + 2 < len(poses):
-            end = min(at + span, len(poses) - 1)
-            replaced = _shorter(poses[at : end + 1], drivable)
-            if replaced is not None:
-                poses = np.concatenate([poses[:at], replaced, poses[end + 1 :]])
-                end = at + len(replaced) - 1
-            at += max((end - at) // 2, 1)
-        span //= 2
-    return poses
-
-
-def _shorter(piece: FloatArray, drivable: Drivable) -> FloatArray | None:
-    """Return the cheapest connection of a part's ends; None if it gains nothing."""
-    before, best = drivable.cost(piece), None
-    limit = before * (1 - _LEAST_GAIN)
-    goes_back = bool((piece[1:, 3] < 0).any())
-    for way in range(WAYS) if goes_back else (TURN_AND_DRIVE, CURVE):
-        made = drivable.way(piece[0], piece[-1], way)
-        if len(made) < 2:
-            continue
-        cost = drivable.cost(made)
-        # The next part begins in the direction of this one, or pays for the change.
-        cost += drivable.rules.switch_m if made[-1, 3] != piece[-1, 3] else 0.0
-        if cost < limit:
-            best, limit = made, cost
-    return best
-
-
-def centred(poses: FloatArray, drivable: Drivable, rounds: int) -> FloatArray:
-    """Shift and turn a path (N, 4) a little, part by part, where that is cheaper: away from obstacles.
-
-    It tries other places for the middle of each part, joined to its ends by curves. Parts overlap by half.
-    """
-    for _ in range(rounds):
-        at, has_changed = 0, False
-        while at + 4 < len(poses):
-            end = min(at + _PIECE_POSES, len(poses) - 1)
-            moved = _recentred(poses[at : end + 1], drivable)
-            if moved is not None:
-                poses, has_changed = np.concatenate([poses[:at], moved, poses[end + 1 :]]), True
-                end = at + len(moved) - 1
-            at += max((end - at) // 2, 1)
-        if not has_changed:
-            break
-    return poses
-
-
-def _recentred(piece: FloatArray, drivable: Drivable) -> FloatArray | None:
-    """Return a part with its middle moved; None if that gains nothing, or if the part changes its direction."""
-    before = drivable.cost(piece)
-    if drivable.tightness(piece[:, :3]).max() == 0 or (piece[:, 3] != piece[-1, 3]).any():
-        return None
-    middle, best, limit = piece[len(piece) // 2], None, before * (1 - _LEAST_GAIN)
-    way = CURVE if piece[-1, 3] > 0 else CURVE_BACK
-    for aside_m, turn in _SHIFTS:
-        c, s = np.cos(middle[2]), np.sin(middle[2])
-        via = np.array([middle[0] - s * aside_m, middle[1] + c * aside_m, middle[2] + turn])
-        first = drivable.way(piece[0], via, way)
-        second = drivable.way(first[-1], piece[-1], way) if len(first) > 1 else first
-        if len(second) < 2:
-            continue
-        made = np.concatenate([first, second[1:]])
-        cost = drivable.cost(made)
-        if cost < limit:
-            best, limit = made, cost
-    return best
-
-
 # Usual speed: a metre in a slower zone costs more, in proportion to its time.
 _USUAL_M_S = 0.6
 # Extra cost of a metre with the least clearance only, quadratic between that and the wanted one; a free metre costs 1.
@@ -217,8 +139,6 @@ _GREED = 1.6
 _CONNECT_M = 4.0
 # Largest clearance that is measured.
 MOST_CLEARANCE_M = 0.5
-# Most poses in one part of a path: 400 m at 5 cm each.
-_ROOM = 8192
 # Outlines with margins from the wanted one to the least.
 _OUTLINES = 5
 
@@ -293,6 +213,11 @@ class Drivable:
         """Return (N,) whether the footprint fits with the least margin at poses (N, 3)."""
         return np.isfinite(self.tightness(poses))
 
+    def smooth(self, poses: FloatArray) -> FloatArray:
+        """Return a cheaper path (M, 4) from the start of a path (N, 4) to its end, as far from obstacles as wanted."""
+        given = self.cells, self.shape, self.rules
+        return np.asarray(centre(*given, shorten(*given, np.ascontiguousarray(poses)), _ROUNDS))
+
     def cost(self, poses: FloatArray) -> float:
         """Return the cost of a path (N, 4) with its directions; infinite if any pose but the first collides."""
         return float(cost_of(self.cells, self.shape, self.rules, poses, 1, len(poses)))
@@ -304,12 +229,12 @@ class Drivable:
 
     def arc(self, pose: FloatArray, way_m: float, turn: float) -> FloatArray:
         """Return (N, 4) along an arc from a pose (4,), which is the first."""
-        out = np.empty((_ROOM, 4))
+        out = np.empty((ROOM, 4))
         out[0] = pose
         return out[: max(write_arc(out, 1, (float(way_m), float(turn)), self.rules), 1)].copy()
 
     def way(self, pose: FloatArray, to: FloatArray, way: int) -> FloatArray:
         """Return (N, 4) from a pose (4,), the first, to another (3,) by a connection of the kernels; empty without."""
-        out = np.empty((_ROOM, 4))
+        out = np.empty((ROOM, 4))
         out[0] = pose
         return out[: write_way(out, 1, np.ascontiguousarray(to[:3]), way, self.rules)].copy()

@@ -18,7 +18,7 @@ from wheelsight.core.geometry.se2 import wrap_angle
 from wheelsight.core.robots import RobotLimits
 from wheelsight.navigation.clearance_kernels import Outline, clearances_at
 from wheelsight.navigation.costmap import CellState, Costmap
-from wheelsight.navigation.path_smoothing import Drivable, any_angle, centred, driven, shortened
+from wheelsight.navigation.path_smoothing import Drivable, any_angle, driven
 from wheelsight.navigation.planner_kernels import (
     NOTHING_LEFT,
     TOO_MANY,
@@ -30,8 +30,6 @@ from wheelsight.navigation.planner_kernels import (
 )
 from wheelsight.navigation.settings import Footprint, PlannerSettings, outline_of
 
-# Rounds of `centred`, which moves a path away from obstacles.
-_ROUNDS = 4
 # Limits of time and memory of a search: 90 MB, ten seconds or more; and of the plan that explains a failure, about a
 # second on a small computer.
 _MOST_STATES, _MOST_STATES_TO_EXPLAIN = 800_000, 50_000
@@ -178,7 +176,7 @@ class Planner:
                 # In tight places both may be free: take the cheaper one that ends at the requested goal.
                 if poses is None or (end is goal and drivable.cost(searched) < drivable.cost(poses)):
                     poses, goal = searched, end
-        poses = centred(shortened(poses, drivable), drivable, _ROUNDS)
+        poses = drivable.smooth(poses)
         poses = np.concatenate([out[:-1], poses])
         path = poses[:, :3].copy()
         path[:, 2] = wrap_angle(path[:, 2])

@@ -493,26 +493,222 @@ def cost_of(cells: PlanCells, shape: Shape, rules: DriveRules, poses: Any, begin
     """
     total = 0.0
     for k in range(begin, end):
-        x, y, yaw = poses[k, 0], poses[k, 1], poses[k, 2]
-        tight = tightness(cells, shape, x, y, yaw)
-        if tight == np.inf:
-            return np.inf
-        row, column = cell_of(cells, x, y)
-        # Squared, so that a slightly low clearance hardly bends a path.
-        tight = rules.tight * tight * tight
-        way_m = np.hypot(x - poses[k - 1, 0], y - poses[k - 1, 1])
-        turn = abs(yaw - poses[k - 1, 2])
-        if way_m < _EPSILON:
-            # A forbidden turn has an infinite cost, and infinity times zero would be NaN.
-            total += rules.turn_m * turn * (1.0 + tight) if turn > _EPSILON else 0.0
-            continue
-        factor = rules.backward if poses[k, 3] < 0 else rules.forward
-        total += way_m * (cells.metre_cost[row, column] + tight) * factor
-        if turn > _EPSILON:
-            total += rules.bend_m * turn
-        if poses[k, 3] != poses[k - 1, 3]:
-            total += rules.switch_m
+        total += step_cost(cells, shape, rules, poses, k)
+        if total == np.inf:
+            break
     return total
+
+
+@kernel(error_model="numpy")
+def step_cost(cells: PlanCells, shape: Shape, rules: DriveRules, poses: Any, k: int) -> Any:
+    """Return the cost to drive from pose `k - 1` to pose `k`; infinite if the latter is not free."""
+    x, y, yaw = poses[k, 0], poses[k, 1], poses[k, 2]
+    tight = tightness(cells, shape, x, y, yaw)
+    if tight == np.inf:
+        return np.inf
+    row, column = cell_of(cells, x, y)
+    # Squared, so that a slightly low clearance hardly bends a path.
+    tight = rules.tight * tight * tight
+    way_m = np.hypot(x - poses[k - 1, 0], y - poses[k - 1, 1])
+    turn = abs(yaw - poses[k - 1, 2])
+    if way_m < _EPSILON:
+        # A forbidden turn has an infinite cost, and infinity times zero would be NaN.
+        return rules.turn_m * turn * (1.0 + tight) if turn > _EPSILON else 0.0
+    cost = way_m * (cells.metre_cost[row, column] + tight) * (rules.backward if poses[k, 3] < 0 else rules.forward)
+    if turn > _EPSILON:
+        cost += rules.bend_m * turn
+    if poses[k, 3] != poses[k - 1, 3]:
+        cost += rules.switch_m
+    return cost
+
+
+# Replacement of parts of a path by cheaper ones.
+
+# Most poses of a part: 400 m at 5 cm each; and the least relative gain of a replacement.
+ROOM = 8192
+_LEAST_GAIN = 1e-3
+
+
+class PathBuffer(NamedTuple):
+    """A path that is changed in place.
+
+    Attributes:
+        poses: (M, 4), with room.
+        steps: (M,) cost of the step to each pose.
+        made: (2, ROOM, 4) the best part so far, and one that is tried.
+    """
+
+    poses: Any
+    steps: Any
+    made: Any
+
+
+@kernel(error_model="numpy")
+def buffered(cells: PlanCells, shape: Shape, rules: DriveRules, poses: Any) -> Any:
+    """Return a `PathBuffer` of a path (N, 4)."""
+    buffer = PathBuffer(
+        np.empty((2 * len(poses) + ROOM, 4)), np.zeros(2 * len(poses) + ROOM), np.empty((2, ROOM, 4))
+    )
+    buffer.poses[: len(poses)] = poses
+    for k in range(1, len(poses)):
+        buffer.steps[k] = step_cost(cells, shape, rules, buffer.poses, k)
+    return buffer
+
+
+@kernel(error_model="numpy")
+def shorten(cells: PlanCells, shape: Shape, rules: DriveRules, poses: Any) -> Any:
+    """Return a path (M, 4) whose parts are curves, or turns and lines, where those are free and cheaper.
+
+    It tries long parts of a path (N, 4) first, then shorter ones. Each begins halfway along the last.
+    """
+    buffer, count = buffered(cells, shape, rules, poses), len(poses)
+    span = count - 1
+    while span >= 4:
+        at = 0
+        while at + 2 < count:
+            end = min(at + span, count - 1)
+            length = _shorter(cells, shape, rules, buffer, at, end)
+            if length > 0 and count - (end - at + 1) + length < len(buffer.poses):
+                count = _replace(cells, shape, rules, buffer, (at, end, length, count))
+                end = at + length - 1
+            at += max((end - at) // 2, 1)
+        span //= 2
+    return buffer.poses[:count].copy()
+
+
+@kernel(error_model="numpy")
+def _replace(cells: PlanCells, shape: Shape, rules: DriveRules, buffer: PathBuffer, where: Any) -> Any:
+    """Put the best part in place of poses `at` to `end` of a path; return its new number of poses."""
+    at, end, length, count = where
+    rest = count - end - 1
+    buffer.poses[at + length : at + length + rest] = buffer.poses[end + 1 : count].copy()
+    buffer.steps[at + length : at + length + rest] = buffer.steps[end + 1 : count].copy()
+    buffer.poses[at : at + length] = buffer.made[0, :length]
+    for k in range(at + 1, min(at + length + 1, at + length + rest)):
+        buffer.steps[k] = step_cost(cells, shape, rules, buffer.poses, k)
+    return at + length + rest
+
+
+@kernel(error_model="numpy")
+def _limit(buffer: PathBuffer, at: int, end: int) -> Any:
+    """Return the cost below which a replacement of poses `at` to `end` is a gain."""
+    before = 0.0
+    for k in range(at + 1, end + 1):
+        before += buffer.steps[k]
+    return before * (1 - _LEAST_GAIN)
+
+
+@kernel(error_model="numpy")
+def _shorter(cells: PlanCells, shape: Shape, rules: DriveRules, buffer: PathBuffer, at: int, end: int) -> Any:
+    """Write the cheapest connection of the ends of a part; return its number of poses, 0 if it gains nothing."""
+    limit, length, path = _limit(buffer, at, end), 0, buffer.poses
+    goes_back = False
+    for k in range(at + 1, end + 1):
+        goes_back |= path[k, 3] < 0
+    for way in range(WAYS):
+        sense = 1.0 if way == TURN_AND_DRIVE or way == CURVE else -1.0
+        if sense < 0 and not goes_back:
+            continue
+        # The next part begins in the direction of this one, or pays for the change.
+        change = rules.switch_m if sense != path[end, 3] else 0.0
+        if _least_cost(rules, path[at], path[end], way) + change >= limit:
+            continue
+        buffer.made[1, 0] = path[at]
+        count = write_way(buffer.made[1], 1, path[end, :3].copy(), way, rules)
+        if count < 2:
+            continue
+        change = rules.switch_m if buffer.made[1, count - 1, 3] != path[end, 3] else 0.0
+        cost = _cost_below(cells, shape, rules, buffer.made[1], count, limit - change) + change
+        if cost < limit:
+            limit, length = cost, count
+            buffer.made[0, :count] = buffer.made[1, :count]
+    return length
+
+
+@kernel(error_model="numpy")
+def _least_cost(rules: DriveRules, begin: Any, end: Any, way: int) -> Any:
+    """Return a lower bound of the cost of a connection from a pose to another."""
+    dx, dy = end[0] - begin[0], end[1] - begin[1]
+    length_m = np.hypot(dx, dy)
+    if length_m < _EPSILON:
+        return 0.0
+    if way >= CURVE:
+        return length_m
+    sense = 1.0 if way == TURN_AND_DRIVE else -1.0
+    heading = np.arctan2(sense * dy, sense * dx)
+    turn = abs(wrapped(heading - begin[2])) + abs(wrapped(end[2] - heading))
+    return length_m + (rules.turn_m * turn if turn > 1e-6 else 0.0)
+
+
+@kernel(error_model="numpy")
+def _cost_below(cells: PlanCells, shape: Shape, rules: DriveRules, poses: Any, count: int, limit: float) -> Any:
+    """Return the cost of poses after the first; infinite as soon as it reaches a limit, or one is not free."""
+    total = 0.0
+    for k in range(1, count):
+        total += step_cost(cells, shape, rules, poses, k)
+        if total >= limit:
+            return np.inf
+    return total
+
+
+# Poses of a part whose middle is moved, about two metres, and how: metres to the left, radians.
+_PIECE_POSES = 40
+_ASIDE_M = (0.0, 0.02, -0.02, 0.05, -0.05)
+_TURNED_RAD = (0.0, 0.04, -0.04)
+
+
+@kernel(error_model="numpy")
+def centre(cells: PlanCells, shape: Shape, rules: DriveRules, poses: Any, rounds: int) -> Any:
+    """Return a path (M, 4), shifted and turned a little, part by part, where that is cheaper: away from obstacles.
+
+    It tries other places for the middle of each part, joined to its ends by curves. Parts overlap by half.
+    """
+    buffer, count = buffered(cells, shape, rules, poses), len(poses)
+    for _ in range(rounds):
+        at, has_changed = 0, False
+        while at + 4 < count:
+            end = min(at + _PIECE_POSES, count - 1)
+            length = _recentred(cells, shape, rules, buffer, at, end)
+            if length > 0 and count - (end - at + 1) + length < len(buffer.poses):
+                count, has_changed = _replace(cells, shape, rules, buffer, (at, end, length, count)), True
+                end = at + length - 1
+            at += max((end - at) // 2, 1)
+        if not has_changed:
+            break
+    return buffer.poses[:count].copy()
+
+
+@kernel(error_model="numpy")
+def _recentred(cells: PlanCells, shape: Shape, rules: DriveRules, buffer: PathBuffer, at: int, end: int) -> Any:
+    """Write a part with its middle moved; return its number of poses.
+
+    0 if that gains nothing, if the part is nowhere tight, or if it changes its direction.
+    """
+    path, is_tight = buffer.poses, False
+    for k in range(at, end + 1):
+        if path[k, 3] != path[end, 3]:
+            return 0
+        is_tight = is_tight or tightness(cells, shape, path[k, 0], path[k, 1], path[k, 2]) > 0
+    if not is_tight:
+        return 0
+    limit, length, middle = _limit(buffer, at, end), 0, path[at + (end + 1 - at) // 2]
+    way, via = CURVE if path[end, 3] > 0 else CURVE_BACK, np.empty(3)
+    c, s = np.cos(middle[2]), np.sin(middle[2])
+    for aside_m in _ASIDE_M:
+        for turn in _TURNED_RAD:
+            if aside_m == 0.0 and turn == 0.0:
+                continue
+            via[0], via[1], via[2] = middle[0] - s * aside_m, middle[1] + c * aside_m, middle[2] + turn
+            buffer.made[1, 0] = path[at]
+            count = write_way(buffer.made[1], 1, via, way, rules)
+            count = write_way(buffer.made[1], count, path[end, :3].copy(), way, rules) if count > 1 else 0
+            if count < 2:
+                continue
+            cost = _cost_below(cells, shape, rules, buffer.made[1], count, limit)
+            if cost < limit:
+                limit, length = cost, count
+                buffer.made[0, :count] = buffer.made[1, :count]
+    return length
 
 
 # PlanCells under a footprint, and its distance to occupied cells.

@@ -367,6 +367,8 @@ def print_results(record: DriveRecord, left_out: str = "") -> None:
             typer.echo(f"arrived at {goal.name}: {result.way_m:.1f} m in {result.time_s:.0f} s{change}")
         elif not record.is_interrupted:
             print_error(f"{goal.name} was not reached: {result.reason} ({result.detail})")
+    mean_m_s = words.number(record.way_m / max(record.time_s, 1e-9), 2)
+    typer.echo(f"{mean_m_s} m/s in the mean; the robot's time: {record.spent_words or 'none'}")
     # Late control periods
     periods = record.periods
     if periods.late > _OFTEN * periods.count:

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
+from wheelsight.app.run.drive_record import TimeCause, time_cause
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import ByteArray, FloatArray, se2, se3
 from wheelsight.core.messages import Event
@@ -108,6 +109,7 @@ class SnapshotMaker:
             costmap = senses.local() if self._wants_costmap() else None
             if costmap is not None:
                 self._keep("costmap", costmap, lambda: Picture(costmap_png(costmap), 0, _place(costmap)))
+        pace = time_cause(feedback, driven.navigator.settings.limits)
         task = {
             "stamp_s": round(feedback.stamp_s, 3),
             "state": str(feedback.state),
@@ -115,6 +117,7 @@ class SnapshotMaker:
             "status": status_words(feedback),
             "monitor": monitor_words(feedback),
             "held": "" if feedback.monitor is None or feedback.monitor.reason is None else monitor_words(feedback),
+            "pace": "" if pace is TimeCause.FULL_SPEED else str(pace),
             "wheels_off": feedback.has_wheel_fault,
             "stays": None if feedback.stays_at is None else [round(float(at), 2) for at in feedback.stays_at],
             "speed_m_s": round(feedback.forward_m_s, 2),

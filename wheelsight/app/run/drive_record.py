@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +17,95 @@ import cv2
 import numpy as np
 
 from wheelsight._version import __version__
+from wheelsight.core.estimates import Status
 from wheelsight.core.files import StrPath, settings_text, write_text
 from wheelsight.core.geometry import ByteArray, FloatArray
 from wheelsight.core.geometry.se2 import wrap_angle
 from wheelsight.core.messages import Event, RgbdFrame
-from wheelsight.core.robots import CONTROL_PERIOD_S
+from wheelsight.core.robots import CONTROL_PERIOD_S, RobotLimits
 from wheelsight.core.trajectory import Trajectory, write_tum
 from wheelsight.mapping import OccupancyGrid
-from wheelsight.navigation import CellState, Costmap, Feedback, Footprint, MonitorState, NavigationResult, Plan
+from wheelsight.navigation import (
+    CellState,
+    Costmap,
+    Exploration,
+    Feedback,
+    Footprint,
+    MonitorReason,
+    MonitorState,
+    NavigationResult,
+    NavigationState,
+    Plan,
+)
 from wheelsight.navigation.costmap import distances_m
 from wheelsight.navigation.senses import Senses
 
 # Of what a period is to take: longer ones are late.
 _LATE = 1.2
+
+
+# Share of the limit that is full speed; lower measured speeds than this are a turn in place or a start; and the lead of
+# a command over the measured speed while the robot gains speed.
+_FULL_SHARE, _SLOW_M_S, _GAINS_M_S = 0.85, 0.05, 0.02
+# Rest of a plan on which the robot brakes: from 0.7 m/s at the 0.3 m/s² of the controllers.
+_BRAKING_M = 0.8
+
+
+class TimeCause(StrEnum):
+    """What a robot's time is spent on; each control period has one cause."""
+
+    FULL_SPEED = "drives at full speed"
+    GAINS_SPEED = "gains speed"
+    BRAKES = "brakes before the end of its plan"
+    CAREFUL = "drives slowly for curves, walls and people"
+    TURNS = "turns in place"
+    NOT_SEEN_LATELY = "is slow over floor not seen lately"
+    NEVER_SEEN = "is held before floor never seen"
+    OBSTACLE = "is held or slowed by something near"
+    SENSORS = "waits for a sensor or a part of the program"
+    LOCALIZATION = "waits for its place in the map, or is slow as it is not sure"
+    PLANNING = "stands to plan"
+    EXPLORING = "stands to choose what to explore"
+    RECOVERY = "recovers: waits, looks about, backs up"
+    STANDS = "stands at a goal or without a task"
+
+
+_CAUSE_OF_STATUS = (MonitorReason.STATUS, MonitorReason.COASTING, MonitorReason.UNCONFIRMED)
+_CAUSES_OF_MONITOR = {
+    MonitorReason.NOT_SEEN_LATELY: TimeCause.NOT_SEEN_LATELY,
+    MonitorReason.NEVER_SEEN: TimeCause.NEVER_SEEN,
+    **dict.fromkeys(_CAUSE_OF_STATUS, TimeCause.LOCALIZATION),
+    **dict.fromkeys(
+        (MonitorReason.OBSTACLE, MonitorReason.IN_ZONE, MonitorReason.NEAR, MonitorReason.INSIDE), TimeCause.OBSTACLE
+    ),
+}
+
+
+def time_cause(feedback: Feedback, limits: RobotLimits) -> TimeCause:
+    """Return what a control period is spent on: the first that applies of stop, monitor, state and speed."""
+    monitor, state = feedback.monitor, feedback.state
+    command = None if monitor is None else monitor.command
+    turns = command is not None and abs(command.forward_m_s) < _SLOW_M_S and abs(command.turn_rad_s) > 0
+    if feedback.robot_stop:
+        return TimeCause.SENSORS
+    if monitor is not None and monitor.reason is not None and (monitor.state is MonitorState.STOPPED or not turns):
+        return _CAUSES_OF_MONITOR.get(monitor.reason, TimeCause.SENSORS)
+    if state is NavigationState.RECOVERING:
+        is_sure = feedback.status is Status.TRACKING
+        return TimeCause.RECOVERY if is_sure else TimeCause.LOCALIZATION
+    if state is NavigationState.PLANNING:
+        return TimeCause.EXPLORING if feedback.doing == Exploration.name else TimeCause.PLANNING
+    if state is not NavigationState.DRIVING or command is None:
+        return TimeCause.STANDS
+    if turns:
+        return TimeCause.TURNS
+    most_m_s = limits.backward_m_s if command.forward_m_s < 0 else limits.forward_m_s
+    if abs(feedback.forward_m_s) >= _FULL_SHARE * most_m_s:
+        return TimeCause.FULL_SPEED
+    if abs(command.forward_m_s) > abs(feedback.forward_m_s) + _GAINS_M_S:
+        return TimeCause.GAINS_SPEED
+    brakes = feedback.to_go_m is not None and feedback.to_go_m < _BRAKING_M
+    return TimeCause.BRAKES if brakes else TimeCause.CAREFUL
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,6 +179,7 @@ class PeriodRows:
         status: status of the localization.
         monitor: (N,) state of the collision monitor: "free", "slowed", "stopped".
         reasons: of the monitor; empty if free.
+        causes: `TimeCause` of each period.
     """
 
     stamps_s: FloatArray
@@ -112,6 +190,7 @@ class PeriodRows:
     status: tuple[str, ...]
     monitor: tuple[str, ...]
     reasons: tuple[str, ...]
+    causes: tuple[str, ...]
 
     def __len__(self) -> int:
         return len(self.stamps_s)
@@ -218,6 +297,20 @@ class DriveRecord:
         return PeriodLengths.of(self.rows.stamps_s, CONTROL_PERIOD_S)
 
     @property
+    def spent_s(self) -> dict[str, float]:
+        """Seconds by `TimeCause`, the longest first. A period counts from the one before, so the sum is `time_s`."""
+        lasted_s, spent_s = np.diff(self.rows.stamps_s, prepend=self.begin_s), dict[str, float]()
+        for cause, seconds in zip(self.rows.causes, lasted_s.tolist(), strict=True):
+            spent_s[cause] = spent_s.get(cause, 0.0) + seconds
+        return dict(sorted(spent_s.items(), key=lambda one: -one[1]))
+
+    @property
+    def spent_words(self) -> str:
+        """Shares of the drive's time by cause, from a hundredth on: "41 % turns in place, 20 % stands to plan"."""
+        shares = ((cause, 100 * seconds / max(self.time_s, 1e-9)) for cause, seconds in self.spent_s.items())
+        return ", ".join(f"{percent:.0f} % {cause}" for cause, percent in shares if percent >= 1)
+
+    @property
     def way_m(self) -> float:
         """Driven distance by the wheels, metres."""
         return sum(one.result.way_m for one in self.goals)
@@ -243,10 +336,11 @@ class DriveRecorder:
         clearance_m: least clearance so far.
     """
 
-    def __init__(self, footprint: Footprint) -> None:
+    def __init__(self, footprint: Footprint, limits: RobotLimits | None = None) -> None:
         # Stamp, pose and speeds of each period, and its words.
         self._rows: list[FloatArray] = []
-        self._words: list[tuple[str, str, str, str]] = []
+        self._words: list[tuple[str, str, str, str, str]] = []
+        self._limits = limits or RobotLimits()
         self._footprint = footprint
         self._people: list[tuple[float, float, float, float]] = []
         self._way: list[tuple[float, FloatArray]] = []
@@ -270,7 +364,8 @@ class DriveRecorder:
         state = MonitorState.FREE if monitor is None else monitor.state
         reason = "" if monitor is None or monitor.reason is None else str(monitor.reason)
         self._rows.append(np.array([feedback.stamp_s, *pose, feedback.forward_m_s, feedback.turn_rad_s], float))
-        self._words.append((str(feedback.state), str(feedback.status), str(state), reason))
+        cause = str(time_cause(feedback, self._limits))
+        self._words.append((str(feedback.state), str(feedback.status), str(state), reason, cause))
         if state is MonitorState.STOPPED:
             self._stopped(feedback, reason)
         if feedback.robot_stop:
@@ -303,7 +398,7 @@ class DriveRecorder:
     def rows(self) -> PeriodRows:
         """All rows so far."""
         rows = np.array(self._rows, float).reshape(-1, 6)
-        words = tuple(zip(*self._words, strict=True)) or ((), (), (), ())
+        words = tuple(zip(*self._words, strict=True)) or ((), (), (), (), ())
         return PeriodRows(rows[:, 0], rows[:, 1:4], rows[:, 4], rows[:, 5], *words)
 
     @property
@@ -439,6 +534,7 @@ def drive_dict(record: DriveRecord) -> dict[str, Any]:
         "goals_asked": record.asked,
         "goals": goals,
         "time_s": round(record.time_s, 3),
+        "spent_s": {cause: round(seconds, 3) for cause, seconds in record.spent_s.items()},
         "way_m": round(record.way_m, 3),
         "planned_m": round(record.planned_m, 3),
         "clearance_m": _number(record.clearance_m),

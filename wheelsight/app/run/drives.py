@@ -252,7 +252,7 @@ def drive_in_map(
         MapError, CalibrationError, ArgumentError: as `open_known` and `Navigator`.
     """
     calibration, outline = robot.calibration, config.navigation.footprint.outline
-    watched, recorder = watched_of(robot), DriveRecorder(outline)
+    watched, recorder = watched_of(robot), DriveRecorder(outline, config.navigation.limits)
     how: dict[str, Any] = {"planner": planner, "controller": controller}
     how |= {"trusts_floor": trusts_floor, "on_transition": on_transition}
     path = known_map_path(config)
@@ -466,7 +466,7 @@ def exploring(
         raise ConfigError("an exploration closes loops", fix='load_config(overrides={"loops.source": "keyframes"})')
     footprint, calibration = config.navigation.footprint.outline, robot.calibration
     near_m = near_floor_m(calibration, config) if trusts_floor else 0.0
-    watched, recorder = watched_of(robot), DriveRecorder(footprint)
+    watched, recorder = watched_of(robot), DriveRecorder(footprint, config.navigation.limits)
     how: dict[str, Any] = {"planner": planner, "controller": controller}
     how |= {"trusts_floor": trusts_floor, "on_transition": on_transition}
     mapping_s = 0.0 if takes_real_time else _MAPPING_S

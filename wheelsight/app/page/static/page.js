@@ -150,7 +150,8 @@ function whyWords(robot) {
   if (robot.phase !== "driving") return "";
   if (robot.held) return `collision monitor ${robot.held}`;
   const last = robot.said[robot.said.length - 1];
-  return last && !["driving", "planning"].includes(robot.state) ? last.text : "";
+  if (["driving", "planning"].includes(robot.state)) return robot.pace || "";
+  return last ? last.text : "";
 }
 
 function showFacts(robot) {
