@@ -134,7 +134,7 @@ class RoomRobot:
     def __init__(self, walls: Walls, pose: tuple[float, float, float]) -> None:
         self.walls, self.base = walls, Unicycle(pose)
         self.now_s, self._period, self.stop_reason = 0.0, 0, ""
-        self.calibration = CALIBRATION
+        self.calibration, self.mount = CALIBRATION, MOUNT
         self.obeys: Callable[[VelocityCommand], VelocityCommand] = lambda command: command
         self.has_camera = self.has_wheels = True
 
@@ -148,7 +148,7 @@ class RoomRobot:
         rims = (self.base.forward_m_s - half) / 0.17, (self.base.forward_m_s + half) / 0.17
         events: list[Event] = [WheelSpeeds(self.now_s, *rims)] if self.has_wheels else []
         if self.has_camera and self._period % 2 == 0:
-            depth = self.walls.depth_m(self.T_map_base @ MOUNT).astype(np.float32)
+            depth = self.walls.depth_m(self.T_map_base @ self.mount).astype(np.float32)
             events.append(RgbdFrame(self.now_s, np.zeros((*depth.shape, 3), np.uint8), depth, self._period))
         return events
 
