@@ -2,6 +2,7 @@
 
 from wheelsight.app.run.verdict import summarise
 from wheelsight_report.comparison import write_page
+from wheelsight_report.drive_files import drive_dict, write_drive
 from wheelsight_report.drive_page import write_drive_page, write_drive_picture
 from wheelsight_report.figures import (
     certainty_figure,
@@ -20,6 +21,7 @@ from wheelsight_report.sections import plan_figure
 __all__ = [
     "certainty_figure",
     "draw_matches",
+    "drive_dict",
     "error_figure",
     "matches_figure",
     "plan_figure",
@@ -30,6 +32,7 @@ __all__ = [
     "time_histogram_figure",
     "trajectory_figure",
     "why_no_page",
+    "write_drive",
     "write_drive_page",
     "write_drive_picture",
     "write_page",

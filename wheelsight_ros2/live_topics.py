@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from wheelsight.app.run.drive_record import monitor_words, status_words
 from wheelsight.app.run.run_record import FrameRecord
 from wheelsight.app.run.track import UNITS, RunTrack
 from wheelsight.core.calibration import Calibration
@@ -19,7 +20,6 @@ from wheelsight.core.messages import Event, RgbdFrame
 from wheelsight.core.trajectory import Trajectory
 from wheelsight.mapping.plan import cloud_of
 from wheelsight.navigation import CellState, Costmap, DepthViewer, Feedback, MonitorState, NavigationSettings, Navigator
-from wheelsight.navigation.navigator import monitor_words, status_words
 from wheelsight_export.bag_writing import Diagnosis, Messages, RobotTopics, Sent
 from wheelsight_export.sources import body_frame, pose_covariances, upright, upright_points
 from wheelsight_export.topics import (

@@ -10,9 +10,9 @@ import typer
 from rehearsed_drive import recorded, rehearsed_drive
 
 from wheelsight.app.cli.drive import print_results
-from wheelsight.app.run.drive_record import drive_dict
 from wheelsight.app.run.drives import NamedGoal
 from wheelsight.core.errors import MapError
+from wheelsight_report import drive_dict
 from wheelsight_report.drive_page import verdict
 
 

@@ -178,3 +178,21 @@ def test_of_two_alike_it_looks_at_the_one_before_it_first() -> None:
 def test_floor_that_is_worth_less_than_a_look_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("wheelsight.navigation.exploration._LEAST_M2", 50.0)
     assert explorer_of().upcoming(MIDDLE, costmap_of(open_to(room(), 3.0, 4.5))) == ()
+
+
+def test_it_stays_with_its_view_until_another_is_clearly_better() -> None:
+    """Of two doors alike: a little nearer to the other one it goes on to the first."""
+    state = np.pad(open_to(room(), 3.2, 4.8), ((0, 0), (40, 0)), constant_values=CellState.UNKNOWN)
+    state[32:48, 40:42] = CellState.FREE
+    costmap, explorer = costmap_of(state), explorer_of()
+    (first,) = explorer.upcoming(np.array([8.0, 4.0, 0.0]), costmap)
+    explorer.taken()
+    assert first[0] > 8.0
+    turned = np.array([7.9, 4.0, 0.55 * np.pi])
+    (fresh,) = explorer_of().upcoming(turned, costmap)
+    assert fresh[0] < 8.0
+    (kept,) = explorer.upcoming(turned, costmap)
+    np.testing.assert_allclose(kept, first)
+    explorer.reached()
+    (other,) = explorer.upcoming(turned, costmap)
+    assert other[0] < 8.0

@@ -12,7 +12,7 @@ from navigation.plain_polygons import cells_under, placed
 from odometry.plain_kernels import plain
 
 from wheelsight.navigation import Footprint, PlannerSettings
-from wheelsight.navigation import planner_kernels as kernels
+from wheelsight.navigation import costmap_kernels as kernels
 from wheelsight.navigation.path_smoothing import Drivable
 
 PENTAGON = Footprint.of([(0.5, 0.0), (0.2, 0.35), (-0.3, 0.3), (-0.3, -0.3), (0.2, -0.35)])
@@ -90,3 +90,14 @@ def test_compiled_and_plain_kernels_say_the_same(rng: np.random.Generator) -> No
     for one, other in zip(*results, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9)
     assert set(np.unique(results[0][1])) >= {0.0, np.inf}
+
+
+def test_the_clearance_of_many_poses_is_the_least_of_them(rng: np.random.Generator) -> None:
+    made = drivable(5, 0.0005)
+    poses = np.c_[rng.uniform(0.9, 3.1, (40, 2)), rng.uniform(-4, 4, 40)]
+    each = [kernels.least_clearance(made.cells, CHAIR.corners, pose[None], 0.5) for pose in poses]
+    assert kernels.least_clearance(made.cells, CHAIR.corners, poses, 0.5) == pytest.approx(min(each))
+    clear = poses[np.array(each) > 0]
+    assert len(clear) > 2
+    expected = min(one for one in each if one > 0)
+    assert kernels.least_clearance(made.cells, CHAIR.corners, clear, 0.5) == pytest.approx(expected)

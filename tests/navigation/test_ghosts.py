@@ -10,6 +10,7 @@ from narrowing import not_none
 from navigation.rooms import Ride, is_near
 
 from benchmarks.plain_rooms import Walls, walls_about
+from wheelsight.app.run.drive_record import monitor_words
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import DepthNoise
 from wheelsight.core.errors import ArgumentError
@@ -22,7 +23,6 @@ from wheelsight.navigation import (
     NavigatorSettings,
     perception,
 )
-from wheelsight.navigation.navigator import monitor_words
 from wheelsight.navigation.senses import Senses
 
 SIZE_M = (8.0, 6.0)

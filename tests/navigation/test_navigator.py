@@ -14,6 +14,7 @@ from navigation.rooms import Ride, is_near
 from patched import patched
 
 from benchmarks.plain_rooms import Walls, walls_about
+from wheelsight.app.run.drive_record import status_words
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.estimates import Estimate, Status
 from wheelsight.core.geometry import se3
@@ -28,7 +29,6 @@ from wheelsight.navigation import (
     WorkerInStep,
 )
 from wheelsight.navigation.controllers import ControlReason, ControlResult, MotionState, PurePursuitController
-from wheelsight.navigation.navigator import status_words
 from wheelsight.navigation.planner import Plan
 from wheelsight.navigation.planning import PlannerClient, PoseGoals
 

@@ -362,3 +362,34 @@ def test_what_limits_of_zero_forbid_is_in_no_plan() -> None:
     none = Planner(CHAIR, limits=RobotLimits(forward_m_s=0, backward_m_s=0)).plan(free, (2, 4, 0), (6, 4, 0))
     assert isinstance(none, PlanFailure)
     assert none.reason == PlanReason.STANDS
+
+
+def test_a_plan_that_something_blocks_is_repaired_and_joins_the_old_one() -> None:
+    start, goal = np.array([1.5, 5.0, 0.0]), np.array([18.0, 5.0, 0.0])
+    before = planned(costmap_of(room(10, 20)), start, goal)
+    cells = room(10, 20)
+    cells[96:104, 90:98] = True
+    costmap, planner = costmap_of(cells), Planner(CHAIR)
+    repaired = planner.repaired(costmap, before, start)
+    assert repaired is not None
+    check(repaired, costmap, start)
+    whole = planned(costmap, start, goal)
+    assert repaired.cost < 1.1 * whole.cost
+    np.testing.assert_allclose(repaired.poses[-50:], before.poses[-50:])
+    assert len(repaired.directions) == len(repaired.poses)
+    # From beside the old plan, with nothing in the way, it joins it; too far ahead, or at the goal, a whole one is due.
+    beside = planner.repaired(costmap_of(room(10, 20)), before, np.array([3.0, 5.3, 0.2]))
+    assert beside is not None
+    np.testing.assert_allclose(beside.poses[0], [3.0, 5.3, 0.2])
+    for columns in (slice(240, 248), slice(352, 364)):
+        cells = room(10, 20)
+        cells[96:104, columns] = True
+        assert planner.repaired(costmap_of(cells), before, start) is None
+
+
+def test_a_repair_is_no_long_way_round() -> None:
+    start, goal = np.array([1.5, 5.0, 0.0]), np.array([18.0, 5.0, 0.0])
+    before = planned(costmap_of(room(10, 20)), start, goal)
+    cells = room(10, 20)
+    cells[20:, 90:94] = True
+    assert Planner(CHAIR).repaired(costmap_of(cells), before, start) is None

@@ -14,7 +14,7 @@ from rehearsed_drive import CALIBRATION, recorded, rehearsed_drive
 from sessions.kept_views import write_map
 
 from wheelsight.app.run import drives
-from wheelsight.app.run.drive_record import TimeCause, time_cause, write_drive
+from wheelsight.app.run.drive_record import TimeCause, time_cause
 from wheelsight.app.run.drives import GoalDrive, NamedGoal, drive_in_map
 from wheelsight.app.run.kernel_process import DrawnRobot, drawn_room
 from wheelsight.config import load_config
@@ -32,6 +32,7 @@ from wheelsight.navigation import (
     NavigationState,
 )
 from wheelsight.slam.maps import MapFolder
+from wheelsight_report import write_drive
 
 NEAR = NamedGoal.of((-0.7, -0.4), "the middle")
 

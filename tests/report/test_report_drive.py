@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from rehearsed_drive import recorded, rehearsed_drive
 
-from wheelsight.app.run.drive_record import DriveRecord, StopRecord, TimeCause, drive_dict
+from wheelsight.app.run.drive_record import DriveRecord, StopRecord, TimeCause
 from wheelsight.app.run.drives import NamedGoal
 from wheelsight.mapping import CellKind
+from wheelsight_report.drive_files import drive_dict
 from wheelsight_report.drive_page import (
     apart,
     drive_picture,

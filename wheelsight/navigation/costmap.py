@@ -238,6 +238,18 @@ class Costmap:
         state = np.where(self.state == CellState.UNKNOWN, CellState.FREE, self.state).astype(np.uint8)
         return self._with_state(state)
 
+    def window(self, bounds: ArrayLike) -> Costmap:
+        """Return a view of the cells between two corners (2, 2), as far as there are any; its outside is forbidden."""
+        low, high = np.sort(np.asarray(bounds, float), axis=0)
+        first, last = np.clip(self.cells_at([low, high]), 0, np.array(self.state.shape) - 1)
+        cut = slice(first[0], last[0] + 1), slice(first[1], last[1] + 1)
+        x, y = (self.origin + first[::-1] * self.resolution_m).tolist()
+        speed = self.speed_m_s[cut] if self.speed_m_s.shape == self.state.shape else self.speed_m_s
+        grids = {"state": self.state, "is_lethal": self.is_lethal, "distance_m": self.distance_m, "cost": self.cost}
+        cuts = {name: np.ascontiguousarray(grid[cut]) for name, grid in grids.items()}
+        assumed = None if self.is_assumed is None else self.is_assumed[cut]
+        return replace(self, **cuts, speed_m_s=speed, origin=(x, y), is_assumed=assumed)  # type: ignore[arg-type]
+
     def _with_state(self, state: ByteArray) -> Costmap:
         """Return the costmap with other cell states (H, W)."""
         place = self.resolution_m, self.origin, self.frame

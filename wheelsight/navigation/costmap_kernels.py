@@ -520,3 +520,219 @@ def _looks_at(pose: FloatArray, point: FloatArray, slack_m: float, eye: Eye, wal
         if 0 <= row < len(walls.is_there) and 0 <= column < walls.is_there.shape[1] and walls.is_there[row, column]:
             return False
     return True
+
+
+# PlanCells under a footprint, and its distance to occupied cells.
+#
+# A cell is a square, and lies under a footprint if they share more than an edge. In each row a convex outline covers
+# one stretch of cells, whose occupied ones are counted by sums along the row.
+
+# In cells: a square that only touches is not under the footprint.
+_TOUCH = 1e-9
+OUTSIDE = 1 << 30
+_HALF_DIAGONAL = 0.7071068
+
+
+class PlanCells(NamedTuple):
+    """Cells of a costmap.
+
+    Attributes:
+        sums: (H, W + 1) int32, number of occupied cells left of each corner, row by row.
+        distance_m: (H, W) float32 from each cell's centre to that of the nearest occupied one.
+        metre_cost: (H, W) float32 cost of a metre, at least 1.
+        resolution_m: side of a cell.
+        x0, y0: of the corner of cell (0, 0), metres.
+    """
+
+    sums: Any
+    distance_m: Any
+    metre_cost: Any
+    resolution_m: float
+    x0: float
+    y0: float
+
+
+class Shape(NamedTuple):
+    """A footprint with its margins.
+
+    Attributes:
+        outlines: (K, N, 2) corners, from the outline with the wanted margin to the one with the least.
+        inscribed_m: of the last.
+        middle_x, middle_y, around_m: of a disc in `base` that encloses the first.
+    """
+
+    outlines: Any
+    inscribed_m: float
+    middle_x: float
+    middle_y: float
+    around_m: float
+
+
+@kernel(error_model="numpy")
+def count_under(cells: PlanCells, corners: Any, x: float, y: float, yaw: float) -> Any:
+    """Return the number of occupied cells under an outline (N, 2) at a pose; OUTSIDE if it leaves the cells."""
+    rows, columns = cells.distance_m.shape
+    n, c, s = len(corners), np.cos(yaw), np.sin(yaw)
+    u, v = np.empty(n), np.empty(n)
+    low, high = np.inf, -np.inf
+    for k in range(n):
+        u[k] = (x + c * corners[k, 0] - s * corners[k, 1] - cells.x0) / cells.resolution_m
+        v[k] = (y + s * corners[k, 0] + c * corners[k, 1] - cells.y0) / cells.resolution_m
+        low, high = min(low, v[k]), max(high, v[k])
+        if not (u[k] >= -_TOUCH and u[k] <= columns + _TOUCH):
+            return OUTSIDE
+    if not (low >= -_TOUCH and high <= rows + _TOUCH):
+        return OUTSIDE
+    found = 0
+    for row in range(max(int(np.floor(low + _TOUCH)), 0), min(int(np.ceil(high - _TOUCH)), rows)):
+        left, right = _stretch(u, v, row + _TOUCH, row + 1 - _TOUCH)
+        first, after = max(int(np.floor(left + _TOUCH)), 0), min(int(np.ceil(right - _TOUCH)), columns)
+        if after > first:
+            found += cells.sums[row, after] - cells.sums[row, first]
+    return found
+
+
+@kernel(error_model="numpy")
+def _stretch(u: Any, v: Any, low: float, high: float) -> Any:
+    """Return where a convex outline begins and ends between two heights."""
+    left, right, before = np.inf, -np.inf, len(u) - 1
+    for k in range(len(u)):
+        if low <= v[k] <= high:
+            left, right = min(left, u[k]), max(right, u[k])
+        rise = v[k] - v[before]
+        for height in (low, high):
+            if (v[k] - height) * (v[before] - height) < 0:
+                at = u[before] + (u[k] - u[before]) * (height - v[before]) / rise
+                left, right = min(left, at), max(right, at)
+        before = k
+    return left, right
+
+
+@kernel(error_model="numpy")
+def cell_of(cells: PlanCells, x: float, y: float) -> Any:
+    """Return row and column of a point; -1 and -1 outside."""
+    row = int(np.floor((y - cells.y0) / cells.resolution_m))
+    column = int(np.floor((x - cells.x0) / cells.resolution_m))
+    rows, columns = cells.distance_m.shape
+    if row < 0 or column < 0 or row >= rows or column >= columns:
+        return -1, -1
+    return row, column
+
+
+@kernel(error_model="numpy")
+def tightness(cells: PlanCells, shape: Shape, x: float, y: float, yaw: float) -> Any:
+    """Return 0 if the widest outline is free, 1 if only the narrowest is, a value between for others, else infinity."""
+    row, column = cell_of(cells, x, y)
+    # The distance from a point to the nearest occupied square differs by this from that between centres.
+    slack_m = _HALF_DIAGONAL * cells.resolution_m
+    if row < 0 or cells.distance_m[row, column] < shape.inscribed_m + 0.5 * cells.resolution_m - slack_m:
+        return np.inf
+    c, s = np.cos(yaw), np.sin(yaw)
+    at_x, at_y = x + c * shape.middle_x - s * shape.middle_y, y + s * shape.middle_x + c * shape.middle_y
+    row, column = cell_of(cells, at_x, at_y)
+    if row >= 0 and cells.distance_m[row, column] > shape.around_m + 2 * slack_m:
+        edge_m = min(row, column, cells.distance_m.shape[0] - 1 - row, cells.distance_m.shape[1] - 1 - column)
+        if edge_m * cells.resolution_m > shape.around_m:
+            return 0.0
+    last = len(shape.outlines) - 1
+    if count_under(cells, shape.outlines[last], x, y, yaw) > 0:
+        return np.inf
+    for k in range(last):
+        if count_under(cells, shape.outlines[k], x, y, yaw) == 0:
+            return k / last
+    return 1.0
+
+
+@kernel(error_model="numpy")
+def tightnesses(cells: PlanCells, shape: Shape, poses: Any, found: Any) -> None:
+    """Compute `tightness` for poses (N, 3)."""
+    for k in range(len(poses)):
+        found[k] = tightness(cells, shape, poses[k, 0], poses[k, 1], poses[k, 2])
+
+
+# Spacing of points along an outline, in cells, whose distances bound its clearance from below.
+_SPACING = 2.0
+
+
+@kernel(error_model="numpy")
+def least_clearance(cells: PlanCells, corners: Any, poses: Any, most_m: float) -> Any:
+    """Return metres from an outline at any of poses (N, 3) to the nearest occupied square, at most `most_m`; or 0."""
+    bounds, first = np.empty(len(poses)), 0
+    edge = _edge_points(corners, _SPACING * cells.resolution_m)
+    for p in range(len(poses)):
+        bounds[p] = _clearance_bound(cells, edge, poses[p])
+        first = p if bounds[p] < bounds[first] else first
+    least = most_m
+    # The most promising pose first, so that bounds rule out most of the others.
+    for n in range(-1, len(poses)):
+        p = first if n < 0 else n
+        if bounds[p] >= least:
+            continue
+        x, y, yaw = poses[p, 0], poses[p, 1], poses[p, 2]
+        if cell_of(cells, x, y)[0] < 0 or count_under(cells, corners, x, y, yaw) > 0:
+            return 0.0
+        least = min(least, _clearance_at(cells, corners, poses[p], least))
+    return least
+
+
+@kernel(error_model="numpy")
+def _edge_points(corners: Any, apart_m: float) -> Any:
+    """Return (K, 2) points on the sides of an outline, at most so far apart."""
+    points, count = np.empty((4096, 2)), 0
+    for k in range(len(corners)):
+        after = corners[(k + 1) % len(corners)]
+        steps = int(np.ceil(np.hypot(after[0] - corners[k, 0], after[1] - corners[k, 1]) / apart_m)) + 1
+        for n in range(min(steps, len(points) - count)):
+            points[count, 0] = corners[k, 0] + (after[0] - corners[k, 0]) * n / steps
+            points[count, 1] = corners[k, 1] + (after[1] - corners[k, 1]) * n / steps
+            count += 1
+    return points[:count].copy()
+
+
+@kernel(error_model="numpy")
+def _clearance_bound(cells: PlanCells, edge: Any, pose: Any) -> Any:
+    """Return a lower bound of the clearance of an outline with points on its sides at a pose; below 0 if unknown."""
+    c, s, least = np.cos(pose[2]), np.sin(pose[2]), np.inf
+    for k in range(len(edge)):
+        row, column = cell_of(
+            cells, pose[0] + c * edge[k, 0] - s * edge[k, 1], pose[1] + s * edge[k, 0] + c * edge[k, 1]
+        )
+        if row < 0:
+            return -1.0
+        least = min(least, cells.distance_m[row, column])
+    return least - (0.5 * _SPACING + 2 * _HALF_DIAGONAL) * cells.resolution_m
+
+
+@kernel(error_model="numpy")
+def _clearance_at(cells: PlanCells, corners: Any, pose: Any, most_m: float) -> Any:
+    """Return metres from an outline at a pose to the nearest occupied square, at most `most_m`."""
+    size_m, placed = cells.resolution_m, np.empty((len(corners), 2))
+    rows, columns = cells.distance_m.shape
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    for k in range(len(corners)):
+        placed[k, 0] = (pose[0] + c * corners[k, 0] - s * corners[k, 1] - cells.x0) / size_m
+        placed[k, 1] = (pose[1] + s * corners[k, 0] + c * corners[k, 1] - cells.y0) / size_m
+    least, reach = most_m, most_m / size_m + 1
+    for i in range(max(int(placed[:, 1].min() - reach), 0), min(int(placed[:, 1].max() + reach) + 1, rows)):
+        for j in range(max(int(placed[:, 0].min() - reach), 0), min(int(placed[:, 0].max() + reach) + 1, columns)):
+            if cells.distance_m[i, j] == 0:
+                least = min(least, size_m * _apart(placed, j, i))
+    return least
+
+
+@kernel(error_model="numpy")
+def _apart(placed: Any, left: int, low: int) -> Any:
+    """Return the distance in cells between an outline and the unit square with that lower left corner."""
+    least, before = np.inf, len(placed) - 1
+    for k in range(len(placed)):
+        x, y = placed[k, 0], placed[k, 1]
+        least = min(least, np.hypot(max(left - x, x - left - 1, 0.0), max(low - y, y - low - 1, 0.0)))
+        bx, by = placed[before, 0], placed[before, 1]
+        wx, wy = x - bx, y - by
+        length2 = wx * wx + wy * wy
+        for corner in range(4):
+            px, py = left + corner % 2, low + corner // 2
+            share = min(max(((px - bx) * wx + (py - by) * wy) / length2, 0.0), 1.0)
+            least = min(least, np.hypot(bx + share * wx - px, by + share * wy - py))
+        before = k
+    return least

@@ -3,7 +3,7 @@
 `Navigator.step` is the whole of a period: a state machine over planner, controller and recovery behaviours. A
 `ControlChain` passes each requested command through a velocity ramp and the collision monitor. The monitor's command
 is the one that the robot gets. `NavigationTask` is the navigator's memory of one task. `Feedback`, `Transition` and
-`NavigationResult` are what it reports, with words for page and command line.
+`NavigationResult` are what it reports.
 """
 
 from __future__ import annotations
@@ -191,31 +191,6 @@ class NavigationResult:
         return self.has_arrived
 
 
-# Words for pages and the command line.
-STATUS_WORDS = {
-    Status.INITIALIZING: "looks for its place in the map",
-    Status.UNCONFIRMED: "has not confirmed its place in the map yet",
-    Status.TRACKING: "knows where it is",
-    Status.COASTING: "by its wheels alone",
-    Status.FAILING: "does not trust where it is",
-    Status.LOST: "lost",
-}
-
-
-def status_words(feedback: Feedback) -> str:
-    """Return what the robot knows of its place, and the last warning about its sensors."""
-    return "; ".join((STATUS_WORDS[feedback.status], *feedback.warnings[-1:]))
-
-
-def monitor_words(feedback: Feedback) -> str:
-    """Return what the collision monitor does and why, and which obstacle stays without depth behind it."""
-    found, stays = feedback.monitor, f"; {feedback.stays}" if feedback.stays else ""
-    if found is None or found.state is MonitorState.FREE:
-        return f"lets it drive{stays}"
-    does = "slows it down" if found.state is MonitorState.SLOWED else "holds it"
-    return f"{does}: {found.reason}{stays}" if found.reason is not None else f"{does}{stays}"
-
-
 # Time between checks of the path ahead, and the least time between plans while it drives.
 _CHECK_S, _REPLAN_S = 0.5, 1.0
 # Distance from the last recovery that is progress; and the time without it before it recovers: a path with many turns
@@ -224,6 +199,8 @@ _PROGRESS_M, _LOITER_S = 1.0, 30.0
 # A robot waits before a detour longer than this factor times the rest of the old path, plus this addition: the way that
 # a wait takes at walking speed among people.
 _ROUND_TIMES, _ROUND_M = 1.5, 1.0
+# Least rest of a plan on which the robot drives on past a goal that it has met: below it brakes already.
+_PASSING_M = 0.5
 # The time in which `Navigator.run` waits for a standstill after the task is complete.
 _STOPPING_S = 5.0
 # Consecutive goals to skip before the robot recovers instead: then it is the robot that is blocked.
@@ -532,7 +509,8 @@ class Navigator(OneCaller):
             return self._start_relocalization(task, why)
         if now_s - task.checked_s >= _CHECK_S:
             task.checked_s = now_s
-            if task.goals.is_met(state.pose, self.senses.floor.layer):
+            is_met = not self._planner.is_asked and task.goals.is_met(state.pose, self.senses.floor.layer)
+            if is_met and not self._passes_goal(task, plan, now_s):
                 return self._reached(task)
             if not self._check_plan(task, plan, now_s):
                 self._set_state(NavigationState.PLANNING, task.replan_reason)
@@ -560,15 +538,28 @@ class Navigator(OneCaller):
             return self._planner.is_free(plan, ONWARD_M)
         if task.wants_replan:
             task.wants_replan = False
-            self._planner.ask(task.goals, now_s)
+            self._planner.ask(task.goals, now_s, plan)
         if self._planner.is_asked or now_s - task.planned_s < _REPLAN_S:
             return True
         task.replan_reason, is_free = self._planner.look(plan, task.T_map_odom)
         if not is_free:
-            self._planner.ask(task.goals, now_s)
+            self._planner.ask(task.goals, now_s, plan)
         elif task.replan_reason:
             task.wants_replan, task.checked_s = True, -math.inf
         return is_free
+
+    def _passes_goal(self, task: NavigationTask, plan: Plan, now_s: float) -> bool:
+        """Drive on past a goal that needs no stop while the next plan is computed; return whether the robot does."""
+        state = self.senses.where.state
+        if task.goals.is_asked_for or self._planner.is_busy or state is None or to_go_m(plan, state.pose) < _PASSING_M:
+            return False
+        if not self._planner.is_free(plan, ONWARD_M):
+            return False
+        task.goals.reached()
+        task.restart_progress()
+        task.replan_reason = "its goal is met on the way"
+        self._planner.ask(task.goals, now_s)
+        return True
 
     def _follow(self, task: NavigationTask, result: ControlResult, now_s: float) -> VelocityCommand:
         """Act on the result of the controller."""

@@ -13,18 +13,16 @@ import numpy as np
 from wheelsight.core.geometry import BoolArray, Float32Array, FloatArray, IntArray
 from wheelsight.core.robots import RobotLimits
 from wheelsight.navigation.costmap import Costmap
+from wheelsight.navigation.costmap_kernels import PlanCells, Shape, least_clearance, tightnesses
 from wheelsight.navigation.planner_kernels import (
     CURVE,
     ROOM,
     TURN_AND_DRIVE,
     DriveRules,
-    PlanCells,
-    Shape,
     centre,
     cost_of,
-    least_clearance,
+    is_line_cheaper,
     shorten,
-    tightnesses,
     write_arc,
     write_way,
 )
@@ -38,38 +36,24 @@ _ROUNDS = 4
 
 def any_angle(way: IntArray, known: FloatArray, drivable: Drivable, metre_cost: Float32Array) -> FloatArray:
     """Return (N, 2) places of a path over cells (K, 2), joined by straight lines that cost no more than the cells."""
-    corners, at = [0], 0
+    corners, at, size_m = [0], 0, float(drivable.costmap.resolution_m)
     while at < len(way) - 1:
         # Double the span, then bisect: a line of sight usually ends once.
         span, best = 2, at + 1
-        while at + span < len(way) and _is_cheaper(way, at, at + span, known, drivable, metre_cost):
+        while at + span < len(way) and is_line_cheaper(way, at, at + span, known, metre_cost, size_m):
             best, span = at + span, span * 2
         low, high = best, min(at + span, len(way) - 1)
-        if high > low and _is_cheaper(way, at, high, known, drivable, metre_cost):
+        if high > low and is_line_cheaper(way, at, high, known, metre_cost, size_m):
             low = high
         while high - low > 1:
             middle = (low + high) // 2
-            if _is_cheaper(way, at, middle, known, drivable, metre_cost):
+            if is_line_cheaper(way, at, middle, known, metre_cost, size_m):
                 low = middle
             else:
                 high = middle
         corners.append(low)
         at = low
     return np.asarray(drivable.costmap.middle_of(way[corners]))
-
-
-def _is_cheaper(
-    way: IntArray, begin: int, end: int, known: FloatArray, drivable: Drivable, metre_cost: Float32Array
-) -> bool:
-    """Return whether a straight line between two cells costs no more than the path over the cells."""
-    a, b = way[begin].astype(float), way[end].astype(float)
-    steps = max(int(np.ceil(2 * np.hypot(*(b - a)))), 1)
-    shares = (np.arange(steps) + 0.5) / steps
-    cells = np.rint(a + shares[:, None] * (b - a)).astype(np.int64)
-    size_m = drivable.costmap.resolution_m
-    line = float(metre_cost[cells[:, 0], cells[:, 1]].mean(dtype=float) * np.hypot(*(b - a)) * size_m)
-    before = float(known[tuple(way[begin])] - known[tuple(way[end])])
-    return line <= before * (1 + 1e-6)
 
 
 def driven(corners: FloatArray, start: FloatArray, goal: FloatArray, drivable: Drivable) -> FloatArray | None:
@@ -125,7 +109,7 @@ _USUAL_M_S = 0.6
 _TIGHT_COST = 4.0
 # Costs in metres: of a turn in place of 1 rad, as both take half a second to a second; of a bend of 1 rad; and of a
 # change between forward and backward.
-_TURN_M, _BEND_M, _SWITCH_M = 0.5, 0.1, 0.5
+_TURN_M, _BEND_M, _SWITCH_M = 1.2, 0.1, 0.5
 # Least radius of curves; tighter ones become turns in place.
 _RADIUS_M = 0.4
 # Headings in the search: 5° each, which move the far end of a chair by 7 cm; the grid of places, half of it in narrow

@@ -25,6 +25,7 @@ from wheelsight.navigation.planner_kernels import (
     SearchTree,
     cost_to_go_kernel,
     descend,
+    passable_costs,
     search,
     way_to,
 )
@@ -37,6 +38,9 @@ _MOST_STATES, _MOST_STATES_TO_EXPLAIN = 800_000, 50_000
 _HALVINGS = 14
 # Random places tried before the robot is said to fit nowhere, and how many of them at once.
 _PLACES_TRIED, _AT_ONCE = 1000, 200
+# A plan that is blocked within the first distance is repaired: it joins the old one the second behind that, by a way in
+# a window with the third around it, and at most so many times as long as the old part, and the second.
+_REPAIR_M, _BEYOND_M, _AROUND_M, _DETOUR = 8.0, 2.0, 3.0, 1.3
 _ABOUT_UNKNOWN = "map it, or --set navigation.costmap.unknown=costly lets plans lead there"
 
 
@@ -101,6 +105,39 @@ class Planner:
         wide = way_out(drivable, self._outline, begin, self.settings, is_wide=True)
         again = found if wide is None or len(wide) == 1 else self._from(drivable, wide, end)
         return again if isinstance(again, Plan) else found
+
+    def repaired(self, costmap: Costmap, plan: Plan, start: ArrayLike) -> Plan | None:
+        """Return a plan that joins the rest of an earlier one behind what blocks it; None if a whole plan is needed.
+
+        It plans from a start (3,) to `_BEYOND_M` behind the last blocked pose, in a window around that part.
+        """
+        begin = np.array(start, float)
+        # Half a turn counts as much as a metre.
+        off = np.hypot(*(plan.poses[:, :2] - begin[:2]).T) + np.abs(wrap_angle(plan.poses[:, 2] - begin[2])) / np.pi
+        at = len(off) - 1 - int(off[::-1].argmin())
+        rest, directions = plan.poses[at:], plan.directions[at:]
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rest[:, :2], axis=0).T))])
+        drivable = Drivable.of(costmap, self.footprint, self.settings, self.limits)
+        is_free = drivable.is_free(rest)
+        blocked_m = float(along[~is_free].max(initial=0.0))
+        if blocked_m > _REPAIR_M or not is_free[-1]:
+            return None
+        join = min(int(np.searchsorted(along, blocked_m + _BEYOND_M)), len(rest) - 1)
+        places = np.concatenate([rest[: join + 1, :2], begin[None, :2]])
+        bounds = np.array([places.min(axis=0) - _AROUND_M, places.max(axis=0) + _AROUND_M])
+        part = self.plan(costmap.window(bounds), begin, rest[join])
+        if not isinstance(part, Plan) or part.goal_change or part.length_m > _DETOUR * float(along[join]) + _BEYOND_M:
+            return None
+        left = np.column_stack([rest, directions])[join:]
+        return replace(
+            plan,
+            poses=np.concatenate([part.poses, left[1:, :3]]),
+            directions=np.concatenate([part.directions, directions[join + 1 :]]),
+            length_m=part.length_m + float(along[-1] - along[join]),
+            least_clearance_m=min(part.least_clearance_m, drivable.clearance_m(left[:, :3])),
+            cost=part.cost + drivable.cost(np.ascontiguousarray(left)),
+            states=part.states,
+        )
 
     def why_no_way(self, costmap: Costmap, start: ArrayLike, goal: ArrayLike) -> str:
         """Return what in a costmap keeps the robot from a goal (3,) without a plan, with places and widths."""
@@ -516,16 +553,13 @@ def passable(drivable: Drivable) -> Float32Array:
 
     It includes the extra cost of tight places where the inscribed circle is tight at any heading.
     """
-    costmap, rules = drivable.costmap, drivable.rules
-    slack_m = (0.5 - math.sqrt(0.5)) * costmap.resolution_m
-    metre_cost, last = drivable.cells.metre_cost.copy(), len(drivable.margins_m) - 1
-    for k, margin_m in enumerate(drivable.margins_m):
-        is_nearer = costmap.distance_m < drivable.footprint.inscribed_m + margin_m + slack_m
-        # The next outline may fit.
-        tight = math.inf if k == last else rules.tight * ((k + 1) / last) ** 2
-        metre_cost[is_nearer] = drivable.cells.metre_cost[is_nearer] + np.float32(tight)
-    metre_cost[costmap.is_lethal] = np.inf
-    return np.asarray(metre_cost, np.float32)
+    slack_m, last = (0.5 - math.sqrt(0.5)) * drivable.costmap.resolution_m, len(drivable.margins_m) - 1
+    least_m = drivable.footprint.inscribed_m + drivable.margins_m + slack_m
+    # Where the widest outlines do not fit, the next one may.
+    tight = drivable.rules.tight * (np.arange(1, last + 2) / max(last, 1)) ** 2
+    tight[last] = math.inf
+    lethal = np.ascontiguousarray(drivable.costmap.is_lethal)
+    return np.asarray(passable_costs(drivable.cells, lethal, least_m.astype(np.float32), tight.astype(np.float32)))
 
 
 def way_out(

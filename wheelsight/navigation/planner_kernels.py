@@ -1,4 +1,4 @@
-"""Compiled planner: cost-to-go on the grid, Hybrid A*, motion primitives, and cells under a footprint."""
+"""Compiled planner: cost-to-go on the grid, Hybrid A*, motion primitives, and replacement of parts of a path."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wheelsight.core.compiled import kernel
+from wheelsight.navigation.costmap_kernels import PlanCells, Shape, cell_of, tightness
 
 # Cost-to-go of cells, and the path down it: Dijkstra with buckets instead of a heap. A bucket is no wider than the
 # cheapest step, so all cells of the lowest one are final (Denardo & Fox 1979).
@@ -42,27 +43,30 @@ def cost_to_go_kernel(metre_cost: Any, resolution_m: float, goals: Any, goal_cos
     last = 0.0
     for k in range(len(goals)):
         last = max(last, goal_costs[k])
-    buckets = int(max(_DIAGONAL * highest * resolution_m, last) / width) + 3
+    # A power of two, so that a mask takes the place of a division.
+    buckets = 4
+    while buckets < int(max(_DIAGONAL * highest * resolution_m, last) / width) + 3:
+        buckets *= 2
     heads = np.full(buckets, -1, np.int32)
     links = np.full((len(costs), 2), -1, np.int32)
     waiting = 0
     for k in range(len(goals)):
         cell = (goals[k, 0] + 1) * wide + goals[k, 1] + 1
         if costs[cell] < np.inf and goal_costs[k] < known[cell]:
-            waiting += _put(cell, goal_costs[k], known, heads, links, width)
+            waiting += _put(cell, goal_costs[k], known, heads, links, 1 / width)
     _spread(costs, known, heads, links, wide, resolution_m, waiting)
     return known.reshape(rows + 2, wide)[1:-1, 1:-1].copy()
 
 
 @kernel(error_model="numpy")
-def _put(cell: int, cost: float, known: Any, heads: Any, links: Any, width: float) -> Any:
+def _put(cell: int, cost: float, known: Any, heads: Any, links: Any, per_m: float) -> Any:
     """Move a cell to the bucket of its new, lower cost; return 1 if it was in no bucket, else 0."""
     is_new = 1
     if known[cell] < np.inf:
         is_new = 0
-        _take(cell, int(known[cell] / width) % len(heads), heads, links)
+        _take(cell, int(known[cell] * per_m) & (len(heads) - 1), heads, links)
     known[cell] = cost
-    bucket = int(cost / width) % len(heads)
+    bucket = int(cost * per_m) & (len(heads) - 1)
     links[cell, 0], links[cell, 1] = -1, heads[bucket]
     if heads[bucket] >= 0:
         links[heads[bucket], 0] = cell
@@ -84,7 +88,7 @@ def _take(cell: Any, bucket: int, heads: Any, links: Any) -> None:
 @kernel(error_model="numpy")
 def _spread(costs: Any, known: Any, heads: Any, links: Any, wide: int, resolution_m: float, waiting: int) -> None:
     """Settle all waiting cells, and those reached from them."""
-    width = _WIDTH * resolution_m
+    per_m = 1 / (_WIDTH * resolution_m)
     straight = np.array([1, -1, wide, -wide])
     sides = np.array([[1, wide], [1, -wide], [-1, wide], [-1, -wide]])
     half, diagonal = 0.5 * resolution_m, 0.5 * _DIAGONAL * resolution_m
@@ -92,7 +96,7 @@ def _spread(costs: Any, known: Any, heads: Any, links: Any, wide: int, resolutio
     while waiting > 0:
         cell = np.int64(heads[bucket])
         if cell < 0:
-            bucket = (bucket + 1) % len(heads)
+            bucket = (bucket + 1) & (len(heads) - 1)
             continue
         _take(cell, bucket, heads, links)
         waiting -= 1
@@ -101,13 +105,52 @@ def _spread(costs: Any, known: Any, heads: Any, links: Any, wide: int, resolutio
             other = cell + straight[k]
             cost = paid + half * (here + costs[other])
             if cost < known[other]:
-                waiting += _put(other, cost, known, heads, links, width)
+                waiting += _put(other, cost, known, heads, links, per_m)
             if costs[cell + sides[k, 0]] == np.inf or costs[cell + sides[k, 1]] == np.inf:
                 continue
             other = cell + sides[k, 0] + sides[k, 1]
             cost = paid + diagonal * (here + costs[other])
             if cost < known[other]:
-                waiting += _put(other, cost, known, heads, links, width)
+                waiting += _put(other, cost, known, heads, links, per_m)
+
+
+@kernel(error_model="numpy")
+def passable_costs(cells: PlanCells, is_lethal: Any, least_m: Any, added: Any) -> Any:
+    """Return (H, W) float32 costs of a metre; infinite where lethal or nearer to an obstacle than the last distance.
+
+    Args:
+        cells: of the costmap.
+        is_lethal: (H, W).
+        least_m: (K,) falling distances.
+        added: (K,) rising cost of a metre nearer to an obstacle than each of them.
+    """
+    costs = np.empty(cells.metre_cost.shape, np.float32)
+    for i in range(costs.shape[0]):
+        for j in range(costs.shape[1]):
+            cost, away_m = np.float32(cells.metre_cost[i, j]), cells.distance_m[i, j]
+            tight = np.float32(0.0)
+            for k in range(len(least_m)):
+                if away_m >= least_m[k]:
+                    break
+                tight = added[k]
+            costs[i, j] = np.float32(np.inf) if is_lethal[i, j] else cost + tight
+    return costs
+
+
+@kernel(error_model="numpy")
+def is_line_cheaper(way: Any, begin: int, end: int, known: Any, metre_cost: Any, resolution_m: float) -> Any:
+    """Return whether a straight line between two cells of a path (K, 2) costs no more than the path over the cells."""
+    rows, columns = way[end, 0] - way[begin, 0], way[end, 1] - way[begin, 1]
+    length = np.hypot(rows, columns)
+    before = known[way[begin, 0], way[begin, 1]] - known[way[end, 0], way[end, 1]]
+    steps = max(int(np.ceil(2 * length)), 1)
+    total, most = 0.0, before * (1 + 1e-6) * steps / max(length * resolution_m, 1e-12)
+    for k in range(steps):
+        share = (k + 0.5) / steps
+        total += metre_cost[int(np.rint(way[begin, 0] + share * rows)), int(np.rint(way[begin, 1] + share * columns))]
+        if total > most:
+            return False
+    return True
 
 
 @kernel(error_model="numpy")
@@ -524,9 +567,10 @@ def step_cost(cells: PlanCells, shape: Shape, rules: DriveRules, poses: Any, k: 
 
 # Replacement of parts of a path by cheaper ones.
 
-# Most poses of a part: 400 m at 5 cm each; and the least relative gain of a replacement.
+# Most poses of a part: 400 m at 5 cm each; the least relative gain of a replacement; and the poses that are checked
+# first.
 ROOM = 8192
-_LEAST_GAIN = 1e-3
+_LEAST_GAIN, _SPARSE = 1e-3, 12
 
 
 class PathBuffer(NamedTuple):
@@ -546,9 +590,7 @@ class PathBuffer(NamedTuple):
 @kernel(error_model="numpy")
 def buffered(cells: PlanCells, shape: Shape, rules: DriveRules, poses: Any) -> Any:
     """Return a `PathBuffer` of a path (N, 4)."""
-    buffer = PathBuffer(
-        np.empty((2 * len(poses) + ROOM, 4)), np.zeros(2 * len(poses) + ROOM), np.empty((2, ROOM, 4))
-    )
+    buffer = PathBuffer(np.empty((2 * len(poses) + ROOM, 4)), np.zeros(2 * len(poses) + ROOM), np.empty((2, ROOM, 4)))
     buffer.poses[: len(poses)] = poses
     for k in range(1, len(poses)):
         buffer.steps[k] = step_cost(cells, shape, rules, buffer.poses, k)
@@ -602,21 +644,22 @@ def _limit(buffer: PathBuffer, at: int, end: int) -> Any:
 def _shorter(cells: PlanCells, shape: Shape, rules: DriveRules, buffer: PathBuffer, at: int, end: int) -> Any:
     """Write the cheapest connection of the ends of a part; return its number of poses, 0 if it gains nothing."""
     limit, length, path = _limit(buffer, at, end), 0, buffer.poses
-    goes_back = False
+    goes_back, way_m, turn = False, 0.0, 0.0
     for k in range(at + 1, end + 1):
         goes_back |= path[k, 3] < 0
+        way_m += np.hypot(path[k, 0] - path[k - 1, 0], path[k, 1] - path[k - 1, 1])
+        turn += abs(path[k, 2] - path[k - 1, 2])
+    # A straight part is the best connection already.
+    if turn < 1e-6 and way_m < 1e-6 + np.hypot(path[end, 0] - path[at, 0], path[end, 1] - path[at, 1]):
+        return 0
     for way in range(WAYS):
-        sense = 1.0 if way == TURN_AND_DRIVE or way == CURVE else -1.0
-        if sense < 0 and not goes_back:
-            continue
-        # The next part begins in the direction of this one, or pays for the change.
-        change = rules.switch_m if sense != path[end, 3] else 0.0
-        if _least_cost(rules, path[at], path[end], way) + change >= limit:
+        if way not in (TURN_AND_DRIVE, CURVE) and not goes_back:
             continue
         buffer.made[1, 0] = path[at]
         count = write_way(buffer.made[1], 1, path[end, :3].copy(), way, rules)
         if count < 2:
             continue
+        # The next part begins in the direction of this one, or pays for the change.
         change = rules.switch_m if buffer.made[1, count - 1, 3] != path[end, 3] else 0.0
         cost = _cost_below(cells, shape, rules, buffer.made[1], count, limit - change) + change
         if cost < limit:
@@ -626,27 +669,17 @@ def _shorter(cells: PlanCells, shape: Shape, rules: DriveRules, buffer: PathBuff
 
 
 @kernel(error_model="numpy")
-def _least_cost(rules: DriveRules, begin: Any, end: Any, way: int) -> Any:
-    """Return a lower bound of the cost of a connection from a pose to another."""
-    dx, dy = end[0] - begin[0], end[1] - begin[1]
-    length_m = np.hypot(dx, dy)
-    if length_m < _EPSILON:
-        return 0.0
-    if way >= CURVE:
-        return length_m
-    sense = 1.0 if way == TURN_AND_DRIVE else -1.0
-    heading = np.arctan2(sense * dy, sense * dx)
-    turn = abs(wrapped(heading - begin[2])) + abs(wrapped(end[2] - heading))
-    return length_m + (rules.turn_m * turn if turn > 1e-6 else 0.0)
-
-
-@kernel(error_model="numpy")
 def _cost_below(cells: PlanCells, shape: Shape, rules: DriveRules, poses: Any, count: int, limit: float) -> Any:
-    """Return the cost of poses after the first; infinite as soon as it reaches a limit, or one is not free."""
-    total = 0.0
+    """Return the cost of poses after the first; infinite as soon as it must reach a limit, or one is not free."""
+    total, x, y = 0.0, poses[count - 1, 0], poses[count - 1, 1]
+    # Most long parts meet a wall, which few poses show.
+    for k in range(_SPARSE, count, _SPARSE):
+        if tightness(cells, shape, poses[k, 0], poses[k, 1], poses[k, 2]) == np.inf:
+            return np.inf
     for k in range(1, count):
         total += step_cost(cells, shape, rules, poses, k)
-        if total >= limit:
+        # A metre costs 1 at least.
+        if total + np.hypot(x - poses[k, 0], y - poses[k, 1]) * (1 - 1e-9) >= limit:
             return np.inf
     return total
 
@@ -709,177 +742,3 @@ def _recentred(cells: PlanCells, shape: Shape, rules: DriveRules, buffer: PathBu
                 limit, length = cost, count
                 buffer.made[0, :count] = buffer.made[1, :count]
     return length
-
-
-# PlanCells under a footprint, and its distance to occupied cells.
-#
-# A cell is a square, and lies under a footprint if they share more than an edge. In each row a convex outline covers
-# one stretch of cells, whose occupied ones are counted by sums along the row.
-
-# In cells: a square that only touches is not under the footprint.
-_TOUCH = 1e-9
-OUTSIDE = 1 << 30
-_HALF_DIAGONAL = 0.7071068
-
-
-class PlanCells(NamedTuple):
-    """Cells of a costmap.
-
-    Attributes:
-        sums: (H, W + 1) int32, number of occupied cells left of each corner, row by row.
-        distance_m: (H, W) float32 from each cell's centre to that of the nearest occupied one.
-        metre_cost: (H, W) float32 cost of a metre, at least 1.
-        resolution_m: side of a cell.
-        x0, y0: of the corner of cell (0, 0), metres.
-    """
-
-    sums: Any
-    distance_m: Any
-    metre_cost: Any
-    resolution_m: float
-    x0: float
-    y0: float
-
-
-class Shape(NamedTuple):
-    """A footprint with its margins.
-
-    Attributes:
-        outlines: (K, N, 2) corners, from the outline with the wanted margin to the one with the least.
-        inscribed_m: of the last.
-        middle_x, middle_y, around_m: of a disc in `base` that encloses the first.
-    """
-
-    outlines: Any
-    inscribed_m: float
-    middle_x: float
-    middle_y: float
-    around_m: float
-
-
-@kernel(error_model="numpy")
-def count_under(cells: PlanCells, corners: Any, x: float, y: float, yaw: float) -> Any:
-    """Return the number of occupied cells under an outline (N, 2) at a pose; OUTSIDE if it leaves the cells."""
-    rows, columns = cells.distance_m.shape
-    n, c, s = len(corners), np.cos(yaw), np.sin(yaw)
-    u, v = np.empty(n), np.empty(n)
-    low, high = np.inf, -np.inf
-    for k in range(n):
-        u[k] = (x + c * corners[k, 0] - s * corners[k, 1] - cells.x0) / cells.resolution_m
-        v[k] = (y + s * corners[k, 0] + c * corners[k, 1] - cells.y0) / cells.resolution_m
-        low, high = min(low, v[k]), max(high, v[k])
-        if not (u[k] >= -_TOUCH and u[k] <= columns + _TOUCH):
-            return OUTSIDE
-    if not (low >= -_TOUCH and high <= rows + _TOUCH):
-        return OUTSIDE
-    found = 0
-    for row in range(max(int(np.floor(low + _TOUCH)), 0), min(int(np.ceil(high - _TOUCH)), rows)):
-        left, right = _stretch(u, v, row + _TOUCH, row + 1 - _TOUCH)
-        first, after = max(int(np.floor(left + _TOUCH)), 0), min(int(np.ceil(right - _TOUCH)), columns)
-        if after > first:
-            found += cells.sums[row, after] - cells.sums[row, first]
-    return found
-
-
-@kernel(error_model="numpy")
-def _stretch(u: Any, v: Any, low: float, high: float) -> Any:
-    """Return where a convex outline begins and ends between two heights."""
-    left, right, before = np.inf, -np.inf, len(u) - 1
-    for k in range(len(u)):
-        if low <= v[k] <= high:
-            left, right = min(left, u[k]), max(right, u[k])
-        rise = v[k] - v[before]
-        for height in (low, high):
-            if (v[k] - height) * (v[before] - height) < 0:
-                at = u[before] + (u[k] - u[before]) * (height - v[before]) / rise
-                left, right = min(left, at), max(right, at)
-        before = k
-    return left, right
-
-
-@kernel(error_model="numpy")
-def cell_of(cells: PlanCells, x: float, y: float) -> Any:
-    """Return row and column of a point; -1 and -1 outside."""
-    row = int(np.floor((y - cells.y0) / cells.resolution_m))
-    column = int(np.floor((x - cells.x0) / cells.resolution_m))
-    rows, columns = cells.distance_m.shape
-    if row < 0 or column < 0 or row >= rows or column >= columns:
-        return -1, -1
-    return row, column
-
-
-@kernel(error_model="numpy")
-def tightness(cells: PlanCells, shape: Shape, x: float, y: float, yaw: float) -> Any:
-    """Return 0 if the widest outline is free, 1 if only the narrowest is, a value between for others, else infinity."""
-    row, column = cell_of(cells, x, y)
-    # The distance from a point to the nearest occupied square differs by this from that between centres.
-    slack_m = _HALF_DIAGONAL * cells.resolution_m
-    if row < 0 or cells.distance_m[row, column] < shape.inscribed_m + 0.5 * cells.resolution_m - slack_m:
-        return np.inf
-    c, s = np.cos(yaw), np.sin(yaw)
-    at_x, at_y = x + c * shape.middle_x - s * shape.middle_y, y + s * shape.middle_x + c * shape.middle_y
-    row, column = cell_of(cells, at_x, at_y)
-    if row >= 0 and cells.distance_m[row, column] > shape.around_m + 2 * slack_m:
-        edge_m = min(row, column, cells.distance_m.shape[0] - 1 - row, cells.distance_m.shape[1] - 1 - column)
-        if edge_m * cells.resolution_m > shape.around_m:
-            return 0.0
-    last = len(shape.outlines) - 1
-    if count_under(cells, shape.outlines[last], x, y, yaw) > 0:
-        return np.inf
-    for k in range(last):
-        if count_under(cells, shape.outlines[k], x, y, yaw) == 0:
-            return k / last
-    return 1.0
-
-
-@kernel(error_model="numpy")
-def tightnesses(cells: PlanCells, shape: Shape, poses: Any, found: Any) -> None:
-    """Compute `tightness` for poses (N, 3)."""
-    for k in range(len(poses)):
-        found[k] = tightness(cells, shape, poses[k, 0], poses[k, 1], poses[k, 2])
-
-
-@kernel(error_model="numpy")
-def least_clearance(cells: PlanCells, corners: Any, poses: Any, most_m: float) -> Any:
-    """Return metres from an outline at any of poses (N, 3) to the nearest occupied square, at most `most_m`; or 0."""
-    least, size_m = most_m, cells.resolution_m
-    rows, columns = cells.distance_m.shape
-    n = len(corners)
-    placed, reach_m = np.empty((n, 2)), 0.0
-    for k in range(n):
-        reach_m = max(reach_m, np.hypot(corners[k, 0], corners[k, 1]))
-    for p in range(len(poses)):
-        x, y, yaw = poses[p, 0], poses[p, 1], poses[p, 2]
-        row, column = cell_of(cells, x, y)
-        if row < 0 or count_under(cells, corners, x, y, yaw) > 0:
-            return 0.0
-        if cells.distance_m[row, column] - 2 * _HALF_DIAGONAL * size_m > reach_m + least:
-            continue
-        c, s = np.cos(yaw), np.sin(yaw)
-        for k in range(n):
-            placed[k, 0] = (x + c * corners[k, 0] - s * corners[k, 1] - cells.x0) / size_m
-            placed[k, 1] = (y + s * corners[k, 0] + c * corners[k, 1] - cells.y0) / size_m
-        window = int((reach_m + least) / size_m) + 2
-        for i in range(max(row - window, 0), min(row + window + 1, rows)):
-            for j in range(max(column - window, 0), min(column + window + 1, columns)):
-                if cells.distance_m[i, j] == 0:
-                    least = min(least, size_m * _apart(placed, j, i))
-    return least
-
-
-@kernel(error_model="numpy")
-def _apart(placed: Any, left: int, low: int) -> Any:
-    """Return the distance in cells between an outline and the unit square with that lower left corner."""
-    least, before = np.inf, len(placed) - 1
-    for k in range(len(placed)):
-        x, y = placed[k, 0], placed[k, 1]
-        least = min(least, np.hypot(max(left - x, x - left - 1, 0.0), max(low - y, y - low - 1, 0.0)))
-        bx, by = placed[before, 0], placed[before, 1]
-        wx, wy = x - bx, y - by
-        length2 = wx * wx + wy * wy
-        for corner in range(4):
-            px, py = left + corner % 2, low + corner // 2
-            share = min(max(((px - bx) * wx + (py - by) * wy) / length2, 0.0), 1.0)
-            least = min(least, np.hypot(bx + share * wx - px, by + share * wy - py))
-        before = k
-    return least

@@ -343,8 +343,7 @@ class Truth:
 def write(record: DriveRecord, out: Path) -> None:
     """Write all files of --out."""
     from wheelsight.app.cli.options import can_draw
-    from wheelsight.app.run.drive_record import write_drive
-    from wheelsight_report import write_drive_page, write_drive_picture
+    from wheelsight_report import write_drive, write_drive_page, write_drive_picture
 
     write_drive(record, out)
     write_drive_picture(record, out / "drive.png")

@@ -21,9 +21,9 @@ from rich.text import Text
 from wheelsight.app.cli.console import console, facts_table
 from wheelsight.app.cli.progress import left_text
 from wheelsight.app.cli.record import clock_of
+from wheelsight.app.run.drive_record import STATUS_WORDS, monitor_words
 from wheelsight.core.geometry import ByteArray, FloatArray
 from wheelsight.navigation import CellState, Costmap, Feedback, Footprint, Navigator, StaticLayer, Transition
-from wheelsight.navigation.navigator import STATUS_WORDS, monitor_words
 
 if TYPE_CHECKING:
     from wheelsight.app.page import Watch

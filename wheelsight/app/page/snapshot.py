@@ -15,14 +15,13 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
-from wheelsight.app.run.drive_record import TimeCause, time_cause
+from wheelsight.app.run.drive_record import TimeCause, monitor_words, status_words, time_cause
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import ByteArray, FloatArray, se2, se3
 from wheelsight.core.messages import Event
 from wheelsight.core.robots import Robot, WatchedRobot
 from wheelsight.core.settings import LivePageSettings
 from wheelsight.navigation import CellState, Costmap, Feedback, Navigator, StaticLayer, Transition
-from wheelsight.navigation.navigator import monitor_words, status_words
 from wheelsight.navigation.senses import Senses
 
 _WAY_STEP_M, _WAY_POINTS, _PATH_POINTS = 0.1, 300, 80  # the newest of the driven path; of the planned one

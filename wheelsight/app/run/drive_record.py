@@ -1,29 +1,25 @@
-"""DriveRecord: the results of a drive to goals, period by period. DriveRecorder fills it, and write_drive writes its
-files.
+"""DriveRecord: the results of a drive to goals, period by period, which DriveRecorder fills.
+
+`time_cause` says what a period is spent on. `wheelsight_report.write_drive` writes the files of a record.
 """
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from enum import StrEnum
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from wheelsight._version import __version__
 from wheelsight.core.estimates import Status
-from wheelsight.core.files import StrPath, settings_text, write_text
 from wheelsight.core.geometry import ByteArray, FloatArray
 from wheelsight.core.geometry.se2 import wrap_angle
 from wheelsight.core.messages import Event, RgbdFrame
 from wheelsight.core.robots import CONTROL_PERIOD_S, RobotLimits
-from wheelsight.core.trajectory import Trajectory, write_tum
+from wheelsight.core.trajectory import Trajectory
 from wheelsight.mapping import OccupancyGrid
 from wheelsight.navigation import (
     CellState,
@@ -42,6 +38,31 @@ from wheelsight.navigation.senses import Senses
 
 # Of what a period is to take: longer ones are late.
 _LATE = 1.2
+
+
+# Words for pages and the command line.
+STATUS_WORDS = {
+    Status.INITIALIZING: "looks for its place in the map",
+    Status.UNCONFIRMED: "has not confirmed its place in the map yet",
+    Status.TRACKING: "knows where it is",
+    Status.COASTING: "by its wheels alone",
+    Status.FAILING: "does not trust where it is",
+    Status.LOST: "lost",
+}
+
+
+def status_words(feedback: Feedback) -> str:
+    """Return what the robot knows of its place, and the last warning about its sensors."""
+    return "; ".join((STATUS_WORDS[feedback.status], *feedback.warnings[-1:]))
+
+
+def monitor_words(feedback: Feedback) -> str:
+    """Return what the collision monitor does and why, and which obstacle stays without depth behind it."""
+    found, stays = feedback.monitor, f"; {feedback.stays}" if feedback.stays else ""
+    if found is None or found.state is MonitorState.FREE:
+        return f"lets it drive{stays}"
+    does = "slows it down" if found.state is MonitorState.SLOWED else "holds it"
+    return f"{does}: {found.reason}{stays}" if found.reason is not None else f"{does}{stays}"
 
 
 # Share of the limit that is full speed; lower measured speeds than this are a turn in place or a start; and the lead of
@@ -471,103 +492,3 @@ class _Clearance:
             return np.inf
         nearest_m = float(self._distance_m[tuple(cells[inside].T)].min())
         return max(nearest_m - costmap.resolution_m / 2, 0.0)
-
-
-DRIVE_FILE, WAY_FILE, SETTINGS_FILE = "drive.json", "trajectory.txt", "config.yaml"
-_PLAN_STEP_M = 0.1
-
-
-def write_drive(record: DriveRecord, folder: StrPath) -> None:
-    """Write drive.json, trajectory.txt and config.yaml into an existing folder. Raises OutputError."""
-    folder = Path(folder)
-    write_text(folder / SETTINGS_FILE, settings_text(record.config))
-    write_tum(record.way, folder / WAY_FILE)
-    write_text(folder / DRIVE_FILE, json.dumps(drive_dict(record), indent=2, allow_nan=False) + "\n")
-
-
-def drive_dict(record: DriveRecord) -> dict[str, Any]:
-    """The record as nested values for JSON; unknown values are None."""
-    goals = [
-        {
-            "name": goal.name,
-            "goal": _pose(goal.goal),
-            "arrived": goal.result.has_arrived,
-            "reason": None if goal.result.reason is None else str(goal.result.reason),
-            "detail": goal.result.detail,
-            "goal_change": goal.result.goal_change or None,
-            "end": _pose(goal.end),
-            "off_m": _number(goal.off_m),
-            "off_deg": _number(goal.off_deg),
-            "time_s": round(goal.result.time_s, 3),
-            "way_m": round(goal.result.way_m, 3),
-            "planned_m": round(goal.result.planned_m, 3),
-            "plans": goal.result.plans,
-            "recoveries": goal.result.recoveries,
-        }
-        for goal in record.goals
-    ]
-    people = None  # closest distance to a walking person and its time
-    if len(record.people):
-        nearest = zip(("stamp_s", "x_m", "y_m", "away_m"), record.people[record.people[:, 3].argmin()], strict=True)
-        periods = len(np.unique(record.people[:, 0]))
-        people = {"periods": periods, "nearest": {name: _number(float(value)) for name, value in nearest}}
-    plans = [
-        {"stamp_s": stamp_s, "poses": [[round(float(value), 3) for value in pose] for pose in _thinned(poses)]}
-        for stamp_s, poses in record.plans
-    ]
-    stops = [
-        {"begin_s": stop.begin_s, "end_s": stop.end_s, "reason": stop.reason, "pose": _pose(stop.pose)}
-        for stop in record.stops
-    ]
-    transitions = [
-        {"stamp_s": one.stamp_s, "before": str(one.before), "after": str(one.after), "why": one.why}
-        for goal in record.goals
-        for one in goal.result.transitions
-    ]
-    return {
-        "wheelsight": __version__,
-        "finished_at": record.finished_at.isoformat(timespec="seconds"),
-        "map": record.map_name,
-        "robot": record.robot,
-        "has_arrived": record.has_arrived,
-        "interrupted": record.is_interrupted,
-        "goals_asked": record.asked,
-        "goals": goals,
-        "time_s": round(record.time_s, 3),
-        "spent_s": {cause: round(seconds, 3) for cause, seconds in record.spent_s.items()},
-        "way_m": round(record.way_m, 3),
-        "planned_m": round(record.planned_m, 3),
-        "clearance_m": _number(record.clearance_m),
-        "people": people,
-        "periods": {**asdict(record.periods), "longest_s": round(record.periods.longest_s, 3)},
-        "stops": stops,
-        "transitions": transitions,
-        "plans": plans,
-        "recognised": record.recognised,
-        "warnings": list(record.warnings),
-        "truth": record.truth or None,
-        "loops": record.loops,
-        "navigation": record.config["navigation"],
-    }
-
-
-def _pose(pose: FloatArray | None) -> dict[str, float | None] | None:
-    if pose is None:
-        return None
-    x_m, y_m, yaw = pose.tolist()
-    return {"x_m": _number(x_m), "y_m": _number(y_m), "yaw_deg": _number(math.degrees(yaw))}
-
-
-def _number(value: float) -> float | None:
-    return round(value, 4) if math.isfinite(value) else None
-
-
-def _thinned(poses: FloatArray) -> FloatArray:
-    """Poses of a plan at a minimum distance, with its end and all turns in place."""
-    kept = [0]
-    for row in range(1, len(poses)):
-        way_m = float(np.hypot(*(poses[row] - poses[kept[-1]])[:2]))
-        turned = abs(wrap_angle(poses[row, 2] - poses[kept[-1], 2]))
-        if way_m >= _PLAN_STEP_M or turned >= 0.3 or row == len(poses) - 1:
-            kept.append(row)
-    return poses[kept]
