@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from wheelsight._version import __version__
+from wheelsight import __version__
 from wheelsight.app.run.drive_record import DriveRecord
 from wheelsight.core.files import StrPath, settings_text, write_text
 from wheelsight.core.geometry import FloatArray

@@ -134,6 +134,7 @@ def test_a_single_strange_reading_does_not_flatten_the_speeds(record: DriveRecor
         status=rows.status * times,
         monitor=rows.monitor * times,
         reasons=rows.reasons * times,
+        causes=rows.causes * times,
     )
     low, high = time_line_figure(replace(record, rows=many)).layout.yaxis2.range
     assert -0.2 < low <= 0
@@ -165,6 +166,7 @@ def empty(record: DriveRecord):
         status=(),
         monitor=(),
         reasons=(),
+        causes=(),
     )
 
 

@@ -29,7 +29,7 @@ FAR_M = 3.5
 # floor that was not seen lately, and a stop with a choice 3 s. On ideal robots the flat takes 425 s with it, and 586 s
 # with a discount by distance (docs/decisions/planner).
 _STOP_M, _TURN_M = 1.0, 0.6
-# Factor by which another viewpoint must be better than the one that the robot drives to.
+# Least value of another viewpoint, as a factor of that of the present one, for which the robot turns to it.
 _STAYS = 1.5
 # Share of a viewpoint's floor that makes it unnecessary once it was seen from elsewhere: the next one shows the rest.
 _SHOWN = 0.9
@@ -99,7 +99,7 @@ class Exploration:
             cells = self._seen_from(view, costmap, is_wanted)
             looks[cells[:, 0], cells[:, 1]] += 1
         is_wanted = np.asarray(is_wanted & (looks < _TRIES))
-        self._next = self._best(pose, costmap, is_wanted)
+        self._next = self.best_viewpoint(pose, costmap, is_wanted)
         if self._next is None:
             self.left = 0
             return ()
@@ -145,7 +145,7 @@ class Exploration:
             self._aim = None
         return True
 
-    def _best(self, pose: FloatArray, costmap: Costmap, is_wanted: BoolArray) -> _Viewpoint | None:
+    def best_viewpoint(self, pose: FloatArray, costmap: Costmap, is_wanted: BoolArray) -> _Viewpoint | None:
         """Return the viewpoint with the highest value; None if none shows enough."""
         # Reachable cells (P, 2) near wanted floor, and path costs (P,) of the inscribed circle to them.
         row, column = costmap.cells_at(pose[:2]).tolist()

@@ -71,7 +71,7 @@ def driven(corners: FloatArray, start: FloatArray, goal: FloatArray, drivable: D
         for rounding_m in (*_ROUNDINGS_M, 0.0):
             if 2 * rounding_m > min(lengths[k], lengths[k + 1]):
                 continue
-            piece = _corner(pose, corners[k + 1], headings[k : k + 2], rounding_m, drivable)
+            piece = rounded_corner(pose, corners[k + 1], headings[k : k + 2], rounding_m, drivable)
             cost = drivable.cost(piece) if len(piece) else np.inf
             if cost < best_cost:
                 best, best_cost = piece, cost
@@ -87,7 +87,7 @@ def driven(corners: FloatArray, start: FloatArray, goal: FloatArray, drivable: D
     return np.concatenate([*pieces, last[1:]])
 
 
-def _corner(
+def rounded_corner(
     pose: FloatArray, corner: FloatArray, headings: FloatArray, rounding_m: float, drivable: Drivable
 ) -> FloatArray:
     """Return (N, 4) from a pose to beyond a corner, which it cuts on both sides; empty if that is impossible."""

@@ -39,7 +39,7 @@ _HALVINGS = 14
 # Random places tried before the robot is said to fit nowhere, and how many of them at once.
 _PLACES_TRIED, _AT_ONCE = 1000, 200
 # A plan that is blocked within the first distance is repaired: it joins the old one the second behind that, by a way in
-# a window with the third around it, and at most so many times as long as the old part, and the second.
+# a window with the third around it. The fourth bounds its length, as a factor of the old part, plus the second.
 _REPAIR_M, _BEYOND_M, _AROUND_M, _DETOUR = 8.0, 2.0, 3.0, 1.3
 _ABOUT_UNKNOWN = "map it, or --set navigation.costmap.unknown=costly lets plans lead there"
 

@@ -148,9 +148,9 @@ class Senses:
                     self._live.update(event.depth_m, pose, event.stamp_s)
                 self._follow_people(event.stamp_s, pose)
         self._update_floor(now_s)
-        self._monitor.is_floor_mapped = self._is_floor_mapped()
+        self._monitor.is_floor_mapped = self.is_floor_mapped()
 
-    def _is_floor_mapped(self) -> bool:
+    def is_floor_mapped(self) -> bool:
         """Return whether the map has seen all floor on which the robot could be within `_MAPPED_M` ahead."""
         state, layer = self.where.state, self.floor.layer
         if state is None or not self.where.is_known:
