@@ -451,6 +451,41 @@ class Gyro:
             raise CalibrationError("noise_rad_per_sqrt_s is 0", fix="no gyroscope is without noise")
 
 
+@dataclass(frozen=True, slots=True)
+class NearbyMounts:
+    """Bumpers and ultrasonic rangers of a robot, in the order of the controller's inputs; later inputs are not wired.
+
+    Attributes:
+        bumpers: of each one `front` or `back`.
+        rangers: of each x and y in `base`, metres, and the direction of its axis, radians counter-clockwise.
+
+    Raises:
+        CalibrationError: another side, numbers that are not finite, mounts beyond 3 m, or more than there are inputs.
+    """
+
+    bumpers: tuple[str, ...] = ()
+    rangers: tuple[tuple[float, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        sides, mounts = list(self.bumpers), [list(mount) for mount in self.rangers]
+        if len(sides) > 2 or not set(sides) <= {"front", "back"}:
+            raise CalibrationError(f"bumpers are {sides}", fix="two at most, each front or back")
+        if len(mounts) > 4 or any(len(mount) != 3 or not all(map(is_number, mount)) for mount in mounts):
+            raise CalibrationError(f"rangers are {mounts}", fix="four at most: [[0.8, 0.2, 0.0]], x, y, radians")
+        if not np.all(np.abs(np.array(mounts, float).reshape(-1, 3)) <= [3.0, 3.0, 2 * math.pi]):
+            raise CalibrationError(f"rangers are {mounts}", fix="metres from the axle's middle, and radians")
+
+    @classmethod
+    def of(cls, value: Any) -> NearbyMounts:
+        """Return the mounts of the field `nearby` of a file. Raises CalibrationError."""
+        known = mapping(value, "nearby", ("bumpers", "rangers"))
+        for name, listed in known.items():
+            if not isinstance(listed, list) or (name == "rangers" and not all(isinstance(one, list) for one in listed)):
+                raise CalibrationError(f"field nearby.{name} is no list", fix="one entry for each input")
+        rangers = tuple(tuple(mount) for mount in known.get("rangers", []))
+        return made(cls, "nearby", {"bumpers": tuple(map(str, known.get("bumpers", []))), "rangers": rangers})
+
+
 def least_step(ticks: int, span: int) -> int:
     """Return the smallest step for a difference of counters that roll over after `span` values (0: never)."""
     return (ticks + span // 2) % span - span // 2 if span else ticks

@@ -268,7 +268,7 @@ class Navigator(OneCaller):
         self.footprint = s.footprint.outline
         self._robot = robot
         drive = robot.calibration.drive_model
-        self._chain = ControlChain(s, drive)
+        self._chain = ControlChain(s, drive, robot.calibration.nearby)
         self.monitor = self._chain.monitor
         self.senses = Senses(robot.calibration, localization, floor, self.monitor, self.footprint, s)
         self.monitor.trust_floor(self.senses.near_m if trusts_floor else 0.0)
@@ -388,6 +388,7 @@ class Navigator(OneCaller):
         now_s, before_s = self._robot.now_s, self._stepped_s
         self._stepped_s, most_s = now_s, self.settings.navigator.held_s
         silent = None
+        self.monitor.add_nearby(getattr(self._robot, "nearby", None))
         try:
             self.senses.update(events, now_s)
         except WheelsightError as error:

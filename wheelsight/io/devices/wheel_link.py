@@ -22,7 +22,7 @@ from serial import Serial, SerialException, SerialTimeoutException
 from serial.tools.list_ports import comports
 
 from wheelsight.core.errors import DeviceError
-from wheelsight.core.messages import WheelTicks
+from wheelsight.core.messages import NearbyReading, WheelTicks
 from wheelsight.core.threads import Closing
 from wheelsight.io.devices import host_clock
 from wheelsight.io.devices.tick_tracking import TickTracker
@@ -34,6 +34,7 @@ from wheelsight.io.devices.wire_formats import (
     LineDecoder,
     LineStatistics,
     LinkCommand,
+    Nearby,
     PlainReading,
     Pulses,
     Version,
@@ -110,6 +111,7 @@ class WheelLink(Closing):
         self._decoder, self._tracker = LineDecoder(), TickTracker()
         self._ticks: queue.Queue[WheelTicks | None] = queue.Queue(_MOST_QUEUED)
         self._last: WheelTicks | None = None
+        self.nearby: NearbyReading | None = None  # the newest; stamped when it came
         self._reconnects = self._overrun = 0
         self._serial: Serial | None = open_port(self.port, baudrate)
         self._commands = Commands(self.port, self._write)
@@ -290,10 +292,17 @@ class WheelLink(Closing):
             elif isinstance(message, PlainReading):
                 for ticks in self._tracker.add_line(message):
                     self._put(ticks)
-            elif isinstance(message, Ack) and self._commands.answered(message):
-                self._tracker.reset_done()
-            elif isinstance(message, Version):
-                self._commands.set_version(message)
+            elif isinstance(message, Nearby):
+                self.nearby = message.reading(self._unix_s + now_s)
+            else:
+                self._answered(message)
+
+    def _answered(self, message: Ack | Version) -> None:
+        """Take an answer of the controller."""
+        if isinstance(message, Version):
+            self._commands.set_version(message)
+        elif self._commands.answered(message):
+            self._tracker.reset_done()
 
     def _wait_for_port(self) -> None:
         """Close a port that vanished, drop the motors' command, and open the port as soon as it is back."""
