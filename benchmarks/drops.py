@@ -1,11 +1,11 @@
 """`python -m benchmarks.drops`: a wheelchair drives at floor that is missing, or that a depth camera does not see.
 
 A hall whose map says that all of its floor is free, by rays, without rendering. At full speed or slower, straight, in
-a curve or after a turn on the spot, the chair is commanded over one of: a ledge (0.2 to 1 m down), a well of which no
-ray comes back, stairs down, black carpet of which none comes back, a mat of which one in twenty does, and wet floor
-that mirrors the ceiling. Nothing but the collision monitor ends the drive. The camera is a Kinect's, at 128×96
-pixels, with its noise, and a frame arrives 0.1 s after its stamp. Half of the chairs have it level (the floor begins
-2 m before the camera), half look down by 0.4 rad.
+a curve or after a turn on the spot, the chair is commanded over one of: a ledge (0.2 to 1 m down), a well that returns
+no ray, stairs down, black carpet that returns none, a mat that returns one in twenty, and wet floor that mirrors the
+ceiling. Nothing but the collision monitor ends the drive. The camera is a Kinect's, at 128×96 pixels, with its noise,
+and a frame arrives 0.1 s after its stamp. Half of the chairs have it level (the floor begins 2 m before the camera),
+half look down by 0.4 rad.
 
 "Past the edge" is how far the deepest point of the outline lies within the place, by the truth. For carpet, mat and wet
 floor it is the same: a camera cannot tell them from a hole.

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from wheelsight.core.errors import CalibrationError
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.geometry.arrays import is_number
+from wheelsight.core.messages import NearbyReading
 
 Part = TypeVar("Part")
 
@@ -474,6 +475,19 @@ class NearbyMounts:
             raise CalibrationError(f"rangers are {mounts}", fix="four at most: [[0.8, 0.2, 0.0]], x, y, radians")
         if not np.all(np.abs(np.array(mounts, float).reshape(-1, 3)) <= [3.0, 3.0, 2 * math.pi]):
             raise CalibrationError(f"rangers are {mounts}", fix="metres from the axle's middle, and radians")
+
+    def have_answered(self, reading: NearbyReading, since_s: float) -> bool:
+        """Return whether all that is mounted has given a reading since a time."""
+        ranges_m = reading.ranges_m[: len(self.rangers)]
+        is_whole = len(ranges_m) == len(self.rangers) and len(reading.is_pressed) >= len(self.bumpers)
+        is_new = reading.stamp_s >= since_s and is_whole and not any(map(math.isnan, ranges_m))
+        return is_new or not (self.bumpers or self.rangers)
+
+    def are_bumped(self, reading: NearbyReading, forward_m_s: float) -> bool:
+        """Return whether a bumper is pressed at a side that a motion does not leave."""
+        signs = {"front": 1, "back": -1}
+        sides = zip(self.bumpers, reading.is_pressed, strict=False)
+        return any(is_pressed and forward_m_s * signs[side] >= 0 for side, is_pressed in sides)
 
     @classmethod
     def of(cls, value: Any) -> NearbyMounts:

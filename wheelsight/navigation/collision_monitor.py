@@ -277,20 +277,6 @@ class CollisionMonitor:
             if pose is not None and not math.isnan(range_m):
                 self.memory.add_echo(pose, (x, y, yaw), range_m)
 
-    def _is_nearby_silent(self, now_s: float) -> bool:
-        """Return whether a bumper or a ranger that is mounted gives no reading."""
-        mounts, last = self._mounts, self._nearby
-        if not mounts.rangers and not mounts.bumpers:
-            return False
-        ranges_m = last.ranges_m[: len(mounts.rangers)]
-        is_missing = len(ranges_m) < len(mounts.rangers) or len(last.is_pressed) < len(mounts.bumpers)
-        return is_missing or now_s - last.stamp_s > SILENT_S or bool(np.isnan(ranges_m).any())
-
-    def _is_bumped(self, forward_m_s: float) -> bool:
-        """Return whether a bumper is pressed on a side that a command does not leave."""
-        sides = zip(self._mounts.bumpers, self._nearby.is_pressed, strict=False)
-        return any(is_on and forward_m_s * (1 if side == "front" else -1) >= 0 for side, is_on in sides)
-
     def is_camera_silent(self, now_s: float) -> bool:
         """Return whether no frame came for `SILENT_S`, as of a failed camera; a covered lens still sends frames."""
         return bool(np.isfinite(self._any_frame_s) and now_s - self._any_frame_s > SILENT_S)
@@ -347,8 +333,8 @@ class CollisionMonitor:
             MonitorReason.FROM_AHEAD: newest_s > now_s + _AHEAD_S,
             MonitorReason.NO_WHEELS: now_s - self._wheels_s > s.encoder_age_s,
             MonitorReason.NO_FRAME: is_old and not backs_up,
-            MonitorReason.NEARBY_SILENT: self._is_nearby_silent(now_s),
-            MonitorReason.BUMPER: self._is_bumped(asked.forward_m_s),
+            MonitorReason.NEARBY_SILENT: not self._mounts.have_answered(self._nearby, now_s - SILENT_S),
+            MonitorReason.BUMPER: self._mounts.are_bumped(self._nearby, asked.forward_m_s),
             MonitorReason.WHEELS_OFF: self.has_wheel_fault,
             MonitorReason.STATUS: status in _STATUS_TO_STAND,
         }

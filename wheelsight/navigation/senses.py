@@ -142,7 +142,7 @@ class Senses:
 
         The monitor gets only the newest frame of a period, so that a late program does not become later.
         """
-        view = watch_floor(self._monitor, events, self.where, self._viewer, self._carries)
+        view = watch_floor(self._monitor, events, self.where, self._viewer, self.carries)
         if view is not None:
             self._views.append(view)
         for event in events:
@@ -181,7 +181,7 @@ class Senses:
         if not len(self._track) or np.hypot(*(self._track[-1] - state.pose[:2])) > _STOOD_M / 2:
             self._track = np.concatenate([self._track, state.pose[None, :2]])
 
-    def _carries(self, points: FloatArray) -> BoolArray:
+    def carries(self, points: FloatArray) -> BoolArray:
         """Return which points (N, 2) in `base`, from where no depth comes back, are floor.
 
         They are so by the word of a person, or as the robot crossed them: its axle stood on such floor near to them. A

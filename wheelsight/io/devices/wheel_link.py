@@ -280,6 +280,7 @@ class WheelLink(Closing):
         """
         for message in self._decoder.feed(data, self._unix_s + now_s, was_waiting):
             self._decoded_s = now_s
+            self.nearby = message.reading(self._unix_s + now_s) if isinstance(message, Nearby) else self.nearby
             if isinstance(message, Counts):
                 restarts = self._tracker.restarts
                 for ticks in self._tracker.add_counts(message, self._unix_s + now_s):
@@ -292,17 +293,10 @@ class WheelLink(Closing):
             elif isinstance(message, PlainReading):
                 for ticks in self._tracker.add_line(message):
                     self._put(ticks)
-            elif isinstance(message, Nearby):
-                self.nearby = message.reading(self._unix_s + now_s)
-            else:
-                self._answered(message)
-
-    def _answered(self, message: Ack | Version) -> None:
-        """Take an answer of the controller."""
-        if isinstance(message, Version):
-            self._commands.set_version(message)
-        elif self._commands.answered(message):
-            self._tracker.reset_done()
+            elif isinstance(message, Ack) and self._commands.answered(message):
+                self._tracker.reset_done()
+            elif isinstance(message, Version):
+                self._commands.set_version(message)
 
     def _wait_for_port(self) -> None:
         """Close a port that vanished, drop the motors' command, and open the port as soon as it is back."""
