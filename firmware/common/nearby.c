@@ -5,7 +5,7 @@
 
 #include <string.h>
 
-#define PING_TICKS TICKS_PER_MS(50)  /* a ranger that hears nothing ends its pulse after 38 ms */
+#define PING_TICKS TICKS_PER_MS(50)  /* a ranger without an echo ends its pulse after 38 ms */
 #define FAR_TICKS TICKS_PER_MS(25)   /* 4.3 m: farther echoes are none */
 #define TRIGGER_TICKS (TICKS_PER_MS(1) / 50) /* 20 µs; rangers need 10 */
 #define NO_ANSWER 0xFFFF

@@ -21,16 +21,16 @@ def echoes_us(message: Nearby) -> tuple[int, ...]:
     return message[2:]
 
 
-def test_rangers_are_heard_twenty_times_a_second_and_never_too_far(any_chip: Chip | Stm32) -> None:
+def test_rangers_measure_twenty_times_a_second_and_never_too_far(any_chip: Chip | Stm32) -> None:
     ranges_m = (0.05, 0.8, 2.5, 4.2)
     for ranger, range_m in enumerate(ranges_m):
         any_chip.echo(ranger, 2 * range_m / M_PER_S)
     any_chip.run(0.15)
     any_chip.messages()
     any_chip.run(1.0)
-    heard = any_chip.nearby()
-    assert len(heard) == pytest.approx(20, abs=1)
-    for message in heard:
+    found = any_chip.nearby()
+    assert len(found) == pytest.approx(20, abs=1)
+    for message in found:
         for us, range_m in zip(echoes_us(message), ranges_m, strict=True):
             off_m = us * 1e-6 * M_PER_S / 2 - range_m
             assert -0.06 < off_m <= 0.002
@@ -38,7 +38,7 @@ def test_rangers_are_heard_twenty_times_a_second_and_never_too_far(any_chip: Chi
 
 
 def test_no_echo_and_a_cut_cable_differ(any_chip: Chip | Stm32) -> None:
-    any_chip.echo(0, 0.038)  # what a ranger gives that hears nothing
+    any_chip.echo(0, 0.038)  # what a ranger gives without an echo
     any_chip.echo(1, 0.01)
     any_chip.run(0.2)
     any_chip.messages()

@@ -25,7 +25,7 @@ GLASS_M = 4.0
 
 
 class Ride:
-    """A chair that is commanded straight on to a pane that no camera shows, and hears it."""
+    """A chair that is commanded straight on to a pane that no camera shows, and measures it."""
 
     def __init__(self, mounts: NearbyMounts | None = MOUNTS) -> None:
         self.monitor, self.base = CollisionMonitor(CHAIR, nearby=mounts), Unicycle((0.0, 0.0, 0.0))
@@ -40,15 +40,17 @@ class Ride:
             self.monitor.add_view(Camera().view(NOTHING, self.base.pose, self.now_s))
             if self.has_rangers:
                 range_m = self.glass_m - float(self.base.pose[0]) - 0.8
-                heard = range_m if 0.02 < range_m < 4.3 else math.inf
-                self.monitor.add_nearby(NearbyReading(self.now_s, self.pressed, (heard, heard, math.nan, math.nan)))
+                range_or_none_m = range_m if 0.02 < range_m < 4.3 else math.inf
+                self.monitor.add_nearby(
+                    NearbyReading(self.now_s, self.pressed, (range_or_none_m, range_or_none_m, math.nan, math.nan))
+                )
             self.checked = self.monitor.check(asked, self.now_s, Status.TRACKING)
             self.base.step(self.checked.command)
         return self.checked.reason
 
 
 @pytest.mark.parametrize("speed_m_s", [0.5, 1.0])
-def test_it_stands_before_a_pane_that_its_rangers_hear(speed_m_s: float) -> None:
+def test_it_stands_before_a_pane_that_its_rangers_measure(speed_m_s: float) -> None:
     ride = Ride()
     assert ride.go(VelocityCommand(speed_m_s), 9.0) is MonitorReason.OBSTACLE
     assert ride.base.stands
@@ -59,7 +61,7 @@ def test_it_stands_before_a_pane_that_its_rangers_hear(speed_m_s: float) -> None
     assert deaf.base.pose[0] > GLASS_M
 
 
-def test_echoes_are_remembered_and_heard_through_once_the_pane_is_open() -> None:
+def test_echoes_are_remembered_and_removed_once_the_pane_is_open() -> None:
     ride = Ride()
     ride.go(VelocityCommand(0.5), 9.0)
     assert len(ride.monitor.memory.remembered(3.0))

@@ -723,7 +723,7 @@ class FloorMemory:
         return True
 
     def add_echo(self, pose: Pose, mount: tuple[float, float, float], range_m: float) -> None:
-        """Add what a ranger at x, y, yaw (3,) in `base` measured; earlier echoes that it hears through are removed.
+        """Add what a ranger at x, y, yaw (3,) in `base` measured; nearer echoes in its beam are removed.
 
         A camera does not clear echoes, as it sees through glass.
         """
@@ -731,8 +731,8 @@ class FloorMemory:
         at, heading = _placed(np.array([[x, y]]), pose)[0], yaw + math.atan2(pose[3], pose[2])
         away = self._echoes[:, :2] - at
         away_m, off_rad = np.hypot(*away.T), np.arctan2(away[:, 1], away[:, 0]) - heading
-        is_heard_through = (np.cos(off_rad) > math.cos(_BEAM_RAD)) & (away_m < range_m - _ECHO_M)
-        self._echoes = self._echoes[~is_heard_through & (self._echoes[:, 2] > self._way_m - _REMEMBER_M)]
+        is_nearer = (np.cos(off_rad) > math.cos(_BEAM_RAD)) & (away_m < range_m - _ECHO_M)
+        self._echoes = self._echoes[~is_nearer & (self._echoes[:, 2] > self._way_m - _REMEMBER_M)]
         if range_m < math.inf:
             place = at + range_m * np.array([math.cos(heading), math.sin(heading)])
             self._echoes = np.vstack([self._echoes, [*place, self._way_m]])[-_MOST_ECHOES:]
