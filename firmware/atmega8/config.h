@@ -16,6 +16,16 @@
 #define LEFT_PWM 1
 #define RIGHT_PWM 2
 
+/* Bumpers, whose switches lead to ground and open when pressed, and rangers. Port C (0 and 1 stay free for analogue inputs) and
+ * port D; the trigger of all rangers on port B. */
+#define ECHO_0 2
+#define ECHO_1 3
+#define BUMPER_0 4
+#define BUMPER_1 5
+#define ECHO_2 6
+#define ECHO_3 7
+#define TRIGGER 0
+
 /* 2: both edges of channel A, so that a count is a function of the wheel's position alone.
  * 1: the rising edge alone; a wheel that trembles on that edge drifts. */
 #ifndef EDGES
@@ -33,6 +43,6 @@
 #define HAS_PAPER 1
 
 #define VERSION_MAJOR 1
-#define VERSION_MINOR 1
+#define VERSION_MINOR 2
 
 #endif

@@ -4,6 +4,7 @@
 #include "clock.h"
 #include "config.h"
 #include "counts.h"
+#include "nearby.h"
 #include "protocol.h"
 #include "pwm.h"
 #include "uart.h"
@@ -36,6 +37,7 @@ int main(void)
     MCUCSR = 0;
     clock_init();
     counts_init();
+    nearby_init();
     uart_init();
     protocol_init(reset_cause);
     sei();
@@ -45,6 +47,7 @@ int main(void)
         wdt_reset();
         look();
         protocol_report(&sample);
+        nearby_watch(sample.ticks);
         protocol_watch(sample.ticks);
         if (uart_receive(&byte))
             protocol_receive(&reader, byte, &sample);

@@ -10,7 +10,7 @@
 
 #define PROTOCOL 1
 
-enum { COUNTS = 0x01, VERSION = 0x02, ACK = 0x03 };
+enum { COUNTS = 0x01, VERSION = 0x02, ACK = 0x03, NEARBY = 0x04 };
 enum { DRIVE = 0x81, STOP = 0x82, GET_VERSION = 0x83, RESET_COUNTS = 0x84, SET_FORMAT = 0x85 };
 enum status { DONE, UNKNOWN_COMMAND, BAD_LENGTH, OUT_OF_RANGE };
 enum format { FRAMED, PAPER };
@@ -72,6 +72,12 @@ void protocol_report(const struct sample *sample)
         reported_ticks = sample->ticks; /* from the last frame, early or not: there is a silence after each pair */
         report_paper(left, right);
     }
+}
+
+void protocol_report_nearby(const struct nearby *nearby)
+{
+    if (format == FRAMED)
+        frame_send(NEARBY, nearby, sizeof *nearby);
 }
 
 static enum status drive(const struct frame *frame)

@@ -5,7 +5,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
-from wheelsight.io.devices.wire_formats import Ack, Counts, FrameDecoder, LinkCommand, Message, Version, encode_command
+from wheelsight.io.devices.wire_formats import (
+    Ack,
+    Counts,
+    FrameDecoder,
+    LinkCommand,
+    Message,
+    Nearby,
+    Version,
+    encode_command,
+)
 
 
 class FramedChip(ABC):
@@ -39,6 +48,10 @@ class FramedChip(ABC):
     def counts(self) -> list[Counts]:
         """Of the messages, the counts."""
         return [message for message in self.messages() if isinstance(message, Counts)]
+
+    def nearby(self) -> list[Nearby]:
+        """Of the messages, those of bumpers and rangers."""
+        return [message for message in self.messages() if isinstance(message, Nearby)]
 
     def acks(self) -> list[Ack]:
         """Of the messages, the answers."""

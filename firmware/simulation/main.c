@@ -6,6 +6,8 @@
  *   turn WHEEL QUARTERS RATE  quarters of a pulse, pulses a second
  *   spike WHEEL CYCLES        channel A inverted for so long
  *   position                  quarters of a pulse                         ok LEFT RIGHT
+ *   echo RANGER MICROSECONDS  length of its pulses; 0 without power
+ *   bumper NUMBER OPEN        1 as when it is pressed, 0 else
  *   send HEX                  bytes to the chip, at the line's pace
  *   take                      bytes from the chip since last taken        ok CYCLE:HEX …
  *   pwm                       both outputs since last read                ok DRIVEN PERIODS DUTY HZ (twice)
@@ -19,6 +21,7 @@
 #include "chip.h"
 #include "line.h"
 #include "meter.h"
+#include "nearby.h"
 #include "wheels.h"
 
 #include <inttypes.h>
@@ -87,6 +90,23 @@ static const char *position(const char *arguments)
     (void)arguments;
     printf("ok %ld %ld\n", wheels_position(LEFT), wheels_position(RIGHT));
     return NULL;
+}
+
+static const char *echo(const char *arguments)
+{
+    int ranger;
+    unsigned microseconds;
+    if (sscanf(arguments, "%d %u", &ranger, &microseconds) != 2 || !nearby_echo(ranger, microseconds))
+        return "echo takes a ranger, 0 to 3, and microseconds";
+    return "";
+}
+
+static const char *bumper(const char *arguments)
+{
+    int number, is_open;
+    if (sscanf(arguments, "%d %d", &number, &is_open) != 2 || !nearby_bumper(number, is_open))
+        return "bumper takes its number, 0 or 1, and 1 for open";
+    return "";
 }
 
 static const char *send_bytes(const char *arguments)
@@ -159,6 +179,7 @@ static const char *reset(const char *arguments)
     (void)arguments;
     chip_reset();
     wheels_connect();
+    nearby_connect();
     return "";
 }
 
@@ -194,7 +215,7 @@ static const struct {
     {"run", run},       {"rest", rest},     {"turn", turn},     {"spike", spike}, {"position", position},
     {"send", send_bytes}, {"take", take},   {"pwm", pwm},       {"peek", peek},   {"memory", memory},
     {"unread", unread}, {"hang", hang},     {"reset", reset},   {"terminal", open_terminal},
-    {"live", live},     {"still", still},
+    {"live", live},     {"still", still},   {"echo", echo},     {"bumper", bumper},
 };
 
 static void obey(char *line)
@@ -251,6 +272,7 @@ int main(int argc, char **argv)
         return 2;
     }
     wheels_connect();
+    nearby_connect();
     line_start();
     meter_start();
     setvbuf(stdin, NULL, _IONBF, 0);

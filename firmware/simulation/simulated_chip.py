@@ -119,6 +119,14 @@ class Chip(FramedChip):
         left, right = map(int, self.ask("position"))
         return -(-left // 4), -(-right // 4)
 
+    def echo(self, ranger: int, seconds: float) -> None:
+        """From the next ping on a ranger's pulse lasts so long; 0 for one without power, as at the start."""
+        self.ask(f"echo {ranger} {round(1e6 * seconds)}")
+
+    def bumper(self, number: int, is_pressed: bool) -> None:
+        """Press a bumper, whose switch then opens, or let it go."""
+        self.ask(f"bumper {number} {int(is_pressed)}")
+
     def send(self, data: bytes) -> None:
         """Put bytes on the line to the chip, at its pace."""
         self.ask(f"send {data.hex()}")

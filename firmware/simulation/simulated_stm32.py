@@ -99,6 +99,14 @@ class Stm32(FramedChip):
         """The truth: counts of the left and the right wheel since power came on."""
         return self.peripherals.encoders["left"].wheel.position, self.peripherals.encoders["right"].wheel.position
 
+    def echo(self, ranger: int, seconds: float) -> None:
+        """From the next ping on a ranger's pulse lasts so long; 0 for one without power, as at the start."""
+        self.peripherals.echoes_s[ranger] = seconds
+
+    def bumper(self, number: int, is_pressed: bool) -> None:
+        """Press a bumper, whose switch then opens, or let it go."""
+        self.peripherals.is_pressed[number] = is_pressed
+
     def send(self, data: bytes) -> None:
         """Put bytes on the line to the chip, at its pace."""
         self.peripherals.receive(data)

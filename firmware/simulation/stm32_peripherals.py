@@ -6,6 +6,7 @@ not given to a timer brings it no edges, a wrong divider makes noise of the line
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -39,6 +40,7 @@ _CLOCKS = {
     USB: (_AHB2ENR, 7),
     TIM1: (_APB2ENR, 0),
 }
+_PING_DELAY_S = 450e-6  # from the trigger to a ranger's pulse
 _ALWAYS = (RCC, FLASH, IWDG)
 _CSR_POWER_ON, _CSR_WATCHDOG, _CSR_PIN = 0b1110 << 24, 1 << 29, 1 << 26
 # Of the filter's sixteen codes, clocks of the timer that a level must last: samples by their divider.
@@ -107,6 +109,8 @@ class Peripherals:
         is_bitten: whether the watchdog has just bitten.
         garbled: bytes that the wrong baud rate made noise, or that were lost for another reason.
         longest_unread_s: for which the program did not look at the encoder of 16 bits.
+        echoes_s: length of each ranger's pulse after a ping; 0 for one without power.
+        is_pressed: of each bumper, whose switch opens when pressed.
     """
 
     def __init__(self, write_memory: Callable[[int, int], None], has_crystal: bool = True) -> None:
@@ -114,6 +118,8 @@ class Peripherals:
         self.sent: list[tuple[float, int]] = []
         self.garbled = 0
         self.longest_unread_s = 0.0
+        self.echoes_s, self.is_pressed = [0.0] * 4, [False] * 2
+        self._trigger_s, self._pinged_s = math.inf, -math.inf
         self.encoders = {
             "left": Encoder(TIM2, 32, ((GPIOA, 15), (GPIOB, 3)), 1),
             "right": Encoder(TIM3, 16, ((GPIOB, 4), (GPIOB, 5)), 2),
@@ -180,6 +186,8 @@ class Peripherals:
             if address == encoder.timer + 0x24:
                 self._note_look(encoder)
                 return encoder.count
+        if address == GPIOD + 0x10:
+            return self._nearby_levels()
         if address == USART2:
             is_free = self.now_s >= self._line_free_s - self._byte_s()
             return 0x40 | is_free << 7
@@ -189,6 +197,28 @@ class Peripherals:
         if encoder.bits == 16:
             self.longest_unread_s = max(self.longest_unread_s, self.now_s - self._looked_s)
             self._looked_s = self.now_s
+
+    def _nearby_levels(self) -> int:
+        """Levels of echoes (pins 0 to 3) and bumpers (6, 7) of port D; open ends are high by the pull-ups alone."""
+        since_s, levels = self.now_s - self._pinged_s - _PING_DELAY_S, 0
+        for pin, length_s in enumerate(self.echoes_s):
+            levels |= (0 <= since_s < length_s if length_s else self._is_pulled_up(pin)) << pin
+        for number, is_open in enumerate(self.is_pressed):
+            levels |= (is_open and self._is_pulled_up(6 + number)) << 6 + number
+        return levels
+
+    def _is_pulled_up(self, pin: int) -> bool:
+        return self._registers.get(GPIOD + 0xC, 0) >> 2 * pin & 3 == 1
+
+    def _trigger(self, bits: int) -> None:
+        """Port D's bits are set and reset: the trigger (pin 8) must be an output, and high for 10 µs."""
+        if bits & 1 << 8:
+            self._trigger_s = self.now_s
+        elif bits & 1 << 24:
+            is_output = self._registers.get(GPIOD, 0) >> 16 & 3 == 1
+            if is_output and self.now_s - self._trigger_s >= 10e-6:
+                self._pinged_s = self.now_s
+            self._trigger_s = math.inf
 
     def write(self, address: int, value: int) -> None:
         """What the program writes there."""
@@ -202,6 +232,8 @@ class Peripherals:
             self._registers[_CSR] = 0 if value & 1 << 24 else self._registers[_CSR]
         elif address == USART2 + 4:
             self._send(value & 0xFF)
+        elif address == GPIOD + 0x18:
+            self._trigger(value)
         else:
             if address in (TIM2 + 0x24, TIM3 + 0x24, TIM5 + 0x24):
                 raise UnknownAccessError(f"a count is written, at {address:#x}")

@@ -27,6 +27,6 @@
 #define PAPER_FULL 100
 
 #define VERSION_MAJOR 2
-#define VERSION_MINOR 0
+#define VERSION_MINOR 1
 
 #endif

@@ -4,6 +4,7 @@
 #include "clock.h"
 #include "counts.h"
 #include "line.h"
+#include "nearby.h"
 #include "protocol.h"
 #include "pwm.h"
 #include "uart.h"
@@ -37,6 +38,7 @@ int main(void)
     board_connect_pins();
     clock_init();
     counts_init();
+    nearby_init();
     uart_init();
     usb_init();
     protocol_init(reset_cause);
@@ -48,6 +50,7 @@ int main(void)
         usb_poll(sample.ticks);
         look();
         protocol_report(&sample);
+        nearby_watch(sample.ticks);
         protocol_watch(sample.ticks);
         if (uart_receive(&byte))
             protocol_receive(&uart_reader, byte, &sample);

@@ -77,6 +77,8 @@ def test_zones_are_drawn_listed_and_forgotten(wheelsight: Command, kept: Path) -
     assert re.search(r"^areas +kitchen", told, re.MULTILINE)
     assert did(wheelsight(*zone, "--forget", 2)) == "forgotten: speed zone, at most 0.3 m/s\n"
     assert [edit.kind for edit in MapFolder.open(kept).map_edits().edits] == ["keep_out", "wiped", "area"]
+    assert did(wheelsight(*zone, "--floor", "0,0", "1,1")).startswith("4: declared floor: 1.00 m²")
+    assert did(wheelsight(*zone, "--forget", 4)) == "forgotten: declared floor\n"
     assert all(edit.keyframe is not None for edit in MapFolder.open(kept).map_edits().edits)
 
 

@@ -51,7 +51,7 @@ def test_the_clock_keeps_time(chip: Chip) -> None:
 
 def test_version(chip: Chip) -> None:
     version = chip.version()
-    assert (version.protocol, version.major, version.minor) == (1, 1, 1)
+    assert (version.protocol, version.major, version.minor) == (1, 1, 2)
     assert not version.flags & WATCHDOG_RESET
 
 

@@ -169,7 +169,7 @@ def test_the_encoders_filter_takes_spikes_and_leaves_edges(board: Stm32) -> None
 
 def test_version(board: Stm32) -> None:
     version = board.version()
-    assert (version.protocol, version.major, version.minor) == (1, 2, 0)
+    assert (version.protocol, version.major, version.minor) == (1, 2, 1)
     assert version.flags & 1  # power came on
     assert not version.flags & WATCHDOG_RESET
 

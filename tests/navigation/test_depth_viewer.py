@@ -54,9 +54,12 @@ def test_specks_hide_nothing() -> None:
 
 def test_kernels_equal_their_plain_form() -> None:
     depth = depth_of([(1.35, 1.45, -0.2, 0.2, 0.0, 1.7)], floor_until_m=3.0)[::4, ::4].copy()
+    depth[-4:, :8] = 0
     ways = CAMERA.rays()[::4, ::4] @ T_BASE_CAMERA[:3, :3].T
     columns = np.tile(np.arange(40, dtype=np.int16) - 1, (30, 1))
-    rays = kernels.Rays(np.ascontiguousarray(ways, np.float32), columns, T_BASE_CAMERA[:3, 3].copy())
+    floor_m = np.where(ways[..., 2] < 0, np.hypot(ways[..., 0], ways[..., 1]) * HEIGHT_M / np.abs(ways[..., 2]), 0)
+    floor_m = np.where(floor_m < 4.5, floor_m, 0).astype(np.float32)
+    rays = kernels.Rays(np.ascontiguousarray(ways, np.float32), columns, T_BASE_CAMERA[:3, 3].copy(), floor_m)
     heights, results = kernels.ViewHeights(0.05, 0.1, 0.015, 1.4, 4.5), []
     for module in (kernels, plain(kernels)):
         shown = kernels.ViewContent(
@@ -64,13 +67,17 @@ def test_kernels_equal_their_plain_form() -> None:
             np.zeros((200, 200, 3), np.float32),
             np.zeros((200, 200, 3), np.float32),
             np.zeros(39, np.int64),
+            np.zeros((39, 45, 2), np.int64),
+            np.full((39, 45), np.inf),
             0.1,
             0.05,
         )
         module.sort_pixels(depth, rays, heights, shown)
         nearest_m = np.full(39, np.inf)
         module.reach(depth, rays, heights, shown, shown.cells[..., 0] >= 3, nearest_m)
-        results.append((shown.floor, shown.measured, shown.cells, shown.tops, nearest_m))
+        results.append(
+            (shown.floor, shown.measured, shown.cells, shown.tops, shown.lacks[..., 0], shown.lacks_m, nearest_m)
+        )
     for one, other in zip(*results, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-6)
     assert {bool(one.any()) for one in results[0]} == {True}

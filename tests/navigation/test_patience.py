@@ -1,6 +1,8 @@
-"""A robot that people are in the way of waits for them, by time; of what else is in its way it gives up by tries."""
+"""A robot that people or things are in the way of waits for them, by time, and says where; then it gives up."""
 
 from __future__ import annotations
+
+import re
 
 import numpy as np
 import pytest
@@ -45,9 +47,17 @@ def test_people_in_the_only_door_are_waited_for(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.parametrize("by_people", [True, False])
-def test_patience_ends_and_nothing_else_is_waited_for(monkeypatch: pytest.MonkeyPatch, by_people: bool) -> None:
+def test_patience_ends_with_the_place_of_what_was_in_the_only_way(
+    monkeypatch: pytest.MonkeyPatch, by_people: bool
+) -> None:
     ride = ride_to_a_full_door(monkeypatch, TRIES_S, by_people=by_people)
     ride.go(30.0)
     result = not_none(ride.navigator.result)
-    assert result.reason in (NavigationReason.NO_PLAN, NavigationReason.BLOCKED)
-    assert (result.time_s > TRIES_S) is by_people
+    assert result.reason is NavigationReason.BLOCKED
+    assert result.time_s > TRIES_S
+    whys = "; ".join(transition.why for transition in result.transitions)
+    words = re.search(r"in the only way: it waits for room at \((\d\.\d+), (\d\.\d+)\) m", whys)
+    at = [float(number) for number in not_none(words).groups()]
+    # Where the robot's front first meets it.
+    assert 3.0 < at[0] < 4.2
+    assert at[1] == pytest.approx(3.0, abs=0.7)

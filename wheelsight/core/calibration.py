@@ -21,6 +21,7 @@ from wheelsight.core.calibration_parts import (
     DepthNoise,
     Gyro,
     HolonomicWheels,
+    NearbyMounts,
     Range,
     Wheels,
     check_range,
@@ -103,6 +104,7 @@ class Calibration:
         holonomic: the wheels of a base that also moves sideways, or None; in a file they are `wheels` of `kind:
             holonomic`. A robot has only one of both.
         drive_model: how the wheels answer commands; None if it was not measured.
+        nearby: mounts of bumpers and rangers; None without any.
         gyro: the noise of the yaw rate.
         source: origin of the numbers, for reports.
         depth_late_s: delay of depth behind colour beyond their stamps; negative if depth is earlier.
@@ -130,6 +132,7 @@ class Calibration:
     point_errors: PointErrors | None = None
     holonomic: HolonomicWheels | None = None
     drive_model: DriveModel | None = None
+    nearby: NearbyMounts | None = None
 
     def __post_init__(self) -> None:
         for name, kind in _KINDS.items():
@@ -379,9 +382,10 @@ _KINDS: dict[str, type | UnionType] = {
     "gyro": Gyro,
     "source": str,
     "drive_model": DriveModel | None,
+    "nearby": NearbyMounts | None,
 }
 _CAMERA_PART = ("color", "depth", "T_color_depth", "depth_noise", "depth_error", "point_errors", *_NUMBERS)
-_OTHER_PARTS = ("T_base_camera", "wheels", "gyro", "drive_model")
+_OTHER_PARTS = ("T_base_camera", "wheels", "gyro", "drive_model", "nearby")
 _TOP_FIELDS = ("format", "source", *_CAMERA_PART, *_OTHER_PARTS, NOMINAL, HISTORY)
 _WHEEL_FIELDS = tuple(f.name for f in fields(Wheels))
 _KIND, _DIFFERENTIAL, _HOLONOMIC = "kind", "differential", "holonomic"
@@ -432,6 +436,9 @@ def _fields_of_motion(calibration: Calibration) -> dict[str, Any]:
         document["gyro"] = _plain(calibration.gyro)
     if calibration.drive_model is not None:
         document["drive_model"] = drive_model_fields(calibration.drive_model)
+    if calibration.nearby is not None:
+        rangers = [[float(number) for number in mount] for mount in calibration.nearby.rangers]
+        document["nearby"] = {"bumpers": list(calibration.nearby.bumpers), "rangers": rangers}
     return document
 
 
@@ -474,6 +481,8 @@ def _from_document(document: Any) -> Calibration:
         }
     if "drive_model" in known:
         parts["drive_model"] = drive_model_from(known["drive_model"])
+    if "nearby" in known:
+        parts["nearby"] = NearbyMounts.of(known["nearby"])
     if "wheels" in known:
         wheels = _wheels(known["wheels"])
         parts["wheels" if isinstance(wheels, Wheels) else "holonomic"] = wheels

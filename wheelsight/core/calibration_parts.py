@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from wheelsight.core.errors import CalibrationError
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.geometry.arrays import is_number
+from wheelsight.core.messages import NearbyReading
 
 Part = TypeVar("Part")
 
@@ -449,6 +450,54 @@ class Gyro:
             check_range(name, value, allowed)
         if self.noise_rad_per_sqrt_s == 0:
             raise CalibrationError("noise_rad_per_sqrt_s is 0", fix="no gyroscope is without noise")
+
+
+@dataclass(frozen=True, slots=True)
+class NearbyMounts:
+    """Bumpers and ultrasonic rangers of a robot, in the order of the controller's inputs; later inputs are not wired.
+
+    Attributes:
+        bumpers: of each one `front` or `back`.
+        rangers: of each x and y in `base`, metres, and the direction of its axis, radians counter-clockwise.
+
+    Raises:
+        CalibrationError: another side, numbers that are not finite, mounts beyond 3 m, or more than there are inputs.
+    """
+
+    bumpers: tuple[str, ...] = ()
+    rangers: tuple[tuple[float, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        sides, mounts = list(self.bumpers), [list(mount) for mount in self.rangers]
+        if len(sides) > 2 or not set(sides) <= {"front", "back"}:
+            raise CalibrationError(f"bumpers are {sides}", fix="two at most, each front or back")
+        if len(mounts) > 4 or any(len(mount) != 3 or not all(map(is_number, mount)) for mount in mounts):
+            raise CalibrationError(f"rangers are {mounts}", fix="four at most: [[0.8, 0.2, 0.0]], x, y, radians")
+        if not np.all(np.abs(np.array(mounts, float).reshape(-1, 3)) <= [3.0, 3.0, 2 * math.pi]):
+            raise CalibrationError(f"rangers are {mounts}", fix="metres from the axle's middle, and radians")
+
+    def have_answered(self, reading: NearbyReading, since_s: float) -> bool:
+        """Return whether all that is mounted has given a reading since a time."""
+        ranges_m = reading.ranges_m[: len(self.rangers)]
+        is_whole = len(ranges_m) == len(self.rangers) and len(reading.is_pressed) >= len(self.bumpers)
+        is_new = reading.stamp_s >= since_s and is_whole and not any(map(math.isnan, ranges_m))
+        return is_new or not (self.bumpers or self.rangers)
+
+    def are_bumped(self, reading: NearbyReading, forward_m_s: float) -> bool:
+        """Return whether a bumper is pressed at a side that a motion does not leave."""
+        signs = {"front": 1, "back": -1}
+        sides = zip(self.bumpers, reading.is_pressed, strict=False)
+        return any(is_pressed and forward_m_s * signs[side] >= 0 for side, is_pressed in sides)
+
+    @classmethod
+    def of(cls, value: Any) -> NearbyMounts:
+        """Return the mounts of the field `nearby` of a file. Raises CalibrationError."""
+        known = mapping(value, "nearby", ("bumpers", "rangers"))
+        for name, listed in known.items():
+            if not isinstance(listed, list) or (name == "rangers" and not all(isinstance(one, list) for one in listed)):
+                raise CalibrationError(f"field nearby.{name} is no list", fix="one entry for each input")
+        rangers = tuple(tuple(mount) for mount in known.get("rangers", []))
+        return made(cls, "nearby", {"bumpers": tuple(map(str, known.get("bumpers", []))), "rangers": rangers})
 
 
 def least_step(ticks: int, span: int) -> int:

@@ -105,6 +105,21 @@ class AngularVelocity:
         return YawRate(self.stamp_s, x * self.x_rad_s + y * self.y_rad_s + z * self.z_rad_s)
 
 
+@dataclass(frozen=True, slots=True)
+class NearbyReading:
+    """Bumpers and ultrasonic rangers at `stamp_s` seconds, in the order of the controller's inputs.
+
+    It is no event of a run: the collision monitor takes it from `nearby` of a robot.
+
+    Attributes:
+        ranges_m: of each ranger; infinite where nothing is within reach, NaN where it does not answer.
+    """
+
+    stamp_s: float
+    is_pressed: tuple[bool, ...]
+    ranges_m: tuple[float, ...]
+
+
 NOTHING_MEASURED = "depth image measured nothing: no pixel is valid"
 
 

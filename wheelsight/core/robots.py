@@ -19,7 +19,7 @@ from wheelsight.core.drive_model import DriveModel
 from wheelsight.core.errors import WheelsightError
 from wheelsight.core.estimates import Estimate
 from wheelsight.core.keyframes import KeyframeStore
-from wheelsight.core.messages import STOP, Event, RgbdFrame, VelocityCommand, WheelTicks
+from wheelsight.core.messages import STOP, Event, NearbyReading, RgbdFrame, VelocityCommand, WheelTicks
 from wheelsight.core.settings import CHOSEN, Settings, setting
 
 CONTROL_PERIOD_S = 0.05
@@ -157,6 +157,11 @@ class WatchedRobot:
     def calibration(self) -> Calibration:
         """See `Robot`."""
         return self._robot.calibration
+
+    @property
+    def nearby(self) -> NearbyReading | None:
+        """The last reading of bumpers and rangers of a robot that has them; None else."""
+        return getattr(self._robot, "nearby", None)
 
     @property
     def stop_reason(self) -> str:

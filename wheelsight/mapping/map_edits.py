@@ -38,8 +38,8 @@ from wheelsight.mapping.named_poses import (
 )
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
 
-# Version 1 has no areas, and older programs read it. Files without areas are written as version 1.
-FORMAT, VERSION, VERSION_WITHOUT_AREAS = "wheelsight-map-edits", 2, 1
+# Older programs read files of version 1, which have no areas, and of version 2, which have no declared floor.
+FORMAT, VERSION = "wheelsight-map-edits", 3
 _FILE = Kind("edits of a map", most_mb=16, fix="give a file that MapEdits.save wrote")
 # Far more than users draw: applying this many to a floor of 20 × 20 m takes some seconds.
 _MOST_EDITS = 10_000
@@ -57,6 +57,8 @@ class EditKind(StrEnum):
     """Wrong obstacles and drop-offs of the map: free."""
     AREA = "area"
     """A named area, for use as a goal; the grid is unchanged."""
+    FLOOR = "floor"
+    """Floor that carries the robot, by the word of a person, though no depth comes back: free if unknown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,6 +181,10 @@ class MapEdits:
                 window, inside = cells_in(grid, edit.polygon_now(T_map_keyframe))
                 inside &= kind[window] >= CellKind.OBSTACLE
                 kind[window][inside], occupancy[window][inside] = CellKind.FREE, FREE
+            elif edit.kind == EditKind.FLOOR:
+                window, inside = cells_in(grid, edit.polygon_now(T_map_keyframe))
+                inside &= (kind[window] == CellKind.UNKNOWN) | (kind[window] == CellKind.DROP_OFF)
+                kind[window][inside], occupancy[window][inside] = CellKind.FREE, FREE
         return replace(grid, kind=kind, occupancy=occupancy)
 
     def limits_m_s(self, grid: OccupancyGrid, T_map_keyframe: ArrayLike = ()) -> Float32Array:
@@ -204,7 +210,8 @@ class MapEdits:
 
     def save(self, path: StrPath) -> None:
         """Write the edits as JSON, atomically. Raises OutputError."""
-        version = VERSION if self.areas else VERSION_WITHOUT_AREAS
+        kinds = {edit.kind for edit in self.edits}
+        version = VERSION if EditKind.FLOOR in kinds else 2 if EditKind.AREA in kinds else 1
         listed = []
         for edit in self.edits:
             T = None if edit.T_map_keyframe is None else edit.T_map_keyframe.tolist()

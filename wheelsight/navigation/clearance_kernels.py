@@ -397,7 +397,8 @@ class Memory(NamedTuple):
         seen_s: (n, n) when its floor was last seen free, or driven over; minus infinity for never.
         looked_s: (n, n) when a camera last saw its floor, or the air over it; minus infinity for never.
         hit_s: (n, n) when an obstacle was last seen in it; minus infinity for none.
-        hits: (n, n, 4) place of the obstacle, distance to a camera at which it is visible, and way driven until then.
+        hits: (n, n, 5) place of the obstacle, distance to a camera at which it is visible, way driven until then, and
+            whether it is floor without depth (1).
         cell_m: side of a cell.
     """
 
@@ -495,11 +496,12 @@ def _is_seen(sight: SeenSector, x: float, y: float, short_m: float, near_m: floa
 
 @kernel
 def store_hits(
-    memory: Memory, points: FloatArray, shows_m: FloatArray, stamp_s: float, middle: Any, way_m: float
+    memory: Memory, points: FloatArray, shows_m: FloatArray, stamp_s: float, middle: Any, way_m: float, solid: int
 ) -> None:
     """Store obstacles at points (N, 2) in the plane, within the window around `middle`.
 
-    With each it stores the distance to a camera at which it is visible (N,), and the way driven.
+    With each it stores the distance to a camera at which it is visible (N,), and the way driven. The points from number
+    `solid` on are floor without depth.
     """
     reach = (len(memory.seen_s) // 2 - 1) * memory.cell_m
     for k in range(len(points)):
@@ -509,6 +511,7 @@ def store_hits(
             memory.hit_s[a, b] = stamp_s
             memory.hits[a, b, 0], memory.hits[a, b, 1] = x, y
             memory.hits[a, b, 2], memory.hits[a, b, 3] = shows_m[k], way_m
+            memory.hits[a, b, 4] = 1.0 if k >= solid else 0.0
 
 
 @kernel
@@ -535,7 +538,10 @@ def mark_under(memory: Memory, sides: FloatArray, pose: Any, stamp_s: float, fro
 
 @kernel
 def remembered(memory: Memory, pose: Any, since: Any, reach_m: float, out: FloatArray) -> Any:
-    """Write obstacles since a time and a way, in the frame of a pose, and their times into (M, 3); return how many."""
+    """Write obstacles since a time and a way into (M, 4), and return how many.
+
+    Each is x and y in the frame of a pose, its time, and whether it is floor without depth.
+    """
     x, y, c, s = pose
     found = 0
     n = len(memory.seen_s)
@@ -546,7 +552,7 @@ def remembered(memory: Memory, pose: Any, since: Any, reach_m: float, out: Float
             dx, dy = memory.hits[a, b, 0] - x, memory.hits[a, b, 1] - y
             if dx * dx + dy * dy < reach_m * reach_m and found < len(out):
                 out[found, 0], out[found, 1] = c * dx + s * dy, -s * dx + c * dy
-                out[found, 2] = memory.hit_s[a, b]
+                out[found, 2], out[found, 3] = memory.hit_s[a, b], memory.hits[a, b, 4]
                 found += 1
     return found
 

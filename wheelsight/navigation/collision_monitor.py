@@ -15,11 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wheelsight.core.calibration_parts import NearbyMounts
 from wheelsight.core.drive_model import DriveModel
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import ByteArray, Float32Array, FloatArray
-from wheelsight.core.messages import STOP, VelocityCommand
+from wheelsight.core.messages import STOP, NearbyReading, VelocityCommand
 from wheelsight.core.robots import CONTROL_PERIOD_S, LimitedVelocity, RobotLimits
 from wheelsight.navigation.clearance_kernels import (
     Memory,
@@ -91,6 +92,8 @@ class MonitorReason(StrEnum):
     PLANNER_SILENT = "the planner does not answer"
     FLOOR_SILENT = "the map of the floor is not made"
     STATUS = "the robot does not know where it is"
+    NEARBY_SILENT = "bumpers or rangers do not answer"
+    BUMPER = "a bumper is pressed"
     WHEELS_OFF = "the wheels do not follow their commands"
     INSIDE = "something where the robot is"
     NEAR = "something nearer than the margin"
@@ -128,8 +131,10 @@ class ControlChain:
         was_backward: whether the last command that the monitor stopped was backward.
     """
 
-    def __init__(self, settings: NavigationSettings, drive: DriveModel | None = None) -> None:
-        self.monitor = CollisionMonitor(settings.footprint.outline, settings.limits, settings.monitor, drive)
+    def __init__(
+        self, settings: NavigationSettings, drive: DriveModel | None = None, nearby: NearbyMounts | None = None
+    ) -> None:
+        self.monitor = CollisionMonitor(settings.footprint.outline, settings.limits, settings.monitor, drive, nearby)
         self.checked = MonitorResult(STOP, MonitorState.FREE)
         self._stopped: tuple[float, MonitorReason | None] = (-math.inf, None)
         self.was_backward = False
@@ -204,7 +209,9 @@ class CollisionMonitor:
         limits: RobotLimits | None = None,
         settings: MonitorSettings | None = None,
         drive: DriveModel | None = None,
+        nearby: NearbyMounts | None = None,
     ) -> None:
+        self._mounts, self._nearby = nearby or NearbyMounts(), NearbyReading(-np.inf, (), ())
         self._outline = outline_of(footprint)
         self._limits, self._settings = limits or RobotLimits(), settings or MonitorSettings()
         self._pending = None if drive is None else PendingMotion(self._limits, drive)
@@ -262,6 +269,16 @@ class CollisionMonitor:
         if self.memory.add_view(view):
             self._frame_s, self._blind_way_m = view.stamp_s, 0.0
 
+    def add_nearby(self, reading: NearbyReading | None) -> None:
+        """Process the newest reading of bumpers and rangers; None for none. Readings may repeat."""
+        if reading is None or reading.stamp_s <= self._nearby.stamp_s:
+            return
+        pose = self.memory.pose_at(reading.stamp_s)
+        self._nearby = reading
+        for (x, y, yaw), range_m in zip(self._mounts.rangers, reading.ranges_m, strict=False):
+            if pose is not None and not math.isnan(range_m):
+                self.memory.add_echo(pose, (x, y, yaw), range_m)
+
     def is_camera_silent(self, now_s: float) -> bool:
         """Return whether no frame came for `SILENT_S`, as of a failed camera; a covered lens still sends frames."""
         return bool(np.isfinite(self._any_frame_s) and now_s - self._any_frame_s > SILENT_S)
@@ -318,6 +335,8 @@ class CollisionMonitor:
             MonitorReason.FROM_AHEAD: newest_s > now_s + _AHEAD_S,
             MonitorReason.NO_WHEELS: now_s - self._wheels_s > s.encoder_age_s,
             MonitorReason.NO_FRAME: is_old and not backs_up,
+            MonitorReason.NEARBY_SILENT: not self._mounts.have_answered(self._nearby, now_s - SILENT_S),
+            MonitorReason.BUMPER: self._mounts.are_bumped(self._nearby, asked.forward_m_s),
             MonitorReason.WHEELS_OFF: self.has_wheel_fault,
             MonitorReason.STATUS: status in _STATUS_TO_STAND,
         }
@@ -580,7 +599,7 @@ class PendingMotion:
 
 # Pose in the plane of a `FloorMemory`: x, y, cosine and sine of the yaw.
 Pose = tuple[float, float, float, float]
-_MOST_POINTS = 20_000
+_MOST_POINTS, _MOST_ECHOES = 20_000, 400
 # Side of the memory's cells, and of its square around the robot: twice what a stop needs.
 _CELL_M, _WINDOW_M = 0.03, 6.0
 # Least distance from the camera at which it observes the air over unseen floor: an obstacle up to its lowest ray would
@@ -589,6 +608,7 @@ AIR_M = 0.5
 # Longest time that an obstacle out of sight is remembered, as one that has left is cleared sooner; and the longest way
 # of the farthest corner until then: wheels err by 1 % of it, which is 0.1 m, as `_INSIDE_M`.
 _REMEMBER_S, _REMEMBER_M = 600.0, 10.0
+_BEAM_RAD, _ECHO_M = 0.26, 0.1  # half of the width of a ranger's beam, and the error of its range
 # History of wheel poses, for late frames.
 _HISTORY_S = 1.0
 
@@ -625,9 +645,10 @@ class FloorMemory:
         n = int(np.ceil(_WINDOW_M / _CELL_M))
         never = np.full((n, n), -np.inf)
         nowhere = np.full((n, n, 2), np.iinfo(np.int64).min)
-        hits = np.zeros((n, n, 4))
+        hits = np.zeros((n, n, 5))
         self._memory = Memory(nowhere, never, never.copy(), never.copy(), hits, _CELL_M)
         self._readings.clear()
+        self._echoes = np.empty((0, 3))  # place in the plane, and the way driven until then
         self._newest, self._newest_s = np.empty((0, 2)), -np.inf
 
     def add_reading(
@@ -698,9 +719,32 @@ class FloorMemory:
         shows_m = np.asarray(np.hypot(*(np.asarray(view.points, float) - view.camera).T) - _CELL_M)
         if view.shows_m is not None:
             shows_m = np.asarray(np.minimum(shows_m, np.maximum(view.shows_m, AIR_M)))
-        store_hits(self._memory, points, shows_m, view.stamp_s, (pose[0], pose[1]), self._way_m)
+        solid, points = len(points), np.concatenate([points, _placed(view.voids, pose)])
+        shows_m = np.concatenate([shows_m, np.full(len(view.voids), view.near_m)])
+        store_hits(self._memory, points, shows_m, view.stamp_s, (pose[0], pose[1]), self._way_m, solid)
         self._newest, self._newest_s = points, view.stamp_s
         return True
+
+    def add_echo(self, pose: Pose, mount: tuple[float, float, float], range_m: float) -> None:
+        """Add what a ranger at x, y, yaw (3,) in `base` measured; nearer echoes in its beam are removed.
+
+        A camera does not clear echoes, as it sees through glass.
+        """
+        x, y, yaw = mount
+        at, heading = _placed(np.array([[x, y]]), pose)[0], yaw + math.atan2(pose[3], pose[2])
+        away = self._echoes[:, :2] - at
+        away_m, off_rad = np.hypot(*away.T), np.arctan2(away[:, 1], away[:, 0]) - heading
+        is_nearer = (np.cos(off_rad) > math.cos(_BEAM_RAD)) & (away_m < range_m - _ECHO_M)
+        self._echoes = self._echoes[~is_nearer & (self._echoes[:, 2] > self._way_m - _REMEMBER_M)]
+        if range_m < math.inf:
+            place = at + range_m * np.array([math.cos(heading), math.sin(heading)])
+            self._echoes = np.vstack([self._echoes, [*place, self._way_m]])[-_MOST_ECHOES:]
+
+    def _echoes_at(self, pose: Pose, reach_m: float) -> FloatArray:
+        """Return the echoes (N, 2) within reach, in the frame of a pose, but those deep under the robot."""
+        apart = (self._echoes[:, :2] - pose[:2]) @ np.array([[pose[2], -pose[3]], [pose[3], pose[2]]])
+        is_clear = all_outside_m(self._outline.sides, apart) > -_INSIDE_M
+        return np.asarray(apart[(np.hypot(*apart.T) < reach_m) & is_clear])
 
     def points_at(self, pose: Pose, now_s: float, reach_m: float) -> FloatArray:
         """Return obstacles (N, 2) within reach, in the frame of a pose: all of the newest frame, and remembered ones.
@@ -711,20 +755,24 @@ class FloorMemory:
         old = self._all_remembered(pose, now_s, reach_m)
         apart = self._newest - np.array(pose[:2])
         apart = apart[np.hypot(*apart.T) < reach_m]
-        R = np.array([[pose[2], -pose[3]], [pose[3], pose[2]]])
-        return np.ascontiguousarray(np.concatenate([apart @ R, old[:, :2]]))
+        apart = apart @ np.array([[pose[2], -pose[3]], [pose[3], pose[2]]])
+        return np.ascontiguousarray(np.concatenate([apart, old[:, :2], self._echoes_at(pose, reach_m)]))
 
     def remembered(self, reach_m: float) -> FloatArray:
-        """Return remembered obstacles (N, 2) within reach in the current base that the newest frame lacks."""
+        """Return remembered obstacles (N, 2) in the current base: within reach those that the newest frame lacks.
+
+        Floor without depth is among them wherever it is remembered.
+        """
         if not self._readings:
             return np.empty((0, 2))
         last = self._readings[-1]
-        old = self._all_remembered(last.pose, last.stamp_s, reach_m)
-        return np.asarray(old[old[:, 2] < self._newest_s, :2])
+        old = self._all_remembered(last.pose, last.stamp_s, 2 * _WINDOW_M)
+        is_near = (np.hypot(old[:, 0], old[:, 1]) < reach_m) & (old[:, 2] < self._newest_s)
+        return np.concatenate([old[is_near | (old[:, 3] > 0), :2], self._echoes_at(last.pose, _WINDOW_M)])
 
     def _all_remembered(self, pose: Pose, now_s: float, reach_m: float) -> FloatArray:
-        """Return (N, 3), x and y in the frame of a pose, and the time of the observation."""
-        out = np.empty((_MOST_POINTS, 3))
+        """Return (N, 4) as `remembered` of the kernels writes them."""
+        out = np.empty((_MOST_POINTS, 4))
         since = (now_s - _REMEMBER_S, self._way_m - _REMEMBER_M)
         old = out[: remembered(self._memory, pose, since, reach_m, out)]
         within = all_outside_m(self._outline.sides, np.ascontiguousarray(old[:, :2])) < -_INSIDE_M

@@ -377,6 +377,10 @@ class KnownFloor:
 
     is_fixed = True  # obstacles besides those of the map are temporary
 
+    # Declared floor (N, 2) in the map, and places (M, 2) of the axle on an earlier drive.
+    declared: tuple[FloatArray, ...] = ()
+    driven: FloatArray = np.empty((0, 2))
+
     def __init__(
         self,
         grid: OccupancyGrid,
@@ -387,7 +391,9 @@ class KnownFloor:
         trusted_m: float = 0.0,
     ) -> None:
         static, self.revision = StaticLayer.of(grid, edits, T_map_keyframe), 0
-        self.has_keep_out = edits is not None and any(edit.kind is EditKind.KEEP_OUT for edit in edits.edits)
+        listed = () if edits is None else edits.edits
+        self.has_keep_out = any(edit.kind is EditKind.KEEP_OUT for edit in listed)
+        self.declared = tuple(edit.polygon_now(T_map_keyframe) for edit in listed if edit.kind is EditKind.FLOOR)
         self.layer, self._footprint, self._trusted_m = static, footprint, trusted_m
         self._stood: FloatArray | None = None
         if footprint is not None and len(driven):
@@ -399,6 +405,7 @@ class KnownFloor:
                     turn = float(wrap_angle(after[2] - before[2]))
                     count = 1 + int(max(np.hypot(*(after - before)[:2]) / _STAMP_M, abs(turn) / _STAMP_RAD))
                     poses.append(before + np.linspace(0, 1, count + 1)[1:, None] * [*(after - before)[:2], turn])
+            self.driven = np.concatenate(poses)[:, :2]
             self.layer = _driven_over(static, np.concatenate(poses), footprint)
 
     def update(self, pose: FloatArray | None, now_s: float) -> None:
@@ -440,6 +447,8 @@ class GrowingFloor:
     """
 
     is_fixed = has_keep_out = False
+    declared: tuple[FloatArray, ...] = ()
+    driven: FloatArray = np.empty((0, 2))
 
     def __init__(
         self,

@@ -311,11 +311,14 @@ class Rays(NamedTuple):
         ways: (h, w, 3) float32.
         columns: (h, w) int16 number of the bearing, -1 outside of the view that all rows share.
         camera: (3,) place of the camera in the base.
+        floor_m: (h, w) float32 distance from the camera, along the floor, at which the ray meets floor that the camera
+            should measure; 0 for none.
     """
 
     ways: Any
     columns: Any
     camera: Any
+    floor_m: Any
 
 
 class ViewHeights(NamedTuple):
@@ -336,6 +339,8 @@ class ViewContent(NamedTuple):
         cells: (n, n, 3) of obstacles: pixels, sums of x and y in the base.
         tops: (n, n, k) the k largest heights of a cell's pixels over the floor, the largest first.
         measured: (columns,) pixels with a depth.
+        lacks: (columns, bins, 2) pixels that should show floor at a distance: without a depth, and with any.
+        lacks_m: (columns, bins) least distance of those without a depth; infinite for none.
         bin_m, cell_m: side of a bin and of a cell.
     """
 
@@ -343,6 +348,8 @@ class ViewContent(NamedTuple):
     cells: Any
     tops: Any
     measured: Any
+    lacks: Any
+    lacks_m: Any
     bin_m: float
     cell_m: float
 
@@ -355,7 +362,15 @@ def sort_pixels(depth_m: Any, rays: Rays, heights: ViewHeights, shown: ViewConte
     for v in range(rows):
         for u in range(columns):
             z, column = depth_m[v, u], rays.columns[v, u]
-            if column < 0 or not (z > 0 and z < np.inf):
+            if column < 0:
+                continue
+            has_depth, floor_m = z > 0 and z < np.inf, rays.floor_m[v, u]
+            at = int(floor_m / shown.bin_m)
+            if floor_m > 0 and at < bins:
+                shown.lacks[column, at, 1 if has_depth else 0] += 1
+                if not has_depth:
+                    shown.lacks_m[column, at] = min(shown.lacks_m[column, at], floor_m)
+            if not has_depth:
                 continue
             shown.measured[column] += 1
             x, y, dz = z * rays.ways[v, u, 0], z * rays.ways[v, u, 1], z * rays.ways[v, u, 2]

@@ -245,7 +245,7 @@ class Navigator(OneCaller):
         self.footprint = s.footprint.outline
         self._robot = robot
         drive = robot.calibration.drive_model
-        self._chain = ControlChain(s, drive)
+        self._chain = ControlChain(s, drive, robot.calibration.nearby)
         self.monitor = self._chain.monitor
         self.senses = Senses(robot.calibration, localization, floor, self.monitor, self.footprint, s)
         self.monitor.trust_floor(self.senses.near_m if trusts_floor else 0.0)
@@ -365,6 +365,7 @@ class Navigator(OneCaller):
         now_s, before_s = self._robot.now_s, self._stepped_s
         self._stepped_s, most_s = now_s, self.settings.navigator.held_s
         silent = None
+        self.monitor.add_nearby(getattr(self._robot, "nearby", None))
         try:
             self.senses.update(events, now_s)
         except WheelsightError as error:
@@ -491,7 +492,8 @@ class Navigator(OneCaller):
         why = f"{failure.reason}: {failure.detail}"
         if not failure.reason.is_for_good and (stays := stays_words(self.senses.what_stays())):
             why = f"{why}; {stays}"
-        task.why_first = task.why_first or why
+        is_blocked = failure.reason is PlanReason.IN_THE_WAY
+        task.why_first, task.may_clear = task.why_first or why, task.may_clear or is_blocked
         if failure.reason.is_of_goal and task.goals.left > 1 and task.skips < _SKIPS and task.goals.missed():
             task.skips += 1
             return STOP
@@ -499,7 +501,8 @@ class Navigator(OneCaller):
             return self._start_recovery(task, why)
         # If the last reason differs, the recovery itself, such as backing up, may have caused it.
         is_same = task.why_first.startswith(failure.reason)
-        return self._give_up(task, NavigationReason.NO_PLAN, why if is_same else f"{task.why_first}; at last {why}")
+        reason = NavigationReason.BLOCKED if is_blocked else NavigationReason.NO_PLAN
+        return self._give_up(task, reason, why if is_same else f"{task.why_first}; at last {why}")
 
     def _drive(self, task: NavigationTask, now_s: float) -> VelocityCommand:
         """Follow the plan while it is valid."""
@@ -703,6 +706,7 @@ class NavigationTask:
         awaits_way: whether the behaviour waits for a blocked path to become free.
         is_refused: whether the map forbids the behaviour's command, because an obstacle is too near.
         passes_hidden: whether plans may cross unseen floor, as no other path was found since the last progress.
+        may_clear: whether people were near, or what the map lacks in the only way, since the last progress.
         why_first: reason of the first failed plan since the last plan or progress; empty without any.
     """
 
@@ -721,13 +725,11 @@ class NavigationTask:
         self.has_looked = False
         # Recovery: the behaviour, and the numbers of attempts, of skipped goals and of searches for the pose.
         self.behaviour: Behaviour | None = None
-        self.is_lost = False
-        self.awaits_way = False
-        self.is_refused = False
+        self.is_lost = self.awaits_way = self.is_refused = False
         self.tries = self.skips = self.searches = 0
         self._tried_s = now_s
         self._has_awaited_way = False
-        self._has_met_people = False
+        self.may_clear = False
         self._why_lost = ""
         self.known_s = now_s
         # Progress: where and when the robot last made some, and where it is.
@@ -752,7 +754,7 @@ class NavigationTask:
     def update_progress(self, now_s: float, where: WhereNow, *, meets_people: bool) -> None:
         """Update distance and progress. Progress resets the recovery attempts, even if the robot goes to and fro."""
         self._now_s = now_s
-        self._has_met_people |= meets_people
+        self.may_clear |= meets_people
         # Integrated over readings: failed encoders add no distance.
         speed = where.speed
         if speed.stamp_s > self._rolled_s:
@@ -762,7 +764,7 @@ class NavigationTask:
             self._here = where.odom_pose[:2]
             if not np.hypot(*(self._here - self._from)) <= _PROGRESS_M:
                 self.tries, self.passes_hidden, self._has_awaited_way = 0, False, False
-                self._has_met_people, self._tried_s, self.why_first = False, now_s, ""
+                self.may_clear, self._tried_s, self.why_first = False, now_s, ""
                 self.restart_progress()
         self._why_lost = where.why_unknown
         if not self._why_lost:
@@ -793,9 +795,8 @@ class NavigationTask:
         self.restart_progress()
 
     def may_try(self, settings: NavigatorSettings) -> bool:
-        """Return whether another recovery may start. Near people the limit is a time, else a number of attempts."""
-        has_time = self._now_s - self._tried_s < settings.patience_s
-        return self.tries < settings.tries or (self._has_met_people and has_time)
+        """Return whether another recovery may start. If what is near may leave, the limit is a time, else a number."""
+        return self.tries < settings.tries or (self.may_clear and self._now_s - self._tried_s < settings.patience_s)
 
     def start_next_recovery(
         self, settings: NavigationSettings, stopped_by: MonitorReason | None, *, was_backward: bool
@@ -807,7 +808,7 @@ class NavigationTask:
         wait_s, tries = settings.behaviours.wait_s, self.tries
         self.passes_hidden = stopped_by is not MonitorReason.NEVER_SEEN
         if tries >= settings.navigator.tries:
-            self.start_recovery(Wait(wait_s, "wait until people have gone"), is_lost=False)
+            self.start_recovery(Wait(wait_s, "wait until people have gone, or things"), is_lost=False)
         elif self.passes_hidden:
             self.start_recovery(when_blocked(tries, wait_s), is_lost=False)
         else:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -58,6 +58,7 @@ class DepthView:
         seen_m: (B,) distance from the camera to which each column observes the floor or free air; 0 without depth.
         near_m: distance from the camera to the nearest visible floor.
         shows_m: (N,) distance from the camera at which each point would still be visible; None for its own distance.
+        voids: (M, 2) in `base` where floor is expected, and no depth comes back.
     """
 
     stamp_s: float
@@ -68,6 +69,7 @@ class DepthView:
     seen_m: FloatArray
     near_m: float
     shows_m: FloatArray | None = None
+    voids: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
 
     @property
     def is_sound(self) -> bool:
@@ -77,7 +79,7 @@ class DepthView:
         shapes = points.ndim == 2 and points.shape[1:] == (2,) and seen.ndim == 1 and len(seen) > 0
         shows = np.zeros(len(points)) if self.shows_m is None else np.asarray(self.shows_m)
         shapes &= shows.shape == points.shape[:1]
-        finite = all(np.isfinite(values).all() for values in (numbers, points, seen, shows))
+        finite = all(np.isfinite(values).all() for values in (numbers, points, seen, shows, self.voids))
         return bool(shapes and finite and self.step_rad > 0)
 
     @property
@@ -97,6 +99,10 @@ _VIEW_BIN_M, _VIEW_GAP_M = 0.1, 0.3
 _LEAST_COLUMNS = 8
 # Least width of a bearing in pixels: one between two pixels would see nothing.
 _LEAST_PIXELS = 2
+# Floor without depth: the part of a place's pixels that have none, as black mats return a few; its least extent, beyond
+# the shadow of a Kinect's projector beside an edge (0.08 m); and how far beyond the nearest visible floor it counts:
+# dark floor is seen from near, and a stop takes 1.3 m.
+_VOID_SHARE, _VOID_M, _VOID_REACH_M = 0.8, 0.25, 1.5
 
 
 class DepthViewer:
@@ -137,7 +143,6 @@ class DepthViewer:
         self.half_rad: float = self._step_rad * self._count / 2
         where = np.ascontiguousarray(T_base_camera[:3, 3])
         self.camera: tuple[float, float] = (float(where[0]), float(where[1]))
-        self._rays = Rays(np.ascontiguousarray(ways, np.float32), columns, where)
         # The distance from the camera to the nearest floor that is visible at all bearings.
         down, along = np.where(columns >= 0, -ways[..., 2], 0), np.hypot(ways[..., 0], ways[..., 1])
         with np.errstate(divide="ignore"):
@@ -147,9 +152,26 @@ class DepthViewer:
             raise MapError("the camera sees no floor", fix="check T_base_camera in the calibration, or tilt the camera")
         self._near_m = float(near_m.max())
         self.near_m = self._near_m + float(np.hypot(*where[:2]))
+        # Distance of the floor that each ray should measure, within the depths that the camera is trusted with.
+        noise, far_m = calibration.depth_noise, min(s.far_m, self._near_m + _VOID_REACH_M)
+        z_m = way_m / np.maximum(along, 1e-9)
+        is_expected = (columns >= 0) & (z_m >= noise.near_m) & (z_m <= noise.far_m) & (way_m < far_m)
+        floor_m = np.where(is_expected, way_m, 0).astype(np.float32)
+        self._rays = Rays(np.ascontiguousarray(ways, np.float32), columns, where, floor_m)
+        # Bearing and bin of the cells of a square before the camera, and which of them have floor that it should see.
+        ahead = (np.arange(int(far_m / _VIEW_CELL_M)) + 0.5) * _VIEW_CELL_M
+        x, y = np.meshgrid(ahead, np.r_[-ahead[::-1], ahead], indexing="ij")
+        number = (np.arctan2(y, x) + middle - self._first_rad) / self._step_rad
+        self._void_at = np.floor(number).astype(int), (np.hypot(x, y) / _VIEW_BIN_M).astype(int)
+        self._is_void_at = (self._void_at[0] >= 0) & (self._void_at[0] < self._count) & (np.hypot(x, y) < far_m)
 
-    def view(self, depth_m: ArrayLike, stamp_s: float) -> DepthView:
+    def view(
+        self, depth_m: ArrayLike, stamp_s: float, carries: Callable[[FloatArray], BoolArray] | None = None
+    ) -> DepthView:
         """Return the view of a depth image (H, W) in metres; pixels that are 0 or not finite have no depth.
+
+        Args:
+            carries: which points (N, 2) in `base` are floor, though no depth comes back from there.
 
         Raises ArgumentError if the image has another size.
         """
@@ -162,6 +184,8 @@ class DepthViewer:
             np.zeros((side, side, 3), np.float32),
             np.zeros((side, side, _VIEW_PIXELS), np.float32),
             np.zeros(self._count, np.int64),
+            np.zeros((*floor.shape, 2), np.int64),
+            np.full(floor.shape, np.inf),
             _VIEW_BIN_M,
             _VIEW_CELL_M,
         )
@@ -176,6 +200,7 @@ class DepthViewer:
         points, tops_m = np.asarray(points[is_other]), np.asarray(dilated_m[is_thing], float)
         thing_m = np.full(self._count, np.inf)
         reach(depth, self._rays, self._heights, shown, is_thing, thing_m)
+        voids, void_m = self._voids(shown, carries)
         # Where floor that begins at the nearest visible distance ends; 0 if it begins farther away.
         begin = self._near_m / _VIEW_BIN_M
         last, is_on = np.full(len(floor), begin), np.ones(len(floor), bool)
@@ -183,12 +208,49 @@ class DepthViewer:
             is_on &= ~is_seen | (at - last <= max(round(_VIEW_GAP_M / _VIEW_BIN_M), 1))
             last = np.where(is_seen & is_on, np.maximum(last, at + 1.0), last)
         floor_m = np.where(last > begin, last * _VIEW_BIN_M, 0.0)
+        # A bearing that sees nothing but a hole sees, though no floor.
+        floor_m = np.where(np.isfinite(void_m), np.maximum(np.minimum(floor_m, void_m), _VIEW_BIN_M), floor_m)
         # Each bearing sees along floor without long gaps, or to an obstacle on the last visible floor, or nearer.
         reached = thing_m <= np.maximum(floor_m, self._near_m) + _VIEW_GAP_M
         seen_m = np.where(shown.measured >= _VIEW_PIXELS, np.where(reached, thing_m, np.minimum(floor_m, far_m)), 0.0)
         # Nearer than this, an obstacle is below the lowest ray.
         shows_m = np.asarray(self._near_m * np.maximum(1 - tops_m / float(self._rays.camera[2]), 0.0))
-        return DepthView(stamp_s, points, self.camera, self._first_rad, self._step_rad, seen_m, self._near_m, shows_m)
+        place = self.camera, self._first_rad, self._step_rad
+        return DepthView(stamp_s, points, *place, seen_m, self._near_m, shows_m, voids)
+
+    def _voids(
+        self, shown: ViewContent, carries: Callable[[FloatArray], BoolArray] | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return (M, 2) places in `base` where floor is expected and none returns a depth, and (B,) where they begin.
+
+        Places that carry the robot become floor of `shown`. Edges are the nearest pixels without depth.
+        """
+        lacking, having = np.moveaxis(shown.lacks, -1, 0)
+        # A bin that no pixel meets is as the one before it.
+        for n in range(1, lacking.shape[1]):
+            is_between = lacking[:, n] + having[:, n] == 0
+            lacking[is_between, n], having[is_between, n] = lacking[is_between, n - 1], having[is_between, n - 1]
+        is_void = (lacking > 0) & (lacking >= _VOID_SHARE * (lacking + having))
+        column, at = (np.where(self._is_void_at, numbers, 0) for numbers in self._void_at)
+        wide = np.ones((round(_VOID_M / _VIEW_CELL_M),) * 2, np.uint8)
+        cells = (is_void[column, at] & self._is_void_at).astype(np.uint8)
+        cells = cv2.morphologyEx(cells, cv2.MORPH_OPEN, wide, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+        is_wide = np.zeros(is_void.shape, np.uint8)
+        is_wide[column[cells > 0], at[cells > 0]] = 1
+        # The bins at its edges show floor in part.
+        is_void = (cv2.dilate(is_wide, np.ones((3, 3), np.uint8)) > 0) & (lacking > 0)
+        columns, bins = np.nonzero(is_void)
+        begin_m = shown.lacks_m[columns, bins]
+        away_m = np.where(np.isfinite(begin_m), begin_m, (bins + 0.5) * _VIEW_BIN_M)
+        bearing = self._first_rad + (columns + 0.5) * self._step_rad
+        points = away_m[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1) + self.camera
+        if carries is not None and len(points):
+            is_floor = carries(points)
+            shown.floor[columns[is_floor], bins[is_floor]] = 1
+            columns, away_m, points = columns[~is_floor], away_m[~is_floor], points[~is_floor]
+        void_m = np.full(len(is_void), np.inf)
+        np.minimum.at(void_m, columns, away_m)
+        return points, void_m
 
 
 # Side of the square around the robot, farther than the camera sees, and of a cell, as Nav2's maps have it; metres.

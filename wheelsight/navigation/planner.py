@@ -334,6 +334,7 @@ class PlanReason(StrEnum):
     GOAL_IN_WALL = "the map has no room for the robot at the goal"
     STANDS = "its limits let the robot neither forward nor backward"
     UNREACHABLE = "no way leads to the goal"
+    IN_THE_WAY = "something that the map does not have is in the only way"
     NO_WAY_IN_MAP = "no way leads to the goal by the map itself"
     NO_ROOM_IN_MAP = "the map has no place that is wide enough for the robot"
     GAVE_UP = "no way was found within the bounds of the search"
@@ -360,6 +361,7 @@ class PlanReason(StrEnum):
             PlanReason.GOAL_OCCUPIED,
             PlanReason.GOAL_IN_WALL,
             PlanReason.UNREACHABLE,
+            PlanReason.IN_THE_WAY,
             PlanReason.NO_WAY_IN_MAP,
             PlanReason.GAVE_UP,
         )

@@ -5,6 +5,7 @@ Plans lead through several poses and prefer floor that the camera can observe (`
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -178,7 +179,8 @@ class PlannerClient:
     ) -> Plan | PlanFailure:
         """Replace a failure by one that is final if the map alone forbids the path: then waiting does not help.
 
-        In a growing map it may help, and obstacles besides those of the map may leave.
+        If it has a path, people or things are in the way: the failure says where, and the robot waits for them. In a
+        growing map waiting may help, too.
 
         Args:
             pose, goal: (3,) in the map.
@@ -195,6 +197,8 @@ class PlannerClient:
         is_as_mapped = np.array_equal(costmap.is_lethal, mapped.is_lethal)
         alone = found if is_as_mapped else route.plan(mapped, pose, [goal])
         hopeless = PlanReason.UNREACHABLE, PlanReason.GOAL_OCCUPIED, PlanReason.GOAL_UNKNOWN
+        if isinstance(alone, Plan) and found.reason is PlanReason.UNREACHABLE:
+            return route.in_the_way(costmap, alone, pose)
         if isinstance(alone, Plan) or alone.reason not in hopeless:
             return found
         return PlanFailure(PlanReason.NO_WAY_IN_MAP, route.planner.why_no_way(mapped, pose, goal))
@@ -339,6 +343,12 @@ class RoutePlanner:
         is_unknown = failure.reason is PlanReason.GOAL_UNKNOWN
         what = "unknown floor" if is_unknown else _IN_WALL
         return PlanFailure(PlanReason.GOAL_IN_WALL, f"{what} is at ({goal[0]:.2f}, {goal[1]:.2f}) m")
+
+    def in_the_way(self, costmap: Costmap, alone: Plan, pose: FloatArray) -> PlanFailure:
+        """Return the failure of a robot at (3,) whose way by the map alone has something in it."""
+        at = self.blocked_at(costmap, alone, pose, math.inf)
+        where = "" if at is None else f" at ({at[0]:.2f}, {at[1]:.2f}) m"
+        return PlanFailure(PlanReason.IN_THE_WAY, f"it waits for room{where}")
 
     def blocked_at(self, costmap: Costmap, plan: Plan, pose: FloatArray, reach_m: float) -> FloatArray | None:
         """Return the first pose (3,) within `reach_m` along a plan where the footprint collides; None without any."""

@@ -7,18 +7,20 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import Wheels
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.estimates import Estimate, FusedEstimate, Status
-from wheelsight.core.geometry import FloatArray, se2, se3
+from wheelsight.core.geometry import BoolArray, FloatArray, se2, se3
 from wheelsight.core.messages import Event, RgbdFrame, VelocityCommand, WheelSpeeds, WheelTicks
 from wheelsight.core.robots import Localization
 from wheelsight.navigation.behaviours import OpenWay, keeps_clear, open_way
@@ -64,10 +66,23 @@ _MAPPED_M, _MAPPED_STEP_M = 0.6, 0.05
 _TRAIL_S, _TRAIL_M = 1.0, 0.15
 
 
+# Floor without depth carries the robot where its axle stood on it, within the width of a bearing and a bin; and as far
+# beside its outline as poses and paths err.
+_STOOD_M, _BESIDE_TRACK_M = 0.1, 0.15
+
+
 def watch_floor(
-    monitor: CollisionMonitor, events: Sequence[Event], where: WhereNow, viewer: DepthViewer
+    monitor: CollisionMonitor,
+    events: Sequence[Event],
+    where: WhereNow,
+    viewer: DepthViewer,
+    carries: Callable[[FloatArray], BoolArray] | None = None,
 ) -> DepthView | None:
-    """Give the collision monitor the wheel readings of a period and its newest frame; return the view of that frame."""
+    """Give the collision monitor the wheel readings of a period and its newest frame; return the view of that frame.
+
+    Args:
+        carries: as in `DepthViewer.view`.
+    """
     newest, view = next((event for event in reversed(events) if isinstance(event, RgbdFrame)), None), None
     for event in events:
         if isinstance(event, WheelTicks | WheelSpeeds):
@@ -75,7 +90,7 @@ def watch_floor(
             if speed is not None:
                 monitor.add_reading(speed.stamp_s, speed.forward_m_s, speed.turn_rad_s, speed.rolled)
         elif event is newest and isinstance(event, RgbdFrame):
-            view = viewer.view(event.depth_m, event.stamp_s)
+            view = viewer.view(event.depth_m, event.stamp_s, carries)
             monitor.add_view(view)
     return view
 
@@ -126,13 +141,14 @@ class Senses:
         self._ahead = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
         self._local: dict[bool, tuple[object, Costmap]] = {}  # with what each depends on
         self._stays: tuple[float | None, FloatArray] = (None, np.empty((0, 2)))
+        self._track = floor.driven  # places (N, 2) of the axle in the map, on this drive and the one of the map
 
     def update(self, events: Sequence[Event], now_s: float) -> None:
         """Process all events of a period that ends now. Raises what the localization raises.
 
         The monitor gets only the newest frame of a period, so that a late program does not become later.
         """
-        view = watch_floor(self._monitor, events, self.where, self._viewer)
+        view = watch_floor(self._monitor, events, self.where, self._viewer, self.carries)
         if view is not None:
             self._views.append(view)
         for event in events:
@@ -181,6 +197,27 @@ class Senses:
         # A robot that gets lost later may have been carried, so its wheels do not give its path to where it is found.
         self._unplaced = None
         self.floor.update(state.pose, now_s)
+        if not len(self._track) or np.hypot(*(self._track[-1] - state.pose[:2])) > _STOOD_M / 2:
+            self._track = np.concatenate([self._track, state.pose[None, :2]])
+
+    def carries(self, points: FloatArray) -> BoolArray:
+        """Return which points (N, 2) in `base`, from where no depth comes back, are floor.
+
+        They are so by the word of a person, or as the robot crossed them: its axle stood on such floor near to them. A
+        robot that drove beside a hole does not prove that there is floor in it.
+        """
+        pose, found = self.where.odom_pose, np.zeros(len(points), bool)
+        if pose is None or self.where.state is None:
+            return found
+        at = se2.apply(se2.from_parts(*self.where.T_map_odom) @ se2.from_parts(*pose), points)
+        for polygon in self.floor.declared:
+            found |= shapely.contains_xy(shapely.Polygon(polygon).buffer(_STOOD_M), *at.T)
+        tree = cKDTree(at)
+        near = self._track[np.isfinite(tree.query(self._track, distance_upper_bound=_STOOD_M)[0])]
+        if len(near):
+            most_m = self._footprint.inscribed_m + _BESIDE_TRACK_M
+            found |= np.isfinite(cKDTree(near).query(at, distance_upper_bound=most_m)[0])
+        return found
 
     def _follow_people(self, stamp_s: float, pose: FloatArray) -> None:
         """Track people with the frame that was taken at (3,) in `odom`, and remove them from the live layer."""

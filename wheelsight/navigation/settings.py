@@ -209,7 +209,11 @@ class NavigatorSettings(Settings):
     )
     tries: int = setting(6, "recoveries without progress before it gives up", CHOSEN, ge=0, le=100)
     patience_s: float = setting(
-        120.0, "time since the last progress before it gives up near people, who will leave", CHOSEN, ge=0, le=3600
+        120.0,
+        "time since the last progress before it gives up near people, or what the map lacks in the only way",
+        CHOSEN,
+        ge=0,
+        le=3600,
     )
     lost_s: float = setting(
         120.0,

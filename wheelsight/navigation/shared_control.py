@@ -229,7 +229,7 @@ class Assist(OneCaller):
             fix = "a robot with two driven wheels, calibrated: docs/wheel-calibration.md"
             raise ArgumentError(f"the calibration {calibration.lacks_two_wheels}", fix=fix)
         self.level, self.record, self._robot = level, AssistRecord(), robot
-        self._chain = ControlChain(s, calibration.drive_model)
+        self._chain = ControlChain(s, calibration.drive_model, calibration.nearby)
         self.monitor = self._chain.monitor
         self._shared = SharedControl(self.monitor, s)
         self._viewer = DepthViewer(calibration, s.footprint.outline, s.live)
@@ -259,6 +259,7 @@ class Assist(OneCaller):
         """Run one period: send the command, read the sensors, choose the next command. Raises what the robot raises."""
         events = self._robot.step(self._chain.command)
         now_s = self._robot.now_s
+        self.monitor.add_nearby(getattr(self._robot, "nearby", None))
         watch_floor(self.monitor, events, self._where, self._viewer)
         intended = self.intended(now_s)
         override_s = self._override_s(now_s, intended)

@@ -126,11 +126,12 @@ def _what(edit: MapEdit) -> str:
         return f"speed zone, at most {edit.limit_m_s:g} m/s"
     if edit.name is not None:
         return f"area {edit.name}"
-    return "keep-out zone" if edit.kind == EditKind.KEEP_OUT else "wiped place"
+    names = {EditKind.KEEP_OUT: "keep-out zone", EditKind.WIPED: "wiped place", EditKind.FLOOR: "declared floor"}
+    return names[edit.kind]
 
 
 _ZONES = "What is there"
-_WHICH = "--keep-out, --speed M_S, --wipe or --area NAME"
+_WHICH = "--keep-out, --speed M_S, --wipe, --floor or --area NAME"
 _FORM = "X,Y in metres in the map, such as 2,-1 3,-1 3,0.5; two are opposite corners of a rectangle"
 
 
@@ -150,6 +151,11 @@ class ZoneOptions:
     keep_out: bool = option_field("Robots do not drive there.", default=False, panel=_ZONES)
     speed: float | None = option_field("The speed limit there, in metres a second.", "M_S", False, _ZONES)
     wipe: bool = option_field("Obstacles that the map has there are gone: free.", default=False, panel=_ZONES)
+    floor: bool = option_field(
+        "It is floor that carries the robot, such as a black carpet, though the camera measures none.",
+        default=False,
+        panel=_ZONES,
+    )
     area: str | None = option_field("It is called so, for wheelsight drive --to NAME.", "NAME", False, _ZONES)
     areas: Path | None = option_field(
         "All areas of an areas.yaml, whose corners must be in this map's frame; that of a simulated world is in "
@@ -166,8 +172,9 @@ class ZoneOptions:
         return next(iter(self._options()), None)
 
     def _options(self) -> list[str]:
-        values = (self.keep_out or None, self.speed, self.wipe or None, self.area, self.areas, self.forget)
-        names = ("--keep-out", "--speed", "--wipe", "--area", "--areas", "--forget")
+        flags = (self.keep_out or None, self.wipe or None, self.floor or None)
+        values = (*flags, self.speed, self.area, self.areas, self.forget)
+        names = ("--keep-out", "--wipe", "--floor", "--speed", "--area", "--areas", "--forget")
         return [name for name, value in zip(names, values, strict=True) if value is not None]
 
     def check(self) -> None:
@@ -217,4 +224,5 @@ def drawn_by(asked: ZoneOptions) -> Sequence[MapEdit]:
         return [MapEdit(EditKind.SPEED, polygon, limit_m_s=asked.speed)]
     if asked.area is not None:
         return [MapEdit(EditKind.AREA, polygon, name=asked.area)]
-    return [MapEdit(EditKind.KEEP_OUT if asked.keep_out else EditKind.WIPED, polygon)]
+    kind = EditKind.KEEP_OUT if asked.keep_out else EditKind.FLOOR if asked.floor else EditKind.WIPED
+    return [MapEdit(kind, polygon)]

@@ -39,6 +39,7 @@ def zone(options: ZoneOptions) -> None:
     wheelsight map zone home --keep-out 2,-1 3,-1 3,0.5
     wheelsight map zone home --speed 0.3 -1,2 4,3
     wheelsight map zone home --wipe 5,0 5.4,0.4
+    wheelsight map zone home --floor 1,1 2,3
     wheelsight map zone home --area kitchen 4,-3 7,-3 7,0 4,0
     wheelsight map zone home
     wheelsight map zone home --forget 2

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.errors import ArgumentError, DeviceError
-from wheelsight.core.messages import Event, RgbdFrame, SkippedFrame, VelocityCommand, WheelTicks
+from wheelsight.core.messages import Event, NearbyReading, RgbdFrame, SkippedFrame, VelocityCommand, WheelTicks
 from wheelsight.core.robots import (
     CONTROL_PERIOD_S,
     HOLD_S,
@@ -86,6 +86,11 @@ class LinkRobot(Closing):
         """See `Robot`; before the first ticks the host's time, without the delay of the line."""
         host = self._link.host
         return host.now_s() + (host.unix_offset_s() if self._quickest_s is None else -self._quickest_s)
+
+    @property
+    def nearby(self) -> NearbyReading | None:
+        """The newest reading of the controller's bumpers and rangers."""
+        return self._link.nearby
 
     @property
     def stop_reason(self) -> str:

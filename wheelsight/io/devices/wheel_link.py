@@ -22,7 +22,7 @@ from serial import Serial, SerialException, SerialTimeoutException
 from serial.tools.list_ports import comports
 
 from wheelsight.core.errors import DeviceError
-from wheelsight.core.messages import WheelTicks
+from wheelsight.core.messages import NearbyReading, WheelTicks
 from wheelsight.core.threads import Closing
 from wheelsight.io.devices import host_clock
 from wheelsight.io.devices.tick_tracking import TickTracker
@@ -34,6 +34,7 @@ from wheelsight.io.devices.wire_formats import (
     LineDecoder,
     LineStatistics,
     LinkCommand,
+    Nearby,
     PlainReading,
     Pulses,
     Version,
@@ -138,6 +139,7 @@ class WheelLink(Closing):
         self._decoder, self._tracker = LineDecoder(), TickTracker()
         self._ticks: queue.Queue[WheelTicks | None] = queue.Queue(_MOST_QUEUED)
         self._last: WheelTicks | None = None
+        self.nearby: NearbyReading | None = None  # the newest; stamped when it came
         self._reconnects = self._overrun = 0
         self._serial: Serial | None = host.open_port(self.port, baudrate)
         self._commands = Commands(self.port, self._write, host.now_s)
@@ -327,6 +329,7 @@ class WheelLink(Closing):
         """
         for message in self._decoder.feed(data, self._unix_s + now_s, was_waiting):
             self._decoded_s = now_s
+            self.nearby = message.reading(self._unix_s + now_s) if isinstance(message, Nearby) else self.nearby
             if isinstance(message, Counts):
                 restarts = self._tracker.restarts
                 for ticks in self._tracker.add_counts(message, self._unix_s + now_s):

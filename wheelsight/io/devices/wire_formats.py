@@ -4,6 +4,7 @@ text. `LineDecoder` recognises the format.
 
 from __future__ import annotations
 
+import math
 import re
 from binascii import crc_hqx
 from collections import deque
@@ -14,6 +15,8 @@ from struct import Struct
 from typing import NamedTuple
 
 from cobs import cobs
+
+from wheelsight.core.messages import NearbyReading
 
 # Framed format
 #
@@ -65,7 +68,27 @@ class Ack(NamedTuple):
     status: int
 
 
-Message = Counts | Version | Ack
+_SOUND_M_S = 343.0  # at 20 °C; 3 % less at 0 °C
+
+
+class Nearby(NamedTuple):
+    """Bumpers, a bit each whose switch is open, and µs of the echoes of four rangers: 0 for none, 65535 for a fault."""
+
+    sequence: int
+    bumpers: int
+    echo_0_us: int
+    echo_1_us: int
+    echo_2_us: int
+    echo_3_us: int
+
+    def reading(self, stamp_s: float) -> NearbyReading:
+        """Return what it says, in metres."""
+        ranges = {0: math.inf, 0xFFFF: math.nan}
+        echoes = (ranges.get(us, us * 1e-6 * _SOUND_M_S / 2) for us in self[2:])
+        return NearbyReading(stamp_s, (bool(self.bumpers & 1), bool(self.bumpers & 2)), tuple(echoes))
+
+
+Message = Counts | Version | Ack | Nearby
 
 ACK_PROBLEMS = {1: "does not know the command", 2: "got the command with a wrong length", 3: "refuses the value"}
 
@@ -77,6 +100,7 @@ _LAYOUTS: dict[int, tuple[type[Message], Struct]] = {
     0x01: (Counts, Struct("<xBIiixx")),
     0x02: (Version, Struct("<xBBBBBxx")),
     0x03: (Ack, Struct("<xBBBBxx")),
+    0x04: (Nearby, Struct("<xBBHHHHxx")),
 }
 _TYPES: dict[type[Message], int] = {kind: number for number, (kind, _) in _LAYOUTS.items()}
 
