@@ -143,6 +143,7 @@ def passed(
     off = se3.from_plane(*(rng.uniform(-1, 1, 3) * (_PLACED_M, _PLACED_M, _PLACED_RAD)))
 
     def says(estimate: Estimate) -> Estimate:
+        assert estimate.T_odom_body is not None
         return Estimate(estimate.stamp_s, estimate.status, off @ estimate.T_odom_body, estimate.covariance, body="base")
 
     localization = TrueLocalization(robot, None, says=says)
