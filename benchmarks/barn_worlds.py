@@ -54,8 +54,10 @@ class FieldRobot:
         return 100.0 * self.scale
 
 
-# Clearpath's data sheet: 0.508 × 0.43 m and 2 m/s. The simulator gives it the chair's wheels, which its outline hides,
-# and their acceleration. Margins are those of the chair in proportion to the widths, but for errors of depth.
+# Clearpath's data sheet: 0.508 × 0.43 m and 2 m/s. The simulator gives it the chair's wheels and their controller,
+# which ramps a rim by 1.5 m/s²: forward and turn together do not exceed that. Margins are those of the chair in
+# proportion to the widths, but for errors of depth. The camera sees the floor from 0.3 m on, within the circle of the
+# corners.
 _JACKAL = FieldRobot(
     "jackal",
     1.0,
@@ -64,8 +66,8 @@ _JACKAL = FieldRobot(
         width_m=0.43,
         tail_m=0.254,
         camera_height_m=0.45,
-        camera_forward_m=0.15,
-        camera_pitch_rad=0.35,
+        camera_forward_m=0.0,
+        camera_pitch_rad=0.5,
         height_m=0.6,
     ),
     "realsense-d455",
@@ -75,9 +77,9 @@ _JACKAL = FieldRobot(
             forward_m_s=2.0,
             backward_m_s=0.3,
             turn_rad_s=2.0,
-            acceleration_m_s2=1.5,
-            braking_m_s2=1.5,
-            turn_acceleration_rad_s2=4.0,
+            acceleration_m_s2=1.0,
+            braking_m_s2=1.0,
+            turn_acceleration_rad_s2=1.9,
             jerk_m_s3=10.0,
         ),
         costmap=CostmapSettings(unknown="costly", inflation_m=0.35),
@@ -87,8 +89,9 @@ _JACKAL = FieldRobot(
     ),
 )
 _CHAIR = NavigationSettings(costmap=CostmapSettings(unknown="costly"))
-# The same camera looks down far enough to see the floor from 1.2 m before the axle on, 0.4 m before the front.
-_WHEELCHAIR = FieldRobot("wheelchair", 1.75, RobotModel(camera_pitch_rad=0.35), "realsense-d455", _CHAIR)
+# The same camera looks down far enough to see the floor from 0.93 m before the axle on, which is 0.08 m beyond the
+# circle of the corners.
+_WHEELCHAIR = FieldRobot("wheelchair", 1.75, RobotModel(camera_pitch_rad=0.5), "realsense-d455", _CHAIR)
 # Its usual camera sees 57°, and the floor from 2.3 m on.
 _KINECT = FieldRobot("wheelchair-kinect", 1.75, RobotModel(), "kinect-v1", _CHAIR)
 ROBOTS = {robot.name: robot for robot in (_JACKAL, _WHEELCHAIR, _KINECT)}

@@ -283,11 +283,12 @@ _KEYFRAME_M, _KEYFRAME_RAD = 0.25, 0.2
 
 @dataclass
 class TrueLocalization:
-    """A `Localization` that knows where a robot truly is, and keeps keyframes of its frames."""
+    """A `Localization` that knows where a robot truly is, or what `says` makes of that, and keeps keyframes."""
 
     robot: RoomRobot
     keyframes: KeyframeStore | None = field(default_factory=KeyframeStore)
     recognised: int | None = None
+    says: Callable[[Estimate], Estimate] = lambda estimate: estimate
     _last: FloatArray | None = None
 
     def process(self, events: Sequence[Event]) -> list[tuple[Event, Estimate | None]]:
@@ -300,7 +301,7 @@ class TrueLocalization:
                 grey = np.zeros(event.depth_m.shape, np.float32)
                 keyframe = Keyframe.of_images(event.stamp_s, intrinsics, event.depth_m, grey)
                 self.keyframes.add(keyframe, T @ self.robot.eye.T_base_camera)
-        return [(event, Estimate(event.stamp_s, Status.TRACKING, T, C, body="base")) for event in events]
+        return [(event, self.says(Estimate(event.stamp_s, Status.TRACKING, T, C, body="base"))) for event in events]
 
     def close(self) -> None:
         """See `Localization`."""

@@ -113,6 +113,27 @@ def test_floor_under_a_robot_that_stands_there_is_known() -> None:
     assert costmap.standing_at(CHAIR, (50.0, 2.0, 0.0)) is costmap
 
 
+def test_a_live_cell_beside_an_obstacle_of_the_map_is_that_obstacle_and_makes_no_door_narrower() -> None:
+    is_wall, seen = np.zeros((40, 40), bool), np.zeros((40, 40), bool)
+    is_wall[20, :15] = is_wall[20, 25:] = True
+    seen[19:22, 13:16] = seen[20, 24] = True  # the ends of the wall, a cell too large
+    seen[20, 18] = seen[17, 5] = True  # things in the door, and 0.15 m before the wall
+    costmap = Costmap.of(static_of(is_wall), CHAIR, None, live(seen))
+    expected = is_wall.copy()
+    expected[20, 18] = expected[17, 5] = True
+    np.testing.assert_array_equal(costmap.is_lethal, expected)
+
+
+def test_a_live_cell_on_unknown_floor_beside_an_obstacle_stays() -> None:
+    state = np.full((40, 40), CellState.UNKNOWN, np.uint8)
+    state[20, 20] = CellState.OCCUPIED
+    static = StaticLayer(state, np.full(state.shape, np.inf, np.float32), 0.05, (0.0, 0.0))
+    seen = np.zeros((40, 40), bool)
+    seen[20, 21] = True
+    costmap = Costmap.of(static, CHAIR, CostmapSettings(unknown="costly"), live(seen))
+    assert np.argwhere(costmap.is_lethal).tolist() == [[20, 20], [20, 21]]
+
+
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-np.pi, np.pi), st.integers(0, 10**6))
 def test_live_obstacles_stand_where_their_frame_puts_them(x: float, y: float, yaw: float, seed: int) -> None:
     """Points in an occupied cell of theirs lie in occupied cells of the map, but for slivers at its rim."""

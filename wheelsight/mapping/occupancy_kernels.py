@@ -87,9 +87,15 @@ def trace(rays: DepthRays, M: Any, bands: Bands, noise: OccupancyNoise, window: 
     """
     begin, end = M[:, 3].copy(), np.empty(3)
     # Observation of the ray of the row above, its position, and its height.
-    above = np.zeros(4)
+    above, into = np.zeros(4), np.zeros(2)
     height, width = rays.depth_m.shape
     angle = abs(rays.slope_x[1] - rays.slope_x[0]) if width > 1 else 1.0
+    ends = np.empty((height, width, 3))
+    for v in range(height):
+        for u in range(width):
+            z = rays.depth_m[v, u]
+            for i in range(3):
+                ends[v, u, i] = begin[i] + z * (M[i, 0] * rays.slope_x[u] + M[i, 1] * rays.slope_y[v] + M[i, 2])
     for u in range(width):
         above[0] = 0
         for v in range(height):
@@ -97,16 +103,69 @@ def trace(rays: DepthRays, M: Any, bands: Bands, noise: OccupancyNoise, window: 
             if not z > 0:
                 above[0] = 0
                 continue
-            for i in range(3):
-                end[i] = begin[i] + z * (M[i, 0] * rays.slope_x[u] + M[i, 1] * rays.slope_y[v] + M[i, 2])
+            end[:] = ends[v, u]
             sigma_m = noise.constant_m + noise.quadratic_per_m * z * z
             margin_m = noise.margin_sigmas * sigma_m + bands.resolution_m
-            _follow(window, begin, end, _needed_from(u, v, angle, bands) / z, margin_m, bands, above)
+            _find_into(rays.depth_m[v], ends[v], u, angle * z / bands.resolution_m, begin, bands, into)
+            _follow(window, begin, end, _needed_from(u, v, angle, bands) / z, margin_m, bands, above, into)
 
 
 @kernel(error_model="numpy")
-def _follow(window: Window, begin: Any, end: Any, needed: float, margin_m: float, bands: Bands, above: Any) -> None:
-    """Mark the cells that a ray passes from a share of its length on, and its end, which is `above` of the next one."""
+def _find_into(depth_m: Any, ends: Any, u: int, spacing: float, begin: Any, bands: Bands, into: Any) -> None:
+    """Find how far to move a hit into its surface, half a cell, before its cell is marked.
+
+    A cell with any part of a surface is half in front of it on average, and half beyond its edge, so that each side of
+    a door would be half a cell too far out. The hit moves half a cell along the normal away from the camera, and along
+    the surface until it is half a cell from its edges. The edge lies half-way to the first ray that passes. A thing
+    that is narrower than a cell is marked in its middle.
+
+    Args:
+        depth_m, ends: (w,) of a row of rays, and (w, 3) their ends, column and row in cells, and height in metres.
+        u: column of the hit.
+        spacing: of neighbouring rays at its depth, in cells.
+        into: (2,) is written, in cells.
+    """
+    into[:] = 0.0
+    # Ends of the surface in this row to either side, up to a cell away, and how far they are if it ends there.
+    bridged = bands.bridged_m / bands.resolution_m
+    left, right, first, last = np.inf, np.inf, u, u
+    for side in range(2):
+        step, at, way = 2 * side - 1, u, 0.0
+        while way < 1.0:
+            to = at + step
+            if not (0 <= to < len(ends)):
+                way = np.inf  # it may go on beyond the image
+                break
+            gap = np.hypot(ends[to, 0] - ends[at, 0], ends[to, 1] - ends[at, 1])
+            if not depth_m[to] > 0 or gap > bridged or abs(ends[to, 2] - ends[at, 2]) > bands.layer_m:
+                break
+            at, way = to, np.hypot(ends[to, 0] - ends[u, 0], ends[to, 1] - ends[u, 1])
+        reach = way + spacing / 2 if way < 1.0 else np.inf
+        if side == 0:
+            left, first = reach, at
+        else:
+            right, last = reach, at
+    tx, ty = ends[last, 0] - ends[first, 0], ends[last, 1] - ends[first, 1]
+    length = np.hypot(tx, ty)
+    if length < 0.25:
+        return
+    tx, ty = tx / length, ty / length
+    half = 0.5 * (abs(tx) + abs(ty))  # of a cell's extent along the surface, and along its normal
+    low, high = half - left, right - half
+    along = (right - left) / 2 if low > high else min(max(0.0, low), high)
+    # The normal (ty, -tx), turned away from the camera.
+    inward = np.copysign(min(half, (left + right) / 2), (ends[u, 0] - begin[0]) * ty - (ends[u, 1] - begin[1]) * tx)
+    into[0], into[1] = along * tx + inward * ty, along * ty - inward * tx
+
+
+@kernel(error_model="numpy")
+def _follow(
+    window: Window, begin: Any, end: Any, needed: float, margin_m: float, bands: Bands, above: Any, into: Any
+) -> None:
+    """Mark the cells that a ray passes from a share of its length on, and its end, which is `above` of the next one.
+
+    An obstacle is marked `into` (2,) farther, in cells; see `_find_into`.
+    """
     way_m = bands.resolution_m * np.sqrt((end[0] - begin[0]) ** 2 + (end[1] - begin[1]) ** 2)
     tilt_m = bands.tilt_rad * min(way_m, bands.far_m)
     reach = 1.0 if way_m <= bands.far_m else bands.far_m / way_m
@@ -127,6 +186,8 @@ def _follow(window: Window, begin: Any, end: Any, needed: float, margin_m: float
             _fill(window, x_before, y_before, x, y, 0, what)
     elif 0 < end[2] < bands.overhang_m:
         above[0] = _THING
+        x, y = x + into[0], y + into[1]
+        above[1], above[2] = x, y
         channel = _channel_at(end[2], bands, window.seen.shape[2])
         _mark(window, x, y, channel, MET)
         if needed < 1:

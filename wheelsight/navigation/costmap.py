@@ -194,6 +194,11 @@ class Costmap:
             to = kernels.CellFrame(static.resolution_m, *static.origin)
             T = x, y, np.cos(yaw), np.sin(yaw)
             kernels.mark_occupied(live.is_occupied, of, T, to, CellState.OCCUPIED.value, state)
+            # A live cell on free floor beside an obstacle of the map is that obstacle, seen with the errors of cells
+            # and pose: both would make a door a cell narrower at each side. The collision monitor has all points.
+            is_known = (static.state == CellState.OCCUPIED).astype(np.uint8)
+            is_beside = cv2.dilate(is_known, np.ones((3, 3), np.uint8)) > 0
+            state[is_beside & (static.state == CellState.FREE)] = CellState.FREE
         place = static.resolution_m, static.origin, "map"
         made = _made(state, static.speed_m_s, place, footprint.inscribed_m, settings or CostmapSettings())
         return replace(made, is_assumed=static.is_assumed)
