@@ -181,6 +181,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     assert __doc__ is not None
     parser = argparse.ArgumentParser(prog="python -m benchmarks.assist", description=__doc__.split("\n\n")[0])
     parser.add_argument("--runs", type=int, default=10, help="of each driver, level and width of a door")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first run; thresholds were found on 0 to 4")
     parser.add_argument("--drivers", nargs="+", choices=DRIVERS, default=list(DRIVERS))
     parser.add_argument(
         "--levels", nargs="+", choices=[level.value for level in AssistLevel], default=list(AssistLevel)
@@ -192,7 +193,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for driver in given.drivers:
         for level in map(AssistLevel, given.levels):
             for width_m in given.widths:
-                runs += [run_door(driver, width_m, level, seed) for seed in range(given.runs)]
+                runs += [
+                    run_door(driver, width_m, level, seed) for seed in range(given.first, given.first + given.runs)
+                ]
             print(f"{driver}, {level}: done", file=sys.stderr, flush=True)
     sheet = door_sheet(runs)
     Console().print(sheet.to_rich())

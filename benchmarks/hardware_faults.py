@@ -4,10 +4,10 @@ A simulated chair drives straight on in an empty hall. Its commands pass `LinkRo
 firmware on a simulated chip, its PWM outputs, motors and wheels, and come back as edges of encoders. At a random moment
 a fault begins. A run ends 4 s later.
 
-Neutral: way from the fault, or for commands out of order from the press of STOP 0.3 s later, until both outputs of the
-chip are neutral for good. Stands: way until the chair stands. Blind: of faults that leave readings (noise, lost bytes,
-commands out of order) the longest way between two readings that reach the program while the motors are driven; of the
-others the way to neutral. Said: `stop_reason` of the robot.
+Neutral: way from the fault, or for commands out of order and a motor that runs on from a stop 0.3 s later, until both
+outputs of the chip are neutral for good. Stands: way until the chair stands. Blind: of faults that leave readings
+(noise, lost bytes, commands out of order) the longest way between two readings that reach the program while the motors
+are driven; of the others the way to neutral. Said: `stop_reason` of the robot.
 
 A motor that runs on has its outputs neutral and turns nevertheless: only a switch of its power stops it.
 """
@@ -31,15 +31,18 @@ from firmware.simulation.hardware_robot import FAULT_KINDS, FaultKind, HardwareF
 from wheelsight.core.drive_model import DriveAxis, DriveModel
 from wheelsight.core.errors import DeviceError
 from wheelsight.core.files import write_text
-from wheelsight.core.messages import VelocityCommand, WheelTicks
+from wheelsight.core.messages import STOP, VelocityCommand, WheelTicks
 from wheelsight.core.robots import RobotLimits
 from wheelsight_sim import SimulationSettings
+from wheelsight_sim.physics import TRUTH_PERIOD_S
 
 # Of the shared log of a powered wheelchair (docs/drive-calibration.md).
 CHAIR = DriveModel("joystick", DriveAxis(0.27, 0.43, 0.45), DriveAxis(0.20, 0.10, 0.11))
 _WATCHED_S, _STOP_AFTER_S = 4.0, 0.3
 _NEUTRAL, _STANDS_M_S = 0.02, 0.02
 _LASTING: dict[FaultKind, float] = {"host frozen": 1.0, "brownout": 0.2}
+# Faults in which STOP is pressed after 0.3 s, since the drive goes on as before.
+_PRESSED: tuple[FaultKind, ...] = ("commands out of order", "motor runs on")
 _READABLE = ("line noise", "bytes lost", "commands out of order")
 
 
@@ -66,16 +69,19 @@ def run_fault(hardware: str, kind: FaultKind, seed: int, drive: DriveModel | Non
     with HardwareRobot(
         hardware, settings, faults=[fault], limits=limits, drive=drive, has_camera=False, start=(0.0, 0.0, 0.0)
     ) as robot:
-        watch, is_stopped = _Watch(robot, begin_s + _STOP_AFTER_S * (kind == "commands out of order")), False
+        is_pressed, is_stopped = kind in _PRESSED, False
+        watch = _Watch(robot, begin_s + _STOP_AFTER_S * is_pressed)
+        robot.on_tick = watch.follow
         while robot.host_s < begin_s + _WATCHED_S:
-            command = VelocityCommand(speed_m_s)
-            if kind == "commands out of order" and not is_stopped and robot.host_s >= begin_s + _STOP_AFTER_S:
+            if is_pressed and not is_stopped and robot.host_s >= begin_s + _STOP_AFTER_S:
                 is_stopped = True
                 try:
                     robot.stop()
                 except DeviceError as error:
                     watch.said = error.problem
-            watch.follow(robot.step(command))
+            # A motor that runs on is led down to a stop, so that the control meets it.
+            command = STOP if is_stopped and kind == "motor runs on" else VelocityCommand(speed_m_s)
+            watch.hear(robot.step(command))
     neutral_m = watch.neutral_m
     return HardwareRun(
         kind, watch.speed_m_s, neutral_m, watch.stands_m, watch.unread_m if kind in _READABLE else neutral_m, watch.said
@@ -83,30 +89,36 @@ def run_fault(hardware: str, kind: FaultKind, seed: int, drive: DriveModel | Non
 
 
 class _Watch:
-    """Ways since the fault, measured each period."""
+    """Ways since the fault, measured each 5 ms."""
 
     def __init__(self, robot: HardwareRobot, begin_s: float) -> None:
         self._robot, self._begin_s = robot, begin_s
         self._at, self._way_m, self._read_m = robot.T_world_base[:2, 3], 0.0, 0.0
         self.speed_m_s, self.neutral_m, self.stands_m, self.unread_m, self.said = 0.0, math.inf, math.inf, 0.0, ""
 
-    def follow(self, events: Sequence[object]) -> None:
-        """Add a period."""
+    def hear(self, events: Sequence[object]) -> None:
+        """Take the events of a period."""
+        if any(isinstance(event, WheelTicks) for event in events):
+            self._read_m = self._way_m
+        if self._robot.host_s >= self._begin_s:
+            self.said = self.said or self._robot.stop_reason
+
+    def follow(self) -> None:
+        """Add 5 ms."""
         at = self._robot.T_world_base[:2, 3]
         moved_m = float(np.hypot(*(at - self._at)))
         self._at = at
         if self._robot.host_s < self._begin_s:
-            self.speed_m_s = moved_m / 0.05
+            self.speed_m_s = moved_m / TRUTH_PERIOD_S
             return
         self._way_m += moved_m
         is_neutral = max(map(abs, self._robot.duties)) < _NEUTRAL
         self.neutral_m = min(self.neutral_m, self._way_m) if is_neutral else math.inf
-        is_standing = moved_m < _STANDS_M_S * 0.05
+        is_standing = moved_m < _STANDS_M_S * TRUTH_PERIOD_S
         self.stands_m = min(self.stands_m, self._way_m) if is_standing else math.inf
-        if any(isinstance(event, WheelTicks) for event in events) or is_neutral:
+        if is_neutral:
             self._read_m = self._way_m
         self.unread_m = max(self.unread_m, self._way_m - self._read_m)
-        self.said = self.said or self._robot.stop_reason
 
 
 def fault_sheet(runs: Sequence[HardwareRun]) -> Sheet:

@@ -131,6 +131,10 @@ class SimulatedLine:
         return data
 
 
+def _nothing() -> None:
+    """No listener."""
+
+
 class HardwareRobot(Simulator):
     """A `Simulator` whose commands go the way of a real robot, in step with simulated time.
 
@@ -147,6 +151,7 @@ class HardwareRobot(Simulator):
     Attributes:
         duties: outputs of the chip in the last 5 ms, -1 to 1; zeros where they are not driven.
         link: between computer and chip.
+        on_tick: called after each 5 ms.
 
     Raises:
         ConfigError: as `Simulator`; an unknown chip, or missing compilers.
@@ -180,7 +185,7 @@ class HardwareRobot(Simulator):
         self._driven_motors = Motors(rng=None if is_ideal else stream(settings.seed, "motors"))
         self._answers = None if drive is None else DriveResponse(drive)
         self._last_rims_m_s = (0.0, 0.0)
-        self.duties = (0.0, 0.0)
+        self.duties, self.on_tick = (0.0, 0.0), _nothing
         host = LinkHost(lambda: self.host_s, lambda: 0.0, lambda _, __: self._line, self._pass)  # type: ignore[arg-type,return-value]
         self.link = WheelLink(f"the simulated {hardware}", host=host)
         self._linked = LinkRobot(self.link, self.calibration, limits)
@@ -234,8 +239,10 @@ class HardwareRobot(Simulator):
     def _pass(self, until_s: float) -> None:
         """Let 5 ms pass; more while the computer is frozen."""
         self._tick()
+        self.on_tick()
         while self.has_fault("host frozen") and not super().stop_reason:
             self._tick()
+            self.on_tick()
 
     def _tick(self) -> None:
         self._ticks += 1

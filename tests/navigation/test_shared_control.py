@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -11,6 +12,8 @@ from benchmarks.assist import run_door
 from benchmarks.plain_rooms import RoomRobot, Walls, walls_about
 from wheelsight.core.messages import StickPosition
 from wheelsight.navigation import MonitorReason, MonitorState, NavigationSettings
+from wheelsight.navigation.clearance_kernels import all_outside_m, can_pass, clear_share, moved
+from wheelsight.navigation.settings import outline_of
 from wheelsight.navigation.shared_control import (
     MOST_ADDED_RAD_S,
     OVERRIDE_HELD_S,
@@ -143,8 +146,44 @@ def test_full_control_is_limited_in_speed_and_passes_the_monitor() -> None:
     assert seat.closest_m < before_m - 0.02
 
 
+def test_a_way_of_two_arcs_is_found_where_one_arc_meets_a_wall_and_none_where_there_is_no_gap() -> None:
+    sides = outline_of(SETTINGS.footprint.outline).sides
+    bends = np.array([0.0, -0.3, 0.3])
+    # A gap of 0.9 m, 0.15 m to the left of the way, from 1.6 m ahead on.
+    posts = np.array([(x, y) for x in np.arange(1.6, 2.4, 0.05) for y in (-0.3, 0.6)])
+    assert clear_share(sides, posts, (1.4, 0.0), 28, 0.05) < 1.0
+    assert can_pass(sides, posts, 0.7, 14, bends, 0.05)
+    assert not can_pass(sides, posts, 0.7, 14, bends[:1], 0.05)
+    wall = np.array([(1.2, y) for y in np.arange(-1.5, 1.5, 0.05)])
+    assert not can_pass(sides, wall, 0.7, 14, bends, 0.05)
+    # The plain form: all pairs of arcs, each pose of theirs checked by the outline's distance.
+    assert can_pass(sides, posts, 0.7, 14, bends, 0.05) == any(
+        _passes(sides, posts, 0.7, pair, 0.05) for pair in itertools.product(bends, bends)
+    )
+
+
+def _passes(sides: np.ndarray, points: np.ndarray, length_m: float, pair: tuple[float, float], margin_m: float) -> bool:
+    pose = (0.0, 0.0, 1.0, 0.0)
+    for bend in pair:
+        for n in range(1, 15):
+            x, y, c, s = moved(pose, length_m * n / 14, bend * length_m * n / 14)
+            seen = (points - (x, y)) @ np.array([[c, -s], [s, c]])
+            if all_outside_m(sides, seen).min() < margin_m:
+                return False
+        pose = moved(pose, length_m, bend * length_m)
+    return True
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 2])
+def test_a_driver_who_needs_no_help_is_hardly_changed() -> None:
+    run = run_door("perfect", 0.85, AssistLevel.STEER, 6)
+    assert run.is_through
+    assert not run.has_contact
+    assert run.changed < 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
 def test_a_driver_who_keeps_to_one_side_comes_through_a_door_by_help_alone(seed: int) -> None:
     alone = run_door("bias", 0.85, AssistLevel.OFF, seed)
     helped = run_door("bias", 0.85, AssistLevel.STEER, seed)

@@ -325,6 +325,24 @@ def clear_share(sides: FloatArray, points: FloatArray, arc: Any, steps: int, mar
 
 
 @kernel
+def can_pass(sides: FloatArray, points: FloatArray, length_m: float, steps: int, bends: Any, margin_m: float) -> Any:
+    """Return whether two arcs of a length, each with one of the bends (1/m), pass points (N, 2) at a margin."""
+    beyond = np.empty_like(points)
+    for first in bends:
+        arc = (length_m, first * length_m)
+        if clear_share(sides, points, arc, steps, margin_m) < 1.0:
+            continue
+        x, y, c, s = moved((0.0, 0.0, 1.0, 0.0), arc[0], arc[1])
+        for k in range(len(points)):
+            dx, dy = points[k, 0] - x, points[k, 1] - y
+            beyond[k] = c * dx + s * dy, -s * dx + c * dy
+        for second in bends:
+            if clear_share(sides, beyond, (length_m, second * length_m), steps, margin_m) >= 1.0:
+                return True
+    return False
+
+
+@kernel
 def zone_share(sides: FloatArray, points: FloatArray, arc: Any, steps: int, zone_m: float) -> Any:
     """Return the share of an arc (way, turn) that an outline drives before a point (N, 2) is within a zone."""
     strides = _strides_m(points, arc, steps)

@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from wheelsight.core.drive_model import DriveModel
 from wheelsight.core.errors import ArgumentError
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.messages import STOP, StickPosition, VelocityCommand
 from wheelsight.core.robots import CONTROL_PERIOD_S, Robot, RobotLimits
 from wheelsight.core.threads import OneCaller, one_at_a_time
-from wheelsight.navigation.clearance_kernels import clear_share, moved
+from wheelsight.navigation.clearance_kernels import can_pass, clear_share, moved
 from wheelsight.navigation.collision_monitor import (
     CollisionMonitor,
     ControlChain,
@@ -39,6 +40,15 @@ MOST_ADDED_RAD_S, _FIRST, _SECOND_RAD_S = 0.4, 9, (0.0, -0.4, 0.4, -0.8, 0.8)
 _AHEAD_S, _LEAST_M, _MOST_M, _FIRST_SHARE = 3.5, 1.0, 1.8, 0.45
 # Clearances at which ways are compared: a greater one counts where there is room. Chosen.
 _MARGINS_M = (0.05, 0.12)
+# Help waits while a free way of three arcs begins with the person's own command. Clearances of that way: help ends at
+# the first, begins at the second, and takes the greatest that some way has. Share of the first arc, and turn rates of
+# both others relative to the person's, rad/s. Chosen.
+_CLEAR_M, _WAITING_S = (0.11, 0.08, 0.05), 0.6
+# Turn rates that a slower speed, and a metre less of clearance, are worth, rad/s. Chosen.
+_SLOWER_RAD_S, _NARROWER_RAD_S_M = 0.4, 3.0
+_HELPED_RAD_S = (0.0, -0.1, 0.1, -0.2, 0.2, -0.3, 0.3, -0.4, 0.4)
+# Time for which a turn goes on as it is, of a robot without a drive model: the monitor's ramp and a quick motor's lag.
+_LAG_S = 0.2
 # Shares of the intended speed that are tried: slower, the same turn rates bend the way more. Chosen.
 _SPEEDS = (1.0, 0.4)
 # Share of a free way that a lower speed must gain, and the largest turn rate added in the first part, or in the second.
@@ -46,6 +56,11 @@ _SPEEDS = (1.0, 0.4)
 _OWN_SPEED, _OWN_WAY, _OWN_WAY_LATER = 0.15, 0.2, 0.05
 # Spacing of checked poses along an arc, metres.
 _STEP_M = 0.05
+# Largest slow-down zone beside the way: a chair in the middle of a door of 0.80 m has 0.1 m on each side. Chosen.
+_SLOW_ZONE_M = 0.07
+# Floor beyond the nearest that the camera sees, which the person sees beside the chair when help begins. Chosen: a
+# corner of the front leaves the view by as much in a first turn.
+_TRUSTED_M = 0.5
 # Speed of an override, the time that its switch must be held, and the longest time that it lasts.
 OVERRIDE_M_S, _OVERRIDE_RAD_S, OVERRIDE_HELD_S, OVERRIDE_S = 0.2, 0.4, 1.0, 20.0
 # Difference of a command from the person's, as a share of the limits, from which it counts as changed.
@@ -138,27 +153,51 @@ class AssistRecord:
 class SharedControl:
     """Chooses a turn rate near the person's one, along which more of the way ahead is free.
 
-    Ways of two arcs around the intended arc are compared, as in the dynamic window approach (Fox, Burgard & Thrun,
-    1997), with the person's command in place of a goal (Carlson & Demiris, 2012). The speed is never raised, and only
-    forward commands are steered.
+    The person's command stays while some free way begins with it. Otherwise commands around it are tried, the smallest
+    change first, until a free way begins with one (as viability in the dynamic window approach: Fox, Burgard & Thrun,
+    1997; with the person's command in place of a goal: Carlson & Demiris, 2012). If none has a free way, ways of two
+    arcs are compared by their free share. The speed is never raised, and only forward commands are steered.
     """
 
-    def __init__(self, monitor: CollisionMonitor, settings: NavigationSettings) -> None:
+    def __init__(
+        self, monitor: CollisionMonitor, settings: NavigationSettings, drive: DriveModel | None = None
+    ) -> None:
         self._monitor, self._most_rad_s = monitor, settings.limits.turn_rad_s
         self._sides = outline_of(settings.footprint.outline).sides
         self._margins_m = tuple(max(margin_m, settings.monitor.margin_m) for margin_m in _MARGINS_M)
+        self._helps, self._lag_s = False, _LAG_S if drive is None or drive.turn is None else drive.turn.stop_s(0.0)
         added = np.linspace(-MOST_ADDED_RAD_S, MOST_ADDED_RAD_S, _FIRST)
         # The person's turn rate first, then by the size of the change: the first of equal ways is chosen.
         self._added_rad_s: list[float] = added[np.argsort(np.abs(added), kind="stable")].tolist()
+        tries = [(speed, margin_m, added) for speed in _SPEEDS for margin_m in _CLEAR_M for added in self._added_rad_s]
 
-    def steer(self, intended: VelocityCommand, now_s: float) -> VelocityCommand:
-        """Return a command of at most the intended speed, whose turn rate differs by at most `MOST_ADDED_RAD_S`."""
+        def cost(one: tuple[float, float, float]) -> float:
+            speed, margin_m, added = one
+            return _SLOWER_RAD_S * (speed < 1.0) + abs(added) + _NARROWER_RAD_S_M * (_CLEAR_M[0] - margin_m)
+
+        self._tries = sorted(tries, key=cost)
+
+    def steer(self, intended: VelocityCommand, now_s: float, driven: VelocityCommand = STOP) -> VelocityCommand:
+        """Return a command of at most the intended speed, whose turn rate differs by at most `MOST_ADDED_RAD_S`.
+
+        `driven` is the measured motion, which goes on for the drive's lag.
+        """
         forward, pose = intended.forward_m_s, self._monitor.memory.pose_at(now_s)
         if forward <= 0 or pose is None:
             return intended
         ahead_m = min(max(forward * _AHEAD_S, _LEAST_M), _MOST_M)
         reach_m = ahead_m + float(np.abs(self._sides[:, :2]).max()) + self._margins_m[-1]
         points = self._monitor.memory.points_at(pose, now_s, reach_m)
+        points = _seen_from(points, (driven.forward_m_s * self._lag_s, driven.turn_rad_s * self._lag_s))
+        margin_m = _CLEAR_M[0 if self._helps else 1]
+        self._helps = not self._is_viable(points, intended, intended.turn_rad_s, ahead_m, margin_m)
+        if not self._helps:
+            return intended
+        for speed, margin_m, added in self._tries:
+            turn = min(max(intended.turn_rad_s + added, -self._most_rad_s), self._most_rad_s)
+            tried = VelocityCommand(speed * forward, turn)
+            if self._is_viable(points, tried, intended.turn_rad_s, ahead_m, margin_m):
+                return tried
         best, chosen = -math.inf, intended
         for speed in _SPEEDS:
             for added in self._added_rad_s:
@@ -174,6 +213,19 @@ class SharedControl:
                 break
         return chosen
 
+    def _is_viable(
+        self, points: FloatArray, tried: VelocityCommand, turn_rad_s: float, ahead_m: float, margin_m: float
+    ) -> bool:
+        """Return whether a free way of three arcs begins with a command, the others with help as `_HELPED_RAD_S`."""
+        first_m, forward = _WAITING_S * tried.forward_m_s, tried.forward_m_s
+        arc, steps = (first_m, tried.turn_rad_s / forward * first_m), math.ceil(first_m / _STEP_M)
+        if clear_share(self._sides, points, arc, steps, margin_m) < 1.0:
+            return False
+        beyond = _seen_from(points, arc)
+        length_m = (ahead_m - first_m) / 2
+        bends = (turn_rad_s + np.array(_HELPED_RAD_S)) / forward
+        return bool(can_pass(self._sides, beyond, length_m, math.ceil(length_m / _STEP_M), bends, margin_m))
+
     def _free(self, points: FloatArray, tried: VelocityCommand, turn_rad_s: float, ahead_m: float) -> float:
         """Return the free share of the best way ahead that begins with a command, as a mean over the margins.
 
@@ -186,8 +238,7 @@ class SharedControl:
         free = [clear_share(self._sides, points, arc, steps, margin_m) for margin_m in self._margins_m]
         if free[0] < 1.0:
             return float(_FIRST_SHARE * sum(free) / len(free))
-        x, y, c, s = moved((0.0, 0.0, 1.0, 0.0), *arc)
-        beyond = (points - (x, y)) @ np.array([[c, -s], [s, c]])
+        beyond = _seen_from(points, arc)
         second_m, best = ahead_m - first_m, 0.0
         for later in _SECOND_RAD_S:
             arc = (second_m, (turn_rad_s + later) * second_m / tried.forward_m_s)
@@ -201,6 +252,12 @@ class SharedControl:
             if best >= 1.0:
                 break
         return float(_FIRST_SHARE * sum(free) / len(free) + (1 - _FIRST_SHARE) * best)
+
+
+def _seen_from(points: FloatArray, arc: tuple[float, float]) -> FloatArray:
+    """Points (N, 2) from the end of an arc."""
+    x, y, c, s = moved((0.0, 0.0, 1.0, 0.0), *arc)
+    return np.ascontiguousarray((points - (x, y)) @ np.array([[c, -s], [s, c]]))
 
 
 class Assist(OneCaller):
@@ -229,12 +286,14 @@ class Assist(OneCaller):
             fix = "a robot with two driven wheels, calibrated: docs/wheel-calibration.md"
             raise ArgumentError(f"the calibration {calibration.lacks_two_wheels}", fix=fix)
         self.level, self.record, self._robot = level, AssistRecord(), robot
-        self._chain = ControlChain(s, calibration.drive_model, calibration.nearby)
+        # A person leads, and chooses the speed in a door himself: only what is nearer slows him down.
+        zone_m = min(s.monitor.slow_zone_m, _SLOW_ZONE_M)
+        watched = s.model_copy(update={"monitor": s.monitor.model_copy(update={"slow_zone_m": zone_m})})
+        self._chain = ControlChain(watched, calibration.drive_model, calibration.nearby)
         self.monitor = self._chain.monitor
-        self._shared = SharedControl(self.monitor, s)
+        self._shared = SharedControl(self.monitor, s, calibration.drive_model)
         self._viewer = DepthViewer(calibration, s.footprint.outline, s.live)
-        # A person in the chair sees the floor at its feet.
-        self.monitor.trust_floor(self._viewer.near_m)
+        self.monitor.trust_floor(self._viewer.near_m + _TRUSTED_M)
         self._where = WhereNow(calibration.wheels)
         self._stick = StickPosition(-math.inf)
         self._held_since_s, self._override_until_s = math.inf, -math.inf
@@ -269,7 +328,7 @@ class Assist(OneCaller):
             share = min(share, _OVERRIDE_RAD_S / max(abs(intended.turn_rad_s), 1e-9))
             asked = VelocityCommand(share * intended.forward_m_s, share * intended.turn_rad_s)
         elif self.level is AssistLevel.STEER and not self._robot.stop_reason:
-            asked = self._shared.steer(intended, now_s)
+            asked = self._shared.steer(intended, now_s, VelocityCommand(*self.speed))
         is_unchecked = override_s > 0 or self.level is AssistLevel.OFF
         self._chain.ask(
             asked,
