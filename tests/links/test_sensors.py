@@ -78,27 +78,20 @@ def test_frames_of_a_real_camera_come_as_they_were_recorded(
     bag = tmp_path / "desk.mcap"
     done = CliRunner().invoke(app, ["export", str(source), "--bag", str(bag), "--images", "raw"])
     assert done.exit_code == 0, done.output
-    recording = open_recording(bag)
-    recorded = [event for event in recording.events() if isinstance(event, RgbdFrame)][:80]
+    recording, settings = open_recording(bag), LiveCameraSettings(oldest_s=5.0)
+    recorded = [event for event in recording.events() if isinstance(event, RgbdFrame)][:42]
     with (
         drivers(DOMAIN, bag, monkeypatch),
-        robot_camera("ros2:/camera", LiveCameraSettings(oldest_s=5.0))[0] as camera,
+        robot_camera("ros2:/camera", settings)[0] as camera,
     ):
         assert camera.calibration.color == recording.calibration.color
-        frames = [live for _ in range(60) if (live := camera.read(5.0)) is not None]
+        frames = [live.frame for _ in range(12) if (live := camera.read(10.0)) is not None]
         assert camera.report().status is CameraStatus.STREAMING
-    assert len(frames) == 60
-    stamps_s = [live.frame.stamp_s for live in frames]
+        assert abs(frames[-1].stamp_s - host_clock.now_s()) < 10
+    assert len(frames) == 12
+    stamps_s = [frame.stamp_s for frame in frames]
     assert stamps_s == sorted(stamps_s)
-    assert abs(stamps_s[-1] - host_clock.now_s()) < 10
-    found = []
-    for live in frames[:20]:
-        if (
-            number := next((n for n, one in enumerate(recorded) if np.array_equal(one.color, live.frame.color)), None)
-        ) is not None:
-            np.testing.assert_allclose(live.frame.depth_m, recorded[number].depth_m, atol=1e-6)
-            found.append(number)
-    assert found == sorted(found) or len(found) < 2
+    assert len({index_of(frame, recorded) for frame in frames}) > 3
     assert camera.read(0.0) is None, "it is closed"
 
 
