@@ -25,7 +25,10 @@ from wheelsight.core.settings import LiveCameraSettings
 from wheelsight.io.devices import host_clock
 from wheelsight.io.devices.live_camera import CameraStatus
 from wheelsight.io.recordings import open_recording
+from wheelsight_export.bag_writing import Messages
+from wheelsight_export.topics import JOINT_STATES, TOPICS
 from wheelsight_ros2 import sensors
+from wheelsight_ros2.dds import DdsListener, DdsPeer
 from wheelsight_ros2.sensors import Ros2Request, Ros2Sensors, open_ros2_sensors
 
 pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
@@ -147,6 +150,32 @@ def test_a_clock_that_is_apart_is_found_as_in_a_bag(
         reading = found.link.read(5.0)
         assert reading is not None
         assert abs(host_clock.now_s() - reading.stamp_s) < 1.5
+
+
+@pytest.mark.slow
+def test_topics_of_this_program_are_no_input(room_bag: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run publishes /joint_states and /odom itself, beside those of the drivers."""
+    came: list[bytes] = []
+
+    def note(topic: str, type_: str, receipt_ns: int, data: bytes) -> None:
+        came.append(data)
+
+    make, domain = Messages(is_ros1=False), DOMAIN + 5
+    own = make.joints(1.0, ["ours"], [0.0], [0.0])
+    listener = DdsListener(domain, lambda topic, type_: topic == JOINT_STATES, note)
+    peer = DdsPeer(domain, "", None, lambda *_: None)
+    try:
+        with drivers(domain, room_bag[1], monkeypatch):
+            ends_s = time.monotonic() + 30
+            while len(came) < 40 and time.monotonic() < ends_s:
+                peer.send(TOPICS[JOINT_STATES], make.bytes_of(own), 0)
+                time.sleep(0.02)
+    finally:
+        listener.close()
+        peer.close()
+    assert len(came) >= 40
+    assert not any(b"ours" in data for data in came)
+    assert JOINT_STATES in listener.seen
 
 
 @pytest.mark.slow
