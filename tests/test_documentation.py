@@ -60,6 +60,7 @@ NOT_RUN = {
     "wheelsight run corridor ": "of the recording that the controller made",
     "wheelsight drive ": "needs the map of a building that the simulator has; tests/cli/test_drive.py",
     "wheelsight serve ": "goes on until it is interrupted; tests/cli/test_serve.py",
+    "wheelsight urdf ": "of a robot's own files; tests/links/test_urdf.py",
     "wheelsight map info home": "of the map that an exploration leaves after minutes",
     "wheelsight map name ": "names a place of that map; tests/cli/test_maps.py",
     "wheelsight map zone ": "draws in that map; tests/cli/test_map_zones.py",

@@ -18,7 +18,7 @@ from wheelsight.core.errors import ConfigError
 from wheelsight.core.messages import Event
 from wheelsight.navigation import Feedback, NavigationSettings, Navigator, Transition
 from wheelsight_export.bag_writing import Messages, Sent, nanoseconds
-from wheelsight_export.topics import TOPICS, Topic
+from wheelsight_export.topics import TOPICS, Flow, Topic
 from wheelsight_ros2.actions import NavigateServer
 from wheelsight_ros2.inputs import Inputs
 from wheelsight_ros2.live_topics import LiveTopics, main_track
@@ -119,7 +119,11 @@ class Bridge:
             return
         try:
             for sent in made():
-                topic, data = TOPICS[sent.topic], self._topics.make.bytes_of(sent.message)
+                topic = TOPICS[sent.topic]
+                # Latched ones are kept for programs that come later.
+                if topic.flow is not Flow.LATCHED and not any(peer.wants(topic.name) for peer in self._peers):
+                    continue
+                data = self._topics.make.bytes_of(sent.message)
                 for peer in tuple(self._peers):
                     self._send_to(peer, topic, data, nanoseconds(sent.stamp_s))
         except Exception as error:

@@ -46,6 +46,9 @@ _NODES = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 _DDS_TYPE = re.compile(r"(\w+)::msg::dds_::(\w+)_")
 # Participants of this program, whose own topics are no input.
 _OWN: set[Any] = set()
+# Open domains, and how many participants of this program each has: a domain that is closed closes all of them.
+_DOMAINS: dict[int, tuple[Any, int]] = {}
+_LOCK = threading.Lock()
 # How often new topics are looked for, and how many at once.
 _MEETS_S, _MOST_FOUND = 0.1, 100
 _NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)*")
@@ -80,7 +83,7 @@ class DdsPeer:
         check_names(domain, namespace)
         self._dds, self._on_cdr = needed("cyclonedds.core"), on_cdr
         self.name = f"DDS, domain {domain}, {_where(interface)}"
-        self._domain, self._participant = _joined(domain, interface)
+        self._domain, self._participant = domain, _joined(domain, interface)
         _OWN.add(self._participant.guid)
         self._writers: dict[str, Any] = {}
         self._readers: list[tuple[Topic, Any]] = []
@@ -140,7 +143,8 @@ class DdsPeer:
         self._services.clear()
         # What nothing refers to is deleted; the participant with its topics at once.
         _OWN.discard(self._participant.guid)
-        del self._nodes, self._participant, self._domain
+        del self._nodes, self._participant
+        _left(self._domain)
 
     def _write(self, writer: Any, sample: Any) -> None:
         try:
@@ -255,7 +259,7 @@ class DdsListener:
         check_names(domain, "")
         self._dds, self._takes, self._on_message = needed("cyclonedds.core"), takes, on_message
         self._types, self.seen = Messages(is_ros1=False).types, set[str]()
-        self._domain, self._participant = _joined(domain, None)
+        self._domain, self._participant = domain, _joined(domain, None)
         builtin = needed("cyclonedds.builtin")
         self._found = builtin.BuiltinDataReader(self._participant, builtin.BuiltinTopicDcpsPublication)
         self._readers: dict[str, tuple[str, Any]] = {}
@@ -275,10 +279,13 @@ class DdsListener:
 
     def close(self) -> None:
         """End all; may be called twice."""
+        if self._is_over.is_set():
+            return
         self._is_over.set()
         self._thread.join(_ENDS_S)
         self._readers.clear()
-        self._found = self._participant = self._domain = None
+        self._found = self._participant = None
+        _left(self._domain)
 
     def _listen(self) -> None:
         core = self._dds
@@ -324,7 +331,7 @@ class DdsListener:
             kinds[0] = policy.Reliability.Reliable(round(_BLOCKING_S * 1000 * _MS))
         if offered[policy.Durability] == policy.Durability.TransientLocal:
             kinds[1] = policy.Durability.TransientLocal
-        qos = self._dds.Qos(*kinds, policy.History.KeepLast(DEPTH))
+        qos = self._dds.Qos(*kinds, policy.History.KeepLast(DEPTH), policy.IgnoreLocal.Process)
         topic = needed("cyclonedds.topic").Topic(self._participant, f"rt{name}", _kind(type_), qos=None)
         self._readers[name] = type_, needed("cyclonedds.sub").DataReader(self._participant, topic, qos=qos)
 
@@ -339,21 +346,28 @@ def _where(interface: str | None) -> str:
     return "this computer alone" if interface is None else interface
 
 
-def _joined(domain: int, interface: str | None) -> tuple[Any, Any]:
-    """The domain, None if it is open already, and a participant. Raises ConfigError."""
+def _joined(domain: int, interface: str | None) -> Any:
+    """A participant of a domain, which the first one configures and the last one closes. Raises ConfigError."""
     core, domains = needed("cyclonedds.core"), needed("cyclonedds.domain")
-    opened = None
-    try:
-        if interface is not None or not os.environ.get("CYCLONEDDS_URI"):
-            try:
+    with _LOCK:
+        opened, users = _DOMAINS.get(domain, (None, 0))
+        try:
+            if not users and (interface is not None or not os.environ.get("CYCLONEDDS_URI")):
                 opened = domains.Domain(domain, configuration(interface))
-            except core.DDSException as error:
-                if error.code != core.DDSException.DDS_RETCODE_PRECONDITION_NOT_MET:
-                    raise
-        return opened, domains.DomainParticipant(domain, core.Qos(core.Policy.Userdata(b"enclave=/;")))
-    except core.DDSException as error:
-        fix = "a network of ip address, or leave out --interface"
-        raise ConfigError(f"DDS cannot use {_where(interface)}: {error}", fix=fix) from error
+            participant = domains.DomainParticipant(domain, core.Qos(core.Policy.Userdata(b"enclave=/;")))
+        except core.DDSException as error:
+            fix = "a network of ip address, or leave out --interface"
+            raise ConfigError(f"DDS cannot use {_where(interface)}: {error}", fix=fix) from error
+        _DOMAINS[domain] = opened, users + 1
+        return participant
+
+
+def _left(domain: int) -> None:
+    """Close a domain after its last participant of this program."""
+    with _LOCK:
+        opened, users = _DOMAINS.pop(domain)
+        if users > 1:
+            _DOMAINS[domain] = opened, users - 1
 
 
 def configuration(interface: str | None) -> str:

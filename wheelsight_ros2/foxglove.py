@@ -23,6 +23,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from wheelsight.app.page import is_loopback, token_of
 from wheelsight.core.errors import ConfigError
+from wheelsight.core.messages import STOP
 from wheelsight.core.runtime import needed
 from wheelsight_export.bag_writing import Messages
 from wheelsight_export.topics import TOPICS, VELOCITY_TOPIC, Flow, Topic
@@ -86,6 +87,7 @@ class FoxgloveServer:
         self._types = Messages(is_ros1=False).types
         self._channels = {topic.name: number for number, topic in enumerate(TOPICS.values(), 1) if _is_sent(topic)}
         self._clients: list[_Client] = []
+        self._driver: _Client | None = None  # of the last velocity command
         self._lock, self._is_woken = threading.Lock(), False
         self._new: dict[str, tuple[int, bytes]] = {}
         self._kept: dict[str, tuple[int, bytes]] = {}
@@ -93,7 +95,7 @@ class FoxgloveServer:
         self._socket = _listening(host, port)
         self.port = int(self._socket.getsockname()[1])
         self.is_loopback = is_loopback(host)
-        shown = f"[{host}]" if ":" in host else socket.gethostname() if _is_any(host) else host
+        shown = socket.gethostname() if _is_any(host) else f"[{host}]" if ":" in host else host
         self.address = f"ws://{shown}:{self.port}/?token={self._token}"
         self._loop: asyncio.AbstractEventLoop | None = None
         self._is_over = asyncio.Event()
@@ -192,6 +194,9 @@ class FoxgloveServer:
                 self._refuse(connection, "a client that never reads")
             self._clients.remove(client)
             self._update_wanted()
+            if self._driver is client:
+                self._driver = None
+                self._inputs.stick.push(STOP)  # it holds nothing any more
 
     def _about(self) -> str:
         about = {"op": "serverInfo", "name": "wheelsight", "capabilities": ["clientPublish"]}
@@ -272,6 +277,8 @@ class FoxgloveServer:
             return "a message of a channel that was not advertised"
         (topic, type_, encoding), data = known, message[5:]
         refused = sum(self._inputs.counts.values())
+        if topic == VELOCITY_TOPIC:
+            self._driver = client
         if encoding == "json":
             try:
                 found = json.loads(data, object_hook=lambda fields: SimpleNamespace(**fields))

@@ -109,6 +109,7 @@ class Ros2Camera(Closing):
         """See `LiveCamera`."""
         self.on_close()
         with self._changed:
+            self._kept.clear()
             self._report = replace(self._report, status=CameraStatus.CLOSED, since_s=host_clock.now_s())
             self._changed.notify_all()
 

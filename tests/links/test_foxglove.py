@@ -99,6 +99,33 @@ def test_a_stick_drives_and_the_robot_stops_when_its_program_vanishes(served: Li
 
 
 @pytest.mark.slow
+def test_the_end_of_a_connection_ends_its_command(served: Linked, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without waiting for the command's time to pass."""
+    monkeypatch.setattr("wheelsight_ros2.inputs.TIMEOUT_S", 1000.0)
+    monkeypatch.setattr("wheelsight_ros2.inputs._REST_S", 1000.0)
+    with FoxgloveClient(served.address) as driver, FoxgloveClient(served.address) as other:
+        driver.advertise(2, "/cmd_vel", "geometry_msgs/msg/Twist")
+        driver.publish(2, velocity(0.3))
+        driver.until(lambda: served.robot.base.forward_m_s > 0.2)
+        other.connection.socket.shutdown(socket.SHUT_RDWR)
+        driver.until(lambda: served.robot.base.pose[0] > 2.2)
+        assert not served.robot.commands[-1].is_stop, "another client ends nothing"
+        driver.connection.socket.shutdown(socket.SHUT_RDWR)
+        served.until_stands()
+    assert served.problems == []
+
+
+def test_an_address_of_all_networks_is_shown_by_name() -> None:
+    try:
+        server = FoxgloveServer("[::]:0", TOKEN, Inputs(lambda: 0.0), lambda *_: None, lambda line: None)
+    except ConfigError:
+        pytest.skip("this computer has no IPv6")
+    try:
+        assert server.address == f"ws://{socket.gethostname()}:{server.port}/?token={TOKEN}"
+    finally:
+        server.close()
+
+
 def test_a_stick_before_a_wall_is_held_by_the_collision_monitor(served: Linked) -> None:
     with FoxgloveClient(served.address) as client:
         client.advertise(7, "/cmd_vel", "geometry_msgs/Twist")
