@@ -67,7 +67,12 @@ Check = Annotated[
 
 From = Annotated[
     Path | None,
-    option("Calibrate it by the map of an ordinary drive: a map, or a run or drive that left one.", "MAP", False, flag="--from"),
+    option(
+        "Calibrate it by the map of an ordinary drive: a map, or a run or drive that left one.",
+        "MAP",
+        False,
+        flag="--from",
+    ),
 ]
 FromWheels = Annotated[
     Path | None, option("With --from: the recording of that drive, with its wheels.", "RECORDING", "beside the map")

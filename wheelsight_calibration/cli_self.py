@@ -105,5 +105,6 @@ def _is_same(a: Any, b: Any) -> bool:
         return a.keys() == b.keys() and all(_is_same(a[name], b[name]) for name in a)
     if a is None or b is None:
         return a is b
-    return np.shape(a) == np.shape(b) and bool(np.allclose(np.array(a, float), np.array(b, float), rtol=1e-6, atol=1e-9))
-
+    return np.shape(a) == np.shape(b) and bool(
+        np.allclose(np.array(a, float), np.array(b, float), rtol=1e-6, atol=1e-9)
+    )

@@ -50,8 +50,8 @@ def quantities_of(found: SelfCalibration) -> list[Quantity]:
     sigmas, priors = (np.sqrt(np.einsum("dp,pq,dq->d", J, C, J)) for C in (found.covariance, model.prior))
     for z, change, sigma, prior in zip(_DISTANCES_M, J @ found.values, sigmas, priors, strict=True):
         share = max(1 - float(sigma / prior) ** 2, 0.0)
-        numbers = 1e3 * np.array([z, z + float(change), float(sigma)])
-        rows.append(Quantity(f"depth read as {z:g} m", " mm", 0, *numbers.tolist(), share))
+        after_m, sigma_m = z + float(change), float(sigma)
+        rows.append(Quantity(f"depth read as {z:g} m", " mm", 0, 1e3 * z, 1e3 * after_m, 1e3 * sigma_m, share))
     sigma_of = dict(zip(model.names, np.sqrt(np.diag(found.covariance)).tolist(), strict=True))
     share_of = dict(zip(model.names, found.shares.tolist(), strict=True))
     old, new = model.calibration, found.calibration
@@ -101,14 +101,14 @@ def summary(found: SelfCalibration) -> str:
     """Return one line about walls that the calibration did not use."""
     pairs = found.held_out_pairs
     return (
-        f"surfaces seen twice agree to {1e3 * pairs.after:.1f} mm after {1e3 * pairs.before:.1f} mm, on {pairs.count} "
+        f"surfaces seen twice agree to {1e3 * pairs.after:.1f} mm after {1e3 * pairs.before:.1f} mm, on {pairs.number} "
         "pairs of views that were not used"
     )
 
 
 def notes_of(found: SelfCalibration) -> list[str]:
     """Return sentences on what stays as it is, why, and what to drive for it."""
-    notes = [*found.reasons, *found.warnings]
+    notes = list(found.reasons)
     if found.is_better:
         for drive, names in not_shown(found).items():
             words = ", ".join(name.removesuffix("_s").replace("_", " ") for name in names)

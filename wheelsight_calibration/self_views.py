@@ -93,7 +93,11 @@ def patches_of(keyframe: Keyframe, calibration: Calibration) -> Patches:
         tiled = np.asarray(values, float).reshape(rows, side, columns, side)
         return tiled.transpose(0, 2, 1, 3).reshape(rows * columns, side * side)
 
-    kept, q, rays = cells(seen), cells(inverse), np.stack([cells(x), cells(y), np.ones((rows * columns, side**2))], -1)
+    kept, q, rays = (
+        cells(seen.astype(float)),
+        cells(inverse),
+        np.stack([cells(x), cells(y), np.ones((rows * columns, side**2))], -1),
+    )
     weighted = rays * kept[..., None]
     H, g = np.einsum("nki,nkj->nij", weighted, rays), np.einsum("nki,nk->ni", weighted, q)
     count = kept.sum(axis=1)
@@ -131,9 +135,7 @@ class PatchPair(NamedTuple):
     of_second: IntArray
 
 
-def matched(
-    views: Sequence[Patches], first: int, second: int, T_first_second: FloatArray, gate_m: float
-) -> PatchPair:
+def matched(views: Sequence[Patches], first: int, second: int, T_first_second: FloatArray, gate_m: float) -> PatchPair:
     """Return the patches that both views see, within `gate_m` along their normals.
 
     Args:
