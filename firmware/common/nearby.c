@@ -60,7 +60,7 @@ void nearby_watch(uint16_t ticks)
     if (since >= PING_TICKS) {
         for (uint8_t i = 0; i < RANGERS; i++)
             sent.echo_us[i] = echo_us(i);
-        pinged = ticks;
+        pinged += PING_TICKS; /* in step with the counts, which are sent before, so that they are never late */
         was_high = levels;
         has_risen = has_fallen = 0;
         nearby_trigger(1);
