@@ -11,6 +11,7 @@
 #define NO_ANSWER 0xFFFF
 
 static uint16_t pinged;                        /* when the last ping began */
+static uint8_t is_triggered;
 static uint8_t was_high, has_risen, has_fallen; /* a bit for each ranger, since then */
 static uint16_t rose[RANGERS], lasted[RANGERS];
 static struct nearby sent;
@@ -53,16 +54,19 @@ void nearby_watch(uint16_t ticks)
 {
     const uint8_t levels = nearby_levels();
     const uint16_t since = ticks - pinged;
-    if (since >= TRIGGER_TICKS)
+    if (is_triggered && since >= TRIGGER_TICKS) {
+        is_triggered = 0;
         nearby_trigger(0);
+    }
     for (uint8_t i = 0; i < RANGERS; i++)
         follow(i, levels >> i & 1, ticks);
     if (since >= PING_TICKS) {
         for (uint8_t i = 0; i < RANGERS; i++)
             sent.echo_us[i] = echo_us(i);
-        pinged = ticks;
+        pinged += PING_TICKS; /* in step with the counts, which are sent before, so that they are never late */
         was_high = levels;
         has_risen = has_fallen = 0;
+        is_triggered = 1;
         nearby_trigger(1);
     } else if (bumpers(levels) == sent.bumpers) {
         return;
