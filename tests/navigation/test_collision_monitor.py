@@ -254,27 +254,6 @@ def test_where_it_came_from_it_may_go_back_and_slowly() -> None:
     assert min(result.command.forward_m_s for result in ride.results) >= -SETTINGS.blind_m_s - 1e-9
 
 
-def test_over_floor_that_a_map_has_seen_it_goes_forward_less_slowly() -> None:
-    """After half a turn, onto floor that no camera saw today. Backward and in turns nothing changes."""
-    speeds = []
-    for is_mapped in (False, True):
-        ride = Ride(NOTHING, Camera(near_m=1.9))
-        ride.monitor.trust_floor(2.5)
-        ride.monitor.is_floor_mapped = is_mapped
-        ride.drive(STOP, SETTINGS.fresh_s)
-        ride.drive(VelocityCommand(0.0, 0.5), 5.0)
-        ride.drive(STOP, 1.0)
-        turned = len(ride.results)
-        last = ride.drive(VelocityCommand(0.6, 0.0), 2.0)
-        assert last.reason in (MonitorReason.NOT_SEEN_LATELY, None)
-        speeds.append(max(result.command.forward_m_s for result in ride.results[turned : turned + 30]))
-        ride.drive(STOP, 1.0)
-        back = ride.drive(VelocityCommand(-0.5, 0.0), 0.5).command.forward_m_s
-        assert back >= -SETTINGS.blind_m_s - 1e-9
-        assert ride.drive(VelocityCommand(0.0, 1.0), 0.1).command.turn_rad_s <= SETTINGS.blind_rad_s + 1e-9
-    assert speeds == pytest.approx([SETTINGS.blind_m_s, SETTINGS.slow_m_s], abs=1e-6)
-
-
 def test_a_turn_over_floor_that_was_never_seen_is_slow() -> None:
     turn = VelocityCommand(0.0, 1.0)
     blind = Ride(NOTHING, Camera())

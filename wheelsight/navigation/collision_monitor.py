@@ -199,8 +199,6 @@ class CollisionMonitor:
 
     Attributes:
         has_wheel_fault: whether wheels did not follow their commands; it stays so until `clear_fault`.
-        is_floor_mapped: whether a map has seen the floor ahead before. Forward the robot may then drive at `slow_m_s`
-            instead of `blind_m_s` over floor that was not seen lately.
     """
 
     def __init__(
@@ -225,7 +223,7 @@ class CollisionMonitor:
         self._any_frame_s, self._blind_way_m = -np.inf, 0.0
         self._measured = (0.0, 0.0)
         self._is_frame_sound, self._are_wheels_sound = True, True
-        self.has_wheel_fault = self.is_floor_mapped = False
+        self.has_wheel_fault = False
 
     def clear_fault(self) -> None:
         """Permit driving again after a person has checked the wheels."""
@@ -410,8 +408,7 @@ class CollisionMonitor:
         # Distances between cell centres are off by up to a diagonal.
         deep_m = max(s.blind_m - 1.5 * _CELL_M, 0.0)
         deep, lately = seen_shares(self._edge, self._outline.sides, ground, arc, steps, deep_m)
-        is_quick = self.is_floor_mapped and twist[0] > 0
-        blind = _within(twist, max(s.slow_m_s, s.blind_m_s) if is_quick else s.blind_m_s, s.blind_rad_s)
+        blind = _within(twist, s.blind_m_s, s.blind_rad_s)
         lately = 0.0 if twist[0] < 0 else self._stops_within(twist, lately)
         return [
             (self._stops_within(twist, deep), MonitorReason.NEVER_SEEN),

@@ -541,12 +541,12 @@ class Navigator(OneCaller):
             return self._planner.is_free(plan, ONWARD_M)
         if task.wants_replan:
             task.wants_replan = False
-            self._planner.ask(task.goals, now_s, plan)
+            self._planner.ask(task.goals, now_s)
         if self._planner.is_asked or now_s - task.planned_s < _REPLAN_S:
             return True
         task.replan_reason, is_free = self._planner.look(plan, task.T_map_odom)
         if not is_free:
-            self._planner.ask(task.goals, now_s, plan)
+            self._planner.ask(task.goals, now_s)
         elif task.replan_reason:
             task.wants_replan, task.checked_s = True, -math.inf
         return is_free

@@ -109,7 +109,7 @@ _USUAL_M_S = 0.6
 _TIGHT_COST = 4.0
 # Costs in metres: of a turn in place of 1 rad, as both take half a second to a second; of a bend of 1 rad; and of a
 # change between forward and backward.
-_TURN_M, _BEND_M, _SWITCH_M = 1.2, 0.1, 0.5
+_TURN_M, _BEND_M, _SWITCH_M = 0.5, 0.1, 0.5
 # Least radius of curves; tighter ones become turns in place.
 _RADIUS_M = 0.4
 # Headings in the search: 5° each, which move the far end of a chair by 7 cm; the grid of places, half of it in narrow

@@ -59,8 +59,6 @@ _HIDDEN_DEEP_M = 0.1
 _HIDDEN_KNOWN_M = 0.25
 # Distance to an obstacle of the map within which an object is that obstacle, and no person: the error of a pose.
 _BESIDE_M = 0.15
-# Floor ahead of the front that the map must have seen, twice what a stop takes, and the spacing of its points.
-_MAPPED_M, _MAPPED_STEP_M = 0.6, 0.05
 # Time back along a person's path that is removed from the costmap, as long as the detection takes, since no image from
 # nearby sees through the heights that were seen from afar; and the margin around the circle: cells and errors.
 _TRAIL_S, _TRAIL_M = 1.0, 0.15
@@ -135,10 +133,6 @@ class Senses:
         self._views: deque[DepthView] = deque(maxlen=_VIEWS)
         # Poses in `odom` from the start until the place in the map is known; None from then on.
         self._unplaced: deque[FloatArray] | None = deque(maxlen=_PLACES)
-        # Points (N, 2) in `base`.
-        (_, y0), (x1, y1) = footprint.corners.min(axis=0), footprint.corners.max(axis=0)
-        sides = np.arange(0.0, x1 + _MAPPED_M, _MAPPED_STEP_M), np.arange(y0, y1 + _MAPPED_STEP_M, _MAPPED_STEP_M)
-        self._ahead = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
         self._local: dict[bool, tuple[object, Costmap]] = {}  # with what each depends on
         self._stays: tuple[float | None, FloatArray] = (None, np.empty((0, 2)))
         self._track = floor.driven  # places (N, 2) of the axle in the map, on this drive and the one of the map
@@ -164,19 +158,6 @@ class Senses:
                     self._live.update(event.depth_m, pose, event.stamp_s)
                 self._follow_people(event.stamp_s, pose)
         self._update_floor(now_s)
-        self._monitor.is_floor_mapped = self.is_floor_mapped()
-
-    def is_floor_mapped(self) -> bool:
-        """Return whether the map has seen all floor on which the robot could be within `_MAPPED_M` ahead."""
-        state, layer = self.where.state, self.floor.layer
-        if state is None or not self.where.is_known:
-            return False
-        places = se2.apply(se2.from_parts(*state.pose), self._ahead)
-        row, column = np.floor((places - layer.origin) / layer.resolution_m).astype(int).T[::-1]
-        inside = (row >= 0) & (column >= 0) & (row < layer.state.shape[0]) & (column < layer.state.shape[1])
-        if not inside.all() or (layer.state[row, column] == CellState.UNKNOWN).any():
-            return False
-        return layer.is_assumed is None or not layer.is_assumed[row, column].any()
 
     @property
     def warnings(self) -> tuple[str, ...]:
