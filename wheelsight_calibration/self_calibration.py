@@ -33,7 +33,7 @@ Progress = Callable[[str, int, int], None]
 
 # Chosen: views that are used at most, spread over the drive; partners of each; the fewest that a calibration takes.
 _MOST_VIEWS, _PARTNERS, _FEWEST_VIEWS, _FEWEST_PAIRS = 240, 8, 12, 30
-_HELD_OUT = 5  # every so many pairs, and steps, are not used
+_HELD_OUT = 5  # of as many pairs, and of as many steps, one is not used
 _FLOOR_DEG, _FLOOR_M = 6.0, 0.10  # from the floor by the mount as it was
 _LONGEST_STEP_S, _LEAST_STEP = 20.0, 0.02  # of a step between views; its way in metres or turn in radians
 # A share of information below which a parameter counts as not shown, and a gain in units of its own σ that counts. Of

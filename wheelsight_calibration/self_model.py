@@ -69,7 +69,7 @@ class RobotModel:
     """Parameters about one calibration, in one vector: changes of its values, 0 for none.
 
     Attributes:
-        calibration: by which the map was made.
+        calibration: that the map was made with.
         sensor: one of `SENSORS`.
         has_mount, has_wheels, has_gyro: which parts the data concern.
         prior: (P, P) covariance.

@@ -33,8 +33,8 @@ _SIDEWAYS_M, _POSE_M, _POSE_RAD = 0.004, 0.002, np.radians(0.1)
 # Edges of the map were made by the calibration in question: their σ counts this many times, and at least this.
 _EDGE_FACTOR, _EDGE_LEAST = 1.5, np.array([0.005, 0.005, 0.005, 0.003, 0.003, 0.003])
 # Errors of a view's patches are alike over an eighth of its image, and share what moves the whole image, such as the
-# shutter: a pair counts as so many independent patches at most. Of 2, 6 and 25 tried on three simulated drives, fewer
-# were nearer to the truth, above all where a drive turned one way alone.
+# shutter: a pair counts as this number of independent patches at most. Of 2, 6 and 25 on three simulated drives,
+# fewer were nearer to the truth, above all where a drive turned one way alone.
 _INDEPENDENT = 3.0
 _CLUSTERS = 25  # of neighbouring keyframes, whose gradients' spread gives the covariance
 # σ of the first view's pose in the map, which is free; the floor levels the map of a robot.

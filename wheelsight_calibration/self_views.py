@@ -25,7 +25,7 @@ _PATCH_SIGMA_M, _PATCH_SHARE = 0.002, 0.3
 # A patch seen twice: largest angle between its normals, and the share of the patches that a pair of views must share.
 _ALIKE = np.cos(np.radians(20.0))
 _LEAST_SHARED, _FEWEST_SHARED = 0.1, 20
-_COARSE = 5  # every so many patches decide whether two views overlap
+_COARSE = 5  # one patch of this number decides whether two views overlap
 
 
 @dataclass(frozen=True, eq=False)
