@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from live_page.room_session import GOAL, Served, is_near, replaced, room_session
+from live_page.room_session import BEGIN, GOAL, Served, is_near, replaced, room_session
 from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
@@ -116,6 +116,54 @@ def test_a_viewer_who_leaves_stops_nothing() -> None:
             heard(other, lambda told: told.get("viewers") == 2)
         heard(driver, lambda told: told.get("viewers") == 1)
         assert not served.robot.stops_s
+
+
+def steered(socket: WebSocketTestSession, what: Callable[[dict[str, Any]], Any], left: float = 0.0) -> dict[str, Any]:
+    """Hold the stick forward until something is so, and return what was sent then."""
+    for _ in range(400):
+        socket.send_json({"type": "stick", "forward": 0.4, "left": left})
+        told = socket.receive_json()
+        if robot(what)(told):
+            return dict(told["robot"])
+    raise AssertionError(f"it did not come: {told}")
+
+
+def test_the_stick_of_a_page_drives_and_a_silent_one_stands() -> None:
+    with page() as (served, open_page), open_page() as socket:
+        steered(socket, lambda told: told["speed_m_s"] > 0.25)
+        # Nothing more comes from the stick; the page itself is alive.
+        told = heard(socket, robot(lambda told: told["speed_m_s"] == 0))
+        assert told["robot"]["stopped"] == ""
+        at_m = served.robot.base.pose[0]
+        assert BEGIN[0] + 0.1 < at_m < 6.0
+        heard(socket, robot(lambda told: told["state"] == "idle"))
+        assert served.robot.base.pose[0] == pytest.approx(at_m, abs=0.02)
+
+
+def test_a_page_that_is_gone_while_its_stick_is_held_stops_the_robot() -> None:
+    with page() as (served, open_page):
+        with open_page() as socket:
+            steered(socket, lambda told: told["speed_m_s"] > 0.25)
+        served.until(lambda told: told["stopped"] == GONE)
+        served.until(lambda told: told["speed_m_s"] == 0)
+
+
+def test_the_stick_of_a_page_is_helped_along_a_wall_and_says_so() -> None:
+    with page() as (served, open_page), open_page() as socket:
+        served.robot.base.pose[:] = 4.0, 0.9, -0.35
+        told = steered(socket, lambda told: told["doing"].startswith("steers"))
+        assert told["doing"] == "steers to the left"
+        assert told["state"] == "driving"
+
+
+def test_a_stick_of_another_page_and_one_beyond_its_way_are_refused() -> None:
+    with page() as (_, open_page), open_page() as one, open_page() as other:
+        steered(one, lambda told: told["speed_m_s"] > 0.1)
+        other.send_json({"type": "stick", "forward": 0.5, "left": 0.0})
+        heard(other, refused("another page drives"))
+        for wrong in ("2.0", "NaN", '"1"'):
+            one.send_text(f'{{"type": "stick", "forward": {wrong}, "left": 0.0}}')
+            heard(one, refused("a message of no sense"))
 
 
 def test_the_costmap_is_made_while_somebody_looks_at_it() -> None:

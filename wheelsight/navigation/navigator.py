@@ -63,6 +63,7 @@ from wheelsight.navigation.planning import (
 )
 from wheelsight.navigation.senses import Senses, WhereNow
 from wheelsight.navigation.settings import NavigationSettings, NavigatorSettings
+from wheelsight.navigation.shared_control import SharedControl, intended_by, steering_words
 
 
 class NavigationState(StrEnum):
@@ -247,6 +248,7 @@ class Navigator(OneCaller):
         drive = robot.calibration.drive_model
         self._chain = ControlChain(s, drive, robot.calibration.nearby)
         self.monitor = self._chain.monitor
+        self._shared, self._helps = SharedControl(self.monitor, s, drive), ""
         self.senses = Senses(robot.calibration, localization, floor, self.monitor, self.footprint, s)
         self.monitor.trust_floor(self.senses.near_m if trusts_floor else 0.0)
         self._planner = PlannerClient(self.senses, self.footprint, s, planning, planner)
@@ -418,7 +420,7 @@ class Navigator(OneCaller):
             plan=plan,
             predicted=self._predicted,
             monitor=self._chain.checked,
-            doing="" if task is None else task.doing,
+            doing="" if task is None else self._helps or task.doing,
             goals_left=0 if task is None else task.goals.left,
             # For a stop by the navigator itself, the monitor has the reason.
             robot_stop="" if self._is_halted and self._robot.stop_reason == STOPPED else self._robot.stop_reason,
@@ -429,7 +431,7 @@ class Navigator(OneCaller):
 
     def _decide(self, now_s: float) -> VelocityCommand:
         """Return the requested command, by state."""
-        self._predicted = np.empty((0, 3))
+        self._predicted, self._helps = np.empty((0, 3)), ""
         task = self._task
         if task is None or self.is_task_complete():
             return STOP
@@ -442,6 +444,8 @@ class Navigator(OneCaller):
             command = task.goals.commands()
             if command is None:
                 self._set_state(NavigationState.IDLE, "no more commands come")
+            elif task.goals.is_stick:
+                command = self._help(command, now_s)
             return command if command is not None and self.senses.keeps_clear(command) else STOP
         why_over = task.why_over(now_s, self.settings)
         if why_over is not None:
@@ -452,6 +456,14 @@ class Navigator(OneCaller):
         if self.state is NavigationState.RECOVERING:
             return self._run_recovery(task, now_s)
         return self._drive(task, now_s) if self.state is NavigationState.DRIVING else self._plan(task, now_s)
+
+    def _help(self, stick: VelocityCommand, now_s: float) -> VelocityCommand:
+        """Return the command of a stick's position with the help of `SharedControl`."""
+        limits, speed = self.settings.limits, self.senses.where.speed
+        intended = intended_by(stick.forward_m_s, stick.turn_rad_s, limits)
+        command = self._shared.steer(intended, now_s, VelocityCommand(speed.forward_m_s, speed.turn_rad_s))
+        self._helps = steering_words(command.turn_rad_s - intended.turn_rad_s, limits)
+        return command
 
     def _plan(self, task: NavigationTask, now_s: float) -> VelocityCommand:
         """Wait for a plan and drive it, or recover if there is none."""

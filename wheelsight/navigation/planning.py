@@ -457,9 +457,11 @@ class ByHand:
 
     Attributes:
         commands: returns the present command, each period; None once no more come.
+        is_stick: whether they are shares of a stick's way, from -1 to 1, and help may change them (`SharedControl`).
     """
 
     commands: Callable[[], VelocityCommand | None]
+    is_stick: bool = False
     name: str = "by hand"
     left: int = 0
     is_asked_for: bool = False

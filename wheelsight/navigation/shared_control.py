@@ -150,6 +150,20 @@ class AssistRecord:
         }
 
 
+def intended_by(forward: float, left: float, limits: RobotLimits) -> VelocityCommand:
+    """Return the command of a stick's position, by shares of its way from -1 to 1."""
+    return VelocityCommand(
+        forward * (limits.forward_m_s if forward > 0 else limits.backward_m_s), left * limits.turn_rad_s
+    )
+
+
+def steering_words(added_rad_s: float, limits: RobotLimits) -> str:
+    """Return what steering does; empty for no noticeable change."""
+    if abs(added_rad_s) <= _CHANGED * limits.turn_rad_s:
+        return ""
+    return "steers to the left" if added_rad_s > 0 else "steers to the right"
+
+
 class SharedControl:
     """Chooses a turn rate near the person's one, along which more of the way ahead is free.
 
@@ -349,8 +363,7 @@ class Assist(OneCaller):
         stick, limits = self._stick, self.settings.limits
         if stick.is_released or not -CONTROL_PERIOD_S <= now_s - stick.stamp_s <= STICK_AGE_S:
             return STOP
-        most_m_s = limits.forward_m_s if stick.forward > 0 else limits.backward_m_s
-        return VelocityCommand(stick.forward * most_m_s, stick.left * limits.turn_rad_s)
+        return intended_by(stick.forward, stick.left, limits)
 
     def _override_s(self, now_s: float, intended: VelocityCommand) -> float:
         """Return the rest of an override. It begins once its switch was held, and ends with it, or after its time."""
@@ -372,6 +385,4 @@ class Assist(OneCaller):
         checked = self._chain.checked
         if checked.state is not MonitorState.FREE:
             return f"{checked.state}: {checked.reason}"
-        if abs(added_rad_s) > _CHANGED * self.settings.limits.turn_rad_s:
-            return "steers to the left" if added_rad_s > 0 else "steers to the right"
-        return ""
+        return steering_words(added_rad_s, self.settings.limits)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -39,7 +40,9 @@ class StickOptions:
     level: str = option_field(
         "off, stop, slow or steer. Each helps more than the one before.", "NAME", default="steer", panel=_HELP
     )
-    out: Path | None = option_field("Folder for assist.json.", "DIR", "none", OUTPUT)
+    out: Path | None = option_field(
+        "Folder for assist.json, and for wheels with commands and readings.", "DIR", "none", OUTPUT
+    )
     force: bool = option_field("Overwrite results in the folder of --out.", default=False, panel=OUTPUT)
 
 
@@ -68,6 +71,7 @@ def assist(options: AssistOptions) -> None:
     wheelsight assist --sim studio --stick positions.txt --out assisted
     """
     from wheelsight.app.cli.compiling import compile_missing
+    from wheelsight.app.run.drives import wheels_recorded
     from wheelsight.core.files import make_output_folder, refuse_full, write_text
     from wheelsight.io.devices.sticks import Joystick, StickLog
     from wheelsight.navigation.shared_control import Assist, AssistLevel
@@ -80,12 +84,18 @@ def assist(options: AssistOptions) -> None:
         refuse_full(options.out)
     with Joystick(options.stick) if is_device else StickLog(options.stick) as stick:
         compile_missing(("wheels", "navigation", *(("simulation",) if options.is_simulated else ())))
-        with robot_of(options, config) as robot:
-            helped = Assist(robot, config.navigation, AssistLevel(options.level))
-            is_gone = _drive(robot, helped, stick, is_paced=options.is_simulated and is_device)
+        if options.out is not None:
+            make_output_folder(options.out, options.force)
+        with (
+            robot_of(options, config) as robot,
+            nullcontext(robot)
+            if options.out is None
+            else wheels_recorded(robot, options.out, config.navigation.limits) as recorded,
+        ):
+            helped = Assist(recorded, config.navigation, AssistLevel(options.level))
+            is_gone = _drive(recorded, helped, stick, is_paced=options.is_simulated and is_device)
     found = {"robot": robot_words(options), "level": options.level, **helped.record.to_dict()}
     if options.out is not None:
-        make_output_folder(options.out, options.force)
         write_text(options.out / "assist.json", json.dumps(found, indent=2) + "\n")
     shares = [f"{name.replace('_', ' ')} {100 * found[name]:.0f} %" for name in _SHARES]
     print_note(f"Of {helped.record.periods} periods with the stick moved: {', '.join(shares)}.")

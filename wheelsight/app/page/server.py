@@ -33,9 +33,22 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from wheelsight.app.page.access import Access, Guarded
 from wheelsight.app.page.door import MOST_HEAD_BYTES, PULSE, REFUSED, STOP
-from wheelsight.app.page.session import Alive, Leave, Message, Session, ShowCostmap, Take, parsed, says_stop
+from wheelsight.app.page.session import (
+    Alive,
+    DriveByHand,
+    Leave,
+    Message,
+    Session,
+    ShowCostmap,
+    Steer,
+    Take,
+    parsed,
+    says_stop,
+)
 from wheelsight.core.errors import ArgumentError, ConfigError
+from wheelsight.core.messages import VelocityCommand
 from wheelsight.core.settings import LivePageSettings
+from wheelsight_ros2.inputs import Stick
 
 # A thread keeps Python for this long while others wait; Python's 5 ms delay STOP by 50 ms, as it passes from thread to
 # thread: python -m benchmarks.live_page.
@@ -601,6 +614,7 @@ class Viewers:
         self._viewers: dict[int, Viewer] = {}
         self._numbers = count(1)
         self._driver: Viewer | None = None
+        self._stick = Stick(now_s)
 
     def __len__(self) -> int:
         return len(self._viewers)
@@ -676,9 +690,15 @@ class Viewers:
         else:
             # The first page with a task drives.
             self._driver = viewer
-            refused = self._session.ask(asked)
+            refused = self._steer(asked) if isinstance(asked, Steer) else self._session.ask(asked)
             if refused:
                 viewer.refuse(refused)
+
+    def _steer(self, asked: Steer) -> str:
+        """Take a position of the stick. Returns why it is refused, else ""."""
+        if self._stick.push(VelocityCommand(asked.forward, asked.left)):
+            return self._session.ask(DriveByHand(self._stick.commands, is_stick=True))
+        return ""
 
     def _lose_driver(self) -> None:
         self._driver = None

@@ -64,6 +64,14 @@ class ShowCostmap(_Message):
     shown: bool
 
 
+class Steer(_Message):
+    """Position of the page's stick, by shares of its way; one that is not renewed within 0.25 s counts as released."""
+
+    type: Literal["stick"]
+    forward: float = Field(ge=-1, le=1)
+    left: float = Field(ge=-1, le=1)
+
+
 class GoToPose(_Message):
     """Drive to a position in `map`; without a yaw, to any heading."""
 
@@ -122,9 +130,13 @@ class StartMap(_Message):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveByHand:
-    """Follow velocity commands of another program until `commands` returns None, by ramp and collision monitor."""
+    """Follow velocity commands of another program until `commands` returns None, by ramp and collision monitor.
+
+    With `is_stick` they are shares of a stick's way, from -1 to 1, and help may change them.
+    """
 
     commands: Callable[[], VelocityCommand | None]
+    is_stick: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +164,7 @@ class CancelDrive:
 _PageTask = GoToPose | GoToName | ClearObstacles | ClearFault | Explore | NamePlace | SaveMap | StartMap
 Task = _PageTask | DriveByHand | SetPose | DriveTo | CancelDrive
 """What the driver alone may ask: from a page, or from other programs."""
-Message = Alive | Take | Leave | ShowCostmap | _PageTask
+Message = Alive | Take | Leave | ShowCostmap | Steer | _PageTask
 _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="type")])
 
 
@@ -551,7 +563,7 @@ def _begin_of(task: GoToPose | GoToName | Explore | DriveByHand, driven: Driven)
     """The function that starts a task. Raises ConfigError, MapError if it is impossible."""
     navigator = driven.navigator
     if isinstance(task, DriveByHand):
-        return lambda: navigator.begin(ByHand(task.commands))
+        return lambda: navigator.begin(ByHand(task.commands, task.is_stick))
     if isinstance(task, Explore):
         if not driven.is_new:
             raise ConfigError("this map is finished; to look at all floor, begin a new one")

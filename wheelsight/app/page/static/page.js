@@ -136,7 +136,7 @@ function show() {
 function stateWords(robot) {
   if (robot.phase !== "driving") return PHASES[robot.phase] || robot.phase;
   if (robot.stopped) return `stopped: ${robot.stopped}`;
-  return robot.doing && robot.state === "recovering" ? robot.doing : STATES[robot.state] || robot.state;
+  return robot.doing && (robot.state === "recovering" || robot.doing.startsWith("steers")) ? robot.doing : STATES[robot.state] || robot.state;
 }
 
 function put(id, text) {
@@ -409,6 +409,57 @@ canvas.addEventListener("keydown", (event) => {
   else return;
   event.preventDefault();
 });
+
+// ---- stick: held, its position is sent ten times a second; the robot takes one that is older than 0.25 s as released
+
+const STICK_MS = 100, STICK_PX = 64, KEY_SHARE = 0.5;
+const stick = { forward: 0, left: 0, isHeld: false, keys: new Set() };
+
+function moveStick(forward, left) {
+  const size = Math.max(1, Math.hypot(forward, left));
+  [stick.forward, stick.left] = [forward / size, left / size];
+  at("knob").style.transform = `translate(${-STICK_PX * stick.left}px, ${-STICK_PX * stick.forward}px)`;
+}
+function sendStick() {
+  if (lostWords() === "") send({ type: "stick", forward: stick.forward, left: stick.left });
+}
+function releaseStick() {
+  const wasHeld = stick.isHeld;
+  stick.isHeld = false;
+  stick.keys.clear();
+  moveStick(0, 0);
+  if (wasHeld) sendStick();
+}
+function holdStick(forward, left) {
+  moveStick(forward, left);
+  if (!stick.isHeld) { stick.isHeld = true; sendStick(); }
+}
+function dragStick(event) {
+  const box = at("stick").getBoundingClientRect();
+  const [x, y] = [event.clientX - box.left - box.width / 2, event.clientY - box.top - box.height / 2];
+  holdStick(-y / STICK_PX, -x / STICK_PX);
+}
+at("stick").addEventListener("pointerdown", (event) => {
+  if (!event.isPrimary || event.button !== 0) return;
+  at("stick").setPointerCapture(event.pointerId);
+  dragStick(event);
+});
+at("stick").addEventListener("pointermove", (event) => { if (at("stick").hasPointerCapture(event.pointerId)) dragStick(event); });
+for (const end of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) at("stick").addEventListener(end, releaseStick);
+document.addEventListener("visibilitychange", () => { if (document.hidden) releaseStick(); });
+function followKeys() {
+  const has = (key) => (stick.keys.has(key) ? KEY_SHARE : 0);
+  if (stick.keys.size === 0) releaseStick();
+  else holdStick(has("ArrowUp") - has("ArrowDown"), has("ArrowLeft") - has("ArrowRight"));
+}
+at("stick").addEventListener("keydown", (event) => {
+  if (!event.key.startsWith("Arrow")) return;
+  event.preventDefault();
+  stick.keys.add(event.key);
+  followKeys();
+});
+at("stick").addEventListener("keyup", (event) => { if (stick.keys.delete(event.key)) followKeys(); });
+setInterval(() => { if (stick.isHeld) sendStick(); }, STICK_MS);
 
 // ---- buttons
 
