@@ -11,7 +11,7 @@ from navigation.rooms import Ride
 from navigation.test_live_layer import CALIBRATION, depth_of
 
 from benchmarks.drops import Ground, Place
-from benchmarks.plain_rooms import CAMERA, Walls, walls_about
+from benchmarks.plain_rooms import EYE, DepthEye, Walls, walls_about
 from wheelsight.core.geometry import FloatArray
 from wheelsight.mapping import EditKind, MapEdit, MapEdits
 from wheelsight.navigation import CellState, DepthViewer, KnownFloor, NavigationSettings
@@ -30,9 +30,9 @@ class Dark(Walls):
 
     place: Place
 
-    def depth_m(self, T_map_camera: FloatArray) -> FloatArray:
-        rays, origin = CAMERA.rays() @ T_map_camera[:3, :3].T, T_map_camera[:3, 3]
-        seen = super().depth_m(T_map_camera)
+    def depth_m(self, T_map_camera: FloatArray, eye: DepthEye = EYE) -> FloatArray:
+        rays, origin = eye.camera.rays() @ T_map_camera[:3, :3].T, T_map_camera[:3, 3]
+        seen = super().depth_m(T_map_camera, eye)
         with np.errstate(divide="ignore", invalid="ignore"):
             floor = np.where(rays[..., 2] < 0, -origin[2] / rays[..., 2], np.inf)
         at = origin[:2] + np.where(np.isfinite(floor), floor, 0)[..., None] * rays[..., :2] - (0.0, BEGIN[1])
