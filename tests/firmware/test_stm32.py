@@ -260,7 +260,7 @@ def seconds_until_neutral(board: Stm32) -> float:
 
 def test_motors_rest_a_quarter_second_after_the_last_command(board: Stm32) -> None:
     board.command(LinkCommand.DRIVE, drive_body(0.6, 0.6))
-    board.run(0.002)
+    board.run(0.004)
     assert board.duties() != NEUTRAL
     assert seconds_until_neutral(board) == pytest.approx(0.25, abs=0.01)
 
