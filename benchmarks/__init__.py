@@ -34,7 +34,7 @@ from wheelsight.core.errors import WheelsightError
 
 
 def tell(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """One line of what whoever called a benchmark can mend, such as a recording that is not there; else all of it."""
+    """One line for an error that its caller can correct, such as a missing recording; else the whole trace."""
     if isinstance(error, WheelsightError):
         print(f"error: {error}", file=sys.stderr)
     else:

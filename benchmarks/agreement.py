@@ -1,7 +1,7 @@
 """`python -m benchmarks.agreement`: how far a trajectory, the truth's too, lies from where depth images fit each other.
 
 A truth that was itself tracked by a depth camera cannot judge what is as good as it is. Depth can: two frames some time
-apart are aligned by Open3D's point-to-plane ICP, begun at the motion between them that a trajectory tells; what remains
+apart are aligned by Open3D's point-to-plane ICP, begun at the motion between them that a trajectory shows; what remains
 is its disagreement with what both frames saw.
 """
 

@@ -206,7 +206,7 @@ def _driven(
     camera: str = "kinect-v1",
     size: tuple[int, int] = _SIZE,
 ) -> SimulatedRecording:
-    """What a camera sees of a drive, a Kinect v1's 320×240 unless told otherwise, at 30 frames a second."""
+    """What a camera sees of a drive, a Kinect v1's 320×240 unless reported otherwise, at 30 frames a second."""
     settings = SimulationSettings(
         world_name, camera, size=size, seed=seed, duration_s=duration_s, passersby=people, realism=realism
     )
@@ -216,7 +216,7 @@ def _driven(
 
 
 def _hidden_share(recording: SimulatedRecording, people: Passersby, stamp_s: float) -> float:
-    """Share of the view's width behind whoever hides most of it."""
+    """Share of the view's width behind anyone who hides most of it."""
     camera = camera_model(recording.settings.camera, recording.settings.size).camera
     T_camera_odom = se3.invert(recording.renderer.carriage.T_world_camera(stamp_s)[0])
     shares = [0.0]

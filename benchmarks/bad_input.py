@@ -117,7 +117,7 @@ def measure_bad_input(
 ) -> list[BadInputFigures]:
     """Every tracker in every case; each drive is rendered once and held in memory, about 250 MB.
 
-    Takes some minutes; `on_figures` is told each result as it comes.
+    Takes some minutes; `on_figures` is reported each result as it comes.
 
     Args:
         realism: of the simulator.
@@ -146,8 +146,8 @@ def _measure_drive(drive: BadDrive, realism: RealismName, names: Sequence[str]) 
 
 def measure_case(case: Case, tracker: str, track: Track, events: Sequence[Event], truth: Trajectory) -> BadInputFigures:
     """One tracker over a drive's events as the case spoils them; truth is T_odom_camera."""
-    told = map(track, events_with(case.faults, events))
-    answers = [answer for answer in told if answer is not None]
+    reported = map(track, events_with(case.faults, events))
+    answers = [answer for answer in reported if answer is not None]
     posed = [answer for answer in answers if answer.estimate.T_odom_body is not None]
     # With jitter, a frame's stamp may lie beyond the drive's last instant, of which nothing is known.
     is_known = np.isfinite(truth.at([answer.estimate.stamp_s for answer in posed])).all(axis=(1, 2))
@@ -177,7 +177,7 @@ def measure_case(case: Case, tracker: str, track: Track, events: Sequence[Event]
 
 
 def _is_sure(estimate: Estimate) -> bool:
-    """Whether a pose is given as good: joined, there is one at most times, and what is wrong with it is told."""
+    """Whether a pose is given as good: joined, there is one at most times, and what is wrong with it is reported."""
     return estimate.status is Status.TRACKING and not getattr(estimate, "doubtful", False)
 
 
@@ -203,8 +203,8 @@ def _within(T: FloatArray, T_true: FloatArray, covariances: FloatArray) -> BoolA
 
 
 def _statuses(answers: Sequence[Answer], case: Case) -> tuple[tuple[str, int], ...]:
-    told = [a.estimate.status.value for a in answers if case.begin_s <= a.estimate.stamp_s < case.end_s]
-    return tuple(Counter(told).most_common())
+    reported = [a.estimate.status.value for a in answers if case.begin_s <= a.estimate.stamp_s < case.end_s]
+    return tuple(Counter(reported).most_common())
 
 
 def _back_s(stamps_s: FloatArray, case: Case) -> float | None:

@@ -80,19 +80,19 @@ def add_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def calibration_for(settings: SimulationSettings, folder: Path, told: Callable[[str], None] = print) -> Calibration:
+def calibration_for(settings: SimulationSettings, folder: Path, reported: Callable[[str], None] = print) -> Calibration:
     """The calibration of a drive's robot for images of the drive's size, made where the folder has none of the unit."""
     path = folder / f"{settings.camera}-{settings.seed}-{zlib.crc32(repr(settings.robot).encode()):08x}.yaml"
     if not path.exists():
         found = calibrated(settings, folder)
         for line in judged(found):
-            told(line)
+            reported(line)
         save_calibration(found.calibration, path)
     return of_size(load_calibration(path), settings.size)
 
 
 def calibrated(settings: SimulationSettings, folder: Path, views: int = VIEWS) -> FoundUnit:
-    """The unit of a drive, calibrated by a board and a drive; what the board told is left in the folder too."""
+    """The unit of a drive, calibrated by a board and a drive; what the board reported is left in the folder too."""
     drive = simulate(calibrating_drive(settings))
     nominal = of_size(drive.calibration, _own_size(settings))
     squared = replace(nominal, wheels=by_squares(settings))
@@ -144,7 +144,7 @@ def _driven(settings: SimulationSettings, world: str, day: int, **way: bool) -> 
 
 
 def of_size(calibration: Calibration, size: tuple[int, int] | None) -> Calibration:
-    """The same robot with images of another size of the same field of view; what depth is off by is told by shares."""
+    """The same robot with images of another size of the same field of view; errors of depth are stated by shares."""
     color, depth = calibration.cameras
     if size is None or size == (color.width, color.height):
         return calibration

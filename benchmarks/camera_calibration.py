@@ -65,13 +65,13 @@ class UnitErrors:
     @property
     def misses(self) -> list[str]:
         """What is not as near as it must be, in words."""
-        told = (
+        reported = (
             (self.focal, MOST_FOCAL, f"focal lengths {100 * self.focal:.2f} %"),
             (self.apart_m, MOST_APART_M, f"way {1e3 * self.apart_m:.2f} mm"),
             (self.turn_deg, MOST_TURN_DEG, f"turn {self.turn_deg:.3f}°"),
             (self.depth_m, MOST_DEPTH_M, f"depth {1e3 * self.depth_m:.1f} mm"),
         )
-        return [words for value, most, words in told if value > most]
+        return [words for value, most, words in reported if value > most]
 
     @property
     def unsaid(self) -> list[str]:
@@ -130,10 +130,10 @@ def simulated_sheet(units: Sequence[UnitErrors]) -> Sheet:
         rows.append(
             (
                 name,
-                _told([100 * unit.focal for unit in some], "%", 2),
-                _told([1e3 * unit.apart_m for unit in some], "mm", 2),
-                _told([unit.turn_deg for unit in some], "°", 3),
-                _told([1e3 * unit.depth_m for unit in some], "mm", 1),
+                _reported([100 * unit.focal for unit in some], "%", 2),
+                _reported([1e3 * unit.apart_m for unit in some], "mm", 2),
+                _reported([unit.turn_deg for unit in some], "°", 3),
+                _reported([1e3 * unit.depth_m for unit in some], "mm", 1),
                 f"{100 * (z <= 3).mean():.1f} %",
                 f"{z.max():.1f}",
                 f"{sum(not unit.misses for unit in some)} of {len(some)}",
@@ -144,7 +144,7 @@ def simulated_sheet(units: Sequence[UnitErrors]) -> Sheet:
 
 
 def misses_sheet(units: Sequence[UnitErrors], real: CameraCalibration | None) -> Sheet:
-    """What was not reached, a line each; first of all that is told."""
+    """What was not reached, a line each; first of all that is reported."""
     rows = [(f"{unit.rig}, unit {unit.seed}", ", ".join(unit.misses)) for unit in units if unit.misses]
     count = sum(len(unit.in_sigmas) for unit in units)
     rows += [
@@ -156,14 +156,14 @@ def misses_sheet(units: Sequence[UnitErrors], real: CameraCalibration | None) ->
         if real.color_residuals.rms_px > MOST_REAL_PX:
             rows.append(("the real board", f"reprojection {real.color_residuals.rms_px:.2f} px"))
         rows += [
-            (f"the real board, {told}", f"planes {1e3 * scatter_m:.2f} mm, published {1e3 * published_m:.2f} mm")
-            for told, _, scatter_m, published_m in real_rows(real)
+            (f"the real board, {reported}", f"planes {1e3 * scatter_m:.2f} mm, published {1e3 * published_m:.2f} mm")
+            for reported, _, scatter_m, published_m in real_rows(real)
             if scatter_m > published_m
         ]
     return Sheet("Missed", ("of", "what"), tuple(rows) or (("nothing", "—"),))
 
 
-def _told(values: Sequence[float], unit: str, decimals: int) -> str:
+def _reported(values: Sequence[float], unit: str, decimals: int) -> str:
     return f"{np.median(values):.{decimals}f} ({max(values):.{decimals}f}) {unit}"
 
 
@@ -184,8 +184,8 @@ def real_sheets(found: CameraCalibration) -> list[Sheet]:
         ),
     ]
     by_distance = [
-        (told, *(f"{1e3 * value_m:.1f} mm" for value_m in figures), "yes" if figures[1] <= figures[2] else "no")
-        for told, *figures in real_rows(found)
+        (reported, *(f"{1e3 * value_m:.1f} mm" for value_m in figures), "yes" if figures[1] <= figures[2] else "no")
+        for reported, *figures in real_rows(found)
     ]
     head = ("distance", "before", "after", "published σ", "at most it")
     return [

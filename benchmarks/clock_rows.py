@@ -86,8 +86,8 @@ class Row:
 
 def _leap(by_s: float, sensors: Sensors = "both") -> Row:
     whose = {"both": "both clocks jump", "wheels": "the wheels' clock jumps", "camera": "the camera's clock jumps"}
-    told = {1e9: "+10⁹"}.get(by_s, f"{by_s:+g}".replace("-", "−"))
-    return Row(f"{whose[sensors]} {told} s", (ClockLeaps(_LEAP_S, by_s, sensors),))
+    reported = {1e9: "+10⁹"}.get(by_s, f"{by_s:+g}".replace("-", "−"))
+    return Row(f"{whose[sensors]} {reported} s", (ClockLeaps(_LEAP_S, by_s, sensors),))
 
 
 ROWS = (
@@ -118,7 +118,7 @@ ROWS = (
 def drive_of(seed: int, folder: Path, settings: SimulationSettings = DRIVE) -> Recording:
     """The drive of a seed, from `folder`/`world`-`seed`; where there is none it is made.
 
-    Nothing tells that the simulator has changed since: then the folder is to be deleted.
+    Nothing shows that the simulator has changed since: then the folder is to be deleted.
     """
     kept = folder / f"{settings.world}-{seed}"
     if not kept.is_dir():

@@ -91,7 +91,7 @@ class _Judge:
 
     truth: Trajectory
     frames_s: dict[int, float]
-    told: list[tuple[float, float]] = field(default_factory=list)
+    reported: list[tuple[float, float]] = field(default_factory=list)
     off_m: list[float] = field(default_factory=list)
     asked: int = 0
     wrong: int = 0
@@ -105,7 +105,7 @@ class _Judge:
 
     def hear(self, event: Event) -> None:
         """Note which true time an event's stamp stands for."""
-        self.told.append((event.stamp_s, self.true_s(event)))
+        self.reported.append((event.stamp_s, self.true_s(event)))
 
     def judge(self, event: Event, answer: Estimate | None) -> None:
         """Count an answer to an event, or that there is none."""
@@ -127,7 +127,7 @@ class _Judge:
             return true_s + late_s
         if answer.reason is not Reason.CLOCKS_APART:
             return true_s
-        stamp_s, then_s = min(reversed(self.told), key=lambda told: abs(answer.stamp_s - told[0]))
+        stamp_s, then_s = min(reversed(self.reported), key=lambda reported: abs(answer.stamp_s - reported[0]))
         return then_s + answer.stamp_s - stamp_s if abs(answer.stamp_s - stamp_s) < _NEAR_S else None
 
     def errors(self, problem: str | None = None) -> Errors:
@@ -153,7 +153,7 @@ def measure_drive(
         recording: with its truth.
         rows: what is wrong.
         seed: of the drive.
-        on_figures: is told each result as it comes.
+        on_figures: is reported each result as it comes.
     """
     events = timed(recording.events())
     truth = _from_start(recording, events[0].stamp_s)

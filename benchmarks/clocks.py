@@ -52,7 +52,7 @@ def measure_clocks(
     Args:
         rows, seeds: what is measured.
         images: a folder of drives; what is missing is put there, 41 MB each.
-        on_figures: is told each result as it comes.
+        on_figures: is reported each result as it comes.
         keep: a folder that keeps results; what it has is not measured again.
         settings: of a drive.
     """
@@ -126,7 +126,7 @@ def _percent(errors: Sequence[Errors]) -> str:
     return f"{100 * np.mean([e.posed for e in errors]):.1f} %"
 
 
-def told(figures: ClockFigures) -> str:
+def reported(figures: ClockFigures) -> str:
     """One result in a line."""
     errors = ", ".join(
         f"{name} {_number(1000 * e.rmse_m, 1)} mm ({100 * e.posed:.0f} % posed, {e.wrong} sure and wrong)"
@@ -168,7 +168,7 @@ def main() -> None:
 
 
 def _tell(figures: ClockFigures) -> None:
-    print(told(figures), file=sys.stderr, flush=True)
+    print(reported(figures), file=sys.stderr, flush=True)
 
 
 def _command(arguments: argparse.Namespace) -> str:

@@ -40,7 +40,7 @@ from benchmarks.table import Sheet, targets_sheet
 from benchmarks.targets import Target
 
 TOURS = 2.0
-_TOUR_M = 40.0  # of a plan's own route, along which it has furniture, and along which nobody drives here
+_TOUR_M = 40.0  # of a plan's own route, along which it has furniture, and along which no one drives here
 FOUR_FLATS = ("studio", "flat", "map_real.yaml", "indoor.yaml")
 _TITLE = "Unknown flats, explored"
 _HEADER = (

@@ -3,7 +3,7 @@
 It has the views that `navigation.Exploration` chooses, and nothing else of the navigator: it goes there by the cheapest
 way for the circle within its outline, heading along it, sees floor and walls exactly, and stands wherever it wants to.
 Hence seconds in place of a quarter of an hour, for comparing how views are chosen; what comes of them,
-`benchmarks.exploration` tells. Things hide what is behind them, however low they are.
+`benchmarks.exploration` shows. Things hide what is behind them, however low they are.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class IdealRobot:
         self.state = np.full(plan.is_taken.shape, CellState.UNKNOWN, np.uint8)
         cells = np.moveaxis(np.indices(self.state.shape), 0, -1)
         self._middles = plan.middle_of(cells)
-        self._is_told = np.hypot(*np.moveaxis(self._middles - start[:2], -1, 0)) < SIGHT.near_m
+        self._is_reported = np.hypot(*np.moveaxis(self._middles - start[:2], -1, 0)) < SIGHT.near_m
         self.way_m = self.turn_rad = 0.0
         self._look()
 
@@ -66,7 +66,7 @@ class IdealRobot:
         """As a floor that grows: what it saw and stood on, and what somebody said of the floor about its start."""
         speed = np.full(self.state.shape, np.inf, np.float32)
         layer = StaticLayer(self.state.copy(), speed, CELL_M, self._plan.origin)
-        return layer.with_floor(self._is_told & ~self._plan.is_taken, is_assumed=True)
+        return layer.with_floor(self._is_reported & ~self._plan.is_taken, is_assumed=True)
 
     @property
     def costmap(self) -> Costmap:

@@ -114,7 +114,7 @@ def tour_m(plan: TruePlan, reached: BoolArray, start: FloatArray, sight: ViewSec
 
     Places are chosen greedily, by how much more each shows, until a share of what can be seen of the floor is; those
     that prove needless are left out. They are visited in an order that the nearest next one and 2-opt find, from the
-    start, and not back. Nobody has proved that it is the shortest; things below the camera hide nothing from it, and
+    start, and not back. No one has proved that it is the shortest; things below the camera hide nothing from it, and
     turns cost nothing.
     """
     shown = _shown(plan, reached, start, sight)

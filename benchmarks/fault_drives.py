@@ -73,7 +73,7 @@ class FaultDrive:
 
 
 class _Led(Protocol):
-    """Whoever leads a robot, period by period."""
+    """Anyone who leads a robot, period by period."""
 
     @property
     def reason(self) -> str:

@@ -42,7 +42,7 @@ class FaultKind(StrEnum):
 
 
 BLIND = (FaultKind.COVERED, FaultKind.FRAMES, FaultKind.ENCODERS, FaultKind.COMMAND, FaultKind.STALLED)
-"""Those in which something is not known, or not told, that is needed to drive."""
+"""Those in which something is not known, or not reported, that is needed to drive."""
 
 
 class Leader(StrEnum):
@@ -153,7 +153,7 @@ class FaultyRobot:
         fault: that it has.
 
     Attributes:
-        blind_m: way driven, by the truth, since the fault began, while the motors were not told to stand; of kinds
+        blind_m: way driven, by the truth, since the fault began, while the motors were not reported to stand; of kinds
             that are blind, and while they are.
         stopped_m: the same until it stood at first.
     """
@@ -191,9 +191,9 @@ class FaultyRobot:
         kind, at_s = self.fault.kind, self.fault.at_s
         if kind is FaultKind.STALLED and self.now_s >= at_s and not self._has_stalled:
             self._has_stalled = True
-            return [event for _ in range(round(STALL_S / PERIOD_S)) for event in self._untold()]
+            return [event for _ in range(round(STALL_S / PERIOD_S)) for event in self._unreported()]
         if kind is FaultKind.COMMAND and self.now_s >= at_s:
-            return self._untold()
+            return self._unreported()
         self._obeyed = command
         return self._heard(self._moved(command))
 
@@ -213,9 +213,9 @@ class FaultyRobot:
     ) -> None:
         self.close()
 
-    def _untold(self) -> list[Event]:
+    def _unreported(self) -> list[Event]:
         """A period in which no command arrives."""
-        return self._moved(self._obeyed, is_told=False)
+        return self._moved(self._obeyed, is_reported=False)
 
     def _heard(self, events: Sequence[Event]) -> list[Event]:
         """What arrives of it."""
@@ -223,12 +223,12 @@ class FaultyRobot:
             return list(events)
         return [event for event in events if not (isinstance(event, RgbdFrame) and event.stamp_s >= self.fault.at_s)]
 
-    def _moved(self, command: VelocityCommand, is_told: bool = True) -> list[Event]:
+    def _moved(self, command: VelocityCommand, is_reported: bool = True) -> list[Event]:
         """A control period, in the simulator's finer steps."""
-        return [event for _ in range(round(PERIOD_S / FINE_S)) for event in self._moved_a_little(command, is_told)]
+        return [event for _ in range(round(PERIOD_S / FINE_S)) for event in self._moved_a_little(command, is_reported)]
 
-    def _moved_a_little(self, command: VelocityCommand, is_told: bool) -> list[Event]:
-        if not (is_told or self._is_cut) and self.now_s >= self.fault.at_s + WATCHDOG_S - 1e-9:
+    def _moved_a_little(self, command: VelocityCommand, is_reported: bool) -> list[Event]:
+        if not (is_reported or self._is_cut) and self.now_s >= self.fault.at_s + WATCHDOG_S - 1e-9:
             self._is_cut = True
             self.simulator.stop()
         is_braked = command.is_stop or bool(self.simulator.stop_reason)

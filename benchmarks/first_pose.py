@@ -5,7 +5,7 @@ played then give them in their time to the source that `wheelsight run --live --
 wheels and camera joined, each in a fresh process on two cores, kernels compiled before. "First pose" is the
 time from `ready` to the first answer to a frame that has a pose and the status `tracking`; "slowest" the longest time
 that a frame took, its wait not counted. What else the machine does makes both longer: the same frame's processor time
-tells how much of it was ours.
+shows how much of it was ours.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Followed:
 
 
 class PlayedSensors:
-    """A camera and a wheel controller at once, of a recording that begins when they are told to.
+    """A camera and a wheel controller at once, of a recording that begins when they are reported to.
 
     Before that the camera shows the first frame again and again, as of a robot that stands, and the wheels say nothing.
     """
@@ -108,7 +108,7 @@ class PlayedSensors:
         """The next frame whose time has come."""
         now_s = host_clock.now_s()
         if self._begin_s is None:
-            # Whoever does not wait empties what has come, and there would always be one more.
+            # Anyone who does not wait empties what has come, and there would always be one more.
             return _live(self._frames[0], now_s, now_s) if timeout_s > 0 else None
         if self.is_over or (stamp_s := self._host_s(self._frames[self._frame].stamp_s)) > now_s:
             return None

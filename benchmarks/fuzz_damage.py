@@ -424,8 +424,8 @@ def _huge(data: bytes, rng: Rng) -> bytes:
     def change(parts: dict[str, bytes]) -> None:
         names = sorted(name for name in parts if name.endswith(".npy") and parts[name].startswith(b"\x93NUMPY"))
         name = names[int(rng.integers(len(names)))]
-        told = re.sub(rb"'shape': \((\d+)", rb"'shape': (%d" % (_HUGE // 64), parts[name][10:128])
-        parts[name] = parts[name][:8] + struct.pack("<H", len(told)) + told
+        reported = re.sub(rb"'shape': \((\d+)", rb"'shape': (%d" % (_HUGE // 64), parts[name][10:128])
+        parts[name] = parts[name][:8] + struct.pack("<H", len(reported)) + reported
         huge.append(name)
 
     huge: list[str] = []

@@ -135,9 +135,9 @@ os._exit(0)
 def _with_cropping(data: bytes) -> bytes:
     """The file with a cropping that is off in place of the output modes: the player gives no frame without one."""
     passed_over, length = b"xnSupportedMapOutputModes\0", 12
-    told, at = passed_over + struct.pack("<I", length), 0
-    while (at := data.find(told, at)) >= 0:
-        begin = at + len(told)
+    reported, at = passed_over + struct.pack("<I", length), 0
+    while (at := data.find(reported, at)) >= 0:
+        begin = at + len(reported)
         data = (
             data[:at]
             + b"xnCropping\0".ljust(len(passed_over), b"\0")

@@ -580,8 +580,10 @@ def sens_changed(data: bytes, rng: Rng, of_bytes: Change) -> bytes:
         frames[at] = replace(frames[at], head=(of_bytes(frames[at].head[0], rng),))
     else:
         frames = records_changed(frames, rng, of_bytes)
-    told = (frame.kind + struct.pack("<QQ", len(frame.head[0]), len(frame.content)) for frame in frames)
-    return head + b"".join(numbers + frame.head[0] + frame.content for numbers, frame in zip(told, frames, strict=True))
+    reported = (frame.kind + struct.pack("<QQ", len(frame.head[0]), len(frame.content)) for frame in frames)
+    return head + b"".join(
+        numbers + frame.head[0] + frame.content for numbers, frame in zip(reported, frames, strict=True)
+    )
 
 
 # Serial lines: frames of an encoding without zeros, and lines of text; and messages, one a line.

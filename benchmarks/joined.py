@@ -5,7 +5,7 @@ further alignment: a best fit would hide what the heading lost. The better senso
 camera alone (dense odometry with its map), whichever has the smaller error there; a camera that has no pose for over a
 tenth of the drive is none.
 
-The right status of the joined estimate, told at wheel readings and frames:
+The right status of the joined estimate, reported at wheel readings and frames:
 
 - camera covered: `coasting`, from 0.5 s after it is covered until it is not; `tracking` again within 2 s after.
 - corridor: `degenerate` or `coasting`, while nothing but plain walls, floor and ceiling are within the depth camera's
@@ -73,7 +73,7 @@ def measure_joined(
         duration_s: of a drive, but for the one through the corridor and the long one.
         odometry: the camera's, "dense" (with a map) or "features".
         images: a folder that keeps images for another time, or None.
-        on_figures: is told each result as it comes.
+        on_figures: is reported each result as it comes.
         keep: a folder that keeps results; what it has is not measured again.
         plan: a building to drive in, in place of `floor4` and `flat`.
     """
@@ -188,7 +188,7 @@ def _share(counts: Sequence[tuple[int, int]]) -> str:
     return f"{percent:.1f} % ({min(100 * right / asked for asked, right in counts if asked):.0f})"
 
 
-def told(figures: JoinedFigures) -> str:
+def reported(figures: JoinedFigures) -> str:
     """One result in a line."""
     errors = ", ".join(f"{name} {accuracy.rmse_m:.3f}" for name, accuracy in figures.accuracy.items())
     coverage = 100 * figures.accuracy[CAMERA].coverage
@@ -241,7 +241,7 @@ def main() -> None:
     given = (cases, seeds, arguments.duration, arguments.odometry, arguments.images)
     tell = partial(print, file=sys.stderr, flush=True)
     plan = None if arguments.plan is None else FloorPlan(arguments.plan, arguments.resolution)
-    figures = measure_joined(*given, lambda found: tell(told(found)), arguments.keep, plan)
+    figures = measure_joined(*given, lambda found: tell(reported(found)), arguments.keep, plan)
     sheets = joined_sheet(figures), targets_sheet(judge_joined(figures))
     console = Console(width=None if sys.stdout.isatty() else 180)
     for sheet in sheets:

@@ -50,9 +50,9 @@ class Expected(Enum):
 
     TRACKING = "tracking"
     COASTING = "coasting"
-    SLIP = "slip or doubt told while a wheel slips"
+    SLIP = "slip or doubt reported while a wheel slips"
     DEGENERATE = "degenerate, or coasting"
-    POSED = "tracking, or coasting where the view is taken; no slip told"
+    POSED = "tracking, or coasting where the view is taken; no slip reported"
 
 
 class Way(Enum):
@@ -211,7 +211,7 @@ def drive_of(way: Way, seed: int, duration_s: float = DURATION_S, plan: FloorPla
 
 
 def recorded_along(route: FloatArray, settings: SimulationSettings) -> SimulatedRecording:
-    """A drive along waypoints (N, 2) of one's own, in metres; nobody checks that they keep clear of walls."""
+    """A drive along waypoints (N, 2) of one's own, in metres; no one checks that they keep clear of walls."""
     world = build_world(settings.world, settings.seed)
     driver = follow_route(route, is_loop=False, speed_m_s=settings.speed_m_s)
     drive = simulate_drive(

@@ -152,7 +152,7 @@ def _poses(answers: Answers, truth: Trajectory) -> tuple[FloatArray, FloatArray,
 
 
 def _off(T: FloatArray, T_true: FloatArray) -> FloatArray:
-    """(N, 3) true less told position, in the world that the first pose told began."""
+    """(N, 3) true less reported position, in the world that the first pose reported began."""
     T_odom_true = T[0] @ se3.invert(T_true[0])
     return np.asarray((T_odom_true @ T_true)[:, :3, 3] - T[:, :3, 3])
 

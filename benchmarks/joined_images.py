@@ -18,7 +18,7 @@ from wheelsight_sim import SimulatedRecording
 def kept_events(recording: SimulatedRecording, folder: Path) -> Iterator[Event]:
     """The recording's events; images come from a folder named by its settings, where they are rendered at first.
 
-    Nothing tells that the simulator has changed since: then the folder is to be deleted.
+    Nothing shows that the simulator has changed since: then the folder is to be deleted.
     """
     name = sha256(repr(recording.settings).encode()).hexdigest()[:12]
     images = folder / f"{recording.name}-{name}"

@@ -86,8 +86,8 @@ def draw_joined(path: Path, odometry: str = "dense", images: Path | None = None)
 
 def _picture(recording: SimulatedRecording, answers: Mapping[str, Answers]) -> bytes:
     truth = recording.ground_truth
-    told = {name: _in_world(answers[name], truth.T_frame_body[0]) for name in _COLOURS}
-    low, high = _window(recording.world, told)
+    reported = {name: _in_world(answers[name], truth.T_frame_body[0]) for name in _COLOURS}
+    low, high = _window(recording.world, reported)
     size = (high - low) * _INCHES / (high - low)[0]
     figure = Figure(figsize=(size[0], size[1] + _LEGEND_INCHES), dpi=_DOTS_PER_INCH, facecolor="white")
     FigureCanvasAgg(figure)
@@ -98,9 +98,9 @@ def _picture(recording: SimulatedRecording, answers: Mapping[str, Answers]) -> b
     for fault in _FAULTS:
         _draw_fault(axes, fault, truth.between(fault.begin_s, fault.end_s).positions_m)
     axes.plot(*truth.positions_m[:, :2].T, color=_TRUTH, lw=4.5, alpha=0.30, zorder=5, solid_capstyle="round")
-    for name, xy in told.items():
+    for name, xy in reported.items():
         axes.plot(*xy.T, color=_COLOURS[name], lw=2.2 if name == JOINED else 1.6, zorder=8 if name == JOINED else 7)
-    _draw_ends(axes, told, truth.positions_m)
+    _draw_ends(axes, reported, truth.positions_m)
     _draw_bar(axes, low, high)
     lines = [Line2D([], [], color=_TRUTH, lw=4.5, alpha=0.30, label=f"truth, {truth.length_m:.0f} m")]
     lines += [_line(name, accuracy_of(answers[name], truth)) for name in _COLOURS]
@@ -109,8 +109,8 @@ def _picture(recording: SimulatedRecording, answers: Mapping[str, Answers]) -> b
 
 
 def _line(name: str, accuracy: Accuracy) -> Line2D:
-    rmse_m, told = accuracy.rmse_m, " of its few poses" if accuracy.coverage < _COVERAGE else ""
-    return Line2D([], [], color=_COLOURS[name], lw=2.4, label=f"{_WORDS[name]}, {rmse_m:.2f} m off (RMSE{told})")
+    rmse_m, reported = accuracy.rmse_m, " of its few poses" if accuracy.coverage < _COVERAGE else ""
+    return Line2D([], [], color=_COLOURS[name], lw=2.4, label=f"{_WORDS[name]}, {rmse_m:.2f} m off (RMSE{reported})")
 
 
 def _in_world(answers: Answers, T_odom_start: FloatArray) -> FloatArray:
@@ -121,9 +121,9 @@ def _in_world(answers: Answers, T_odom_start: FloatArray) -> FloatArray:
     return np.asarray((T_odom_start @ se3.invert(first) @ T)[:, :2, 3])
 
 
-def _window(world: World, told: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Corners (2,) of what the picture shows: the world, and all that was told."""
-    xy = np.concatenate([*told.values(), np.reshape(world.size_m, (2, 2))])
+def _window(world: World, reported: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Corners (2,) of what the picture shows: the world, and all that was reported."""
+    xy = np.concatenate([*reported.values(), np.reshape(world.size_m, (2, 2))])
     low, high = np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)
     return low - _MARGIN_M, high + _MARGIN_M
 
@@ -155,10 +155,10 @@ def _write(axes: Axes, place: FloatArray, words: str, colour: str, align: str) -
     axes.text(x, y, words, color=colour, fontsize=10, ha=align, va="center", zorder=10, path_effects=halo)
 
 
-def _draw_ends(axes: Axes, told: Mapping[str, FloatArray], positions_m: FloatArray) -> None:
+def _draw_ends(axes: Axes, reported: Mapping[str, FloatArray], positions_m: FloatArray) -> None:
     """Where the drive began, and where each takes itself to have ended; a cross where the camera had no pose more."""
     axes.plot(*positions_m[0, :2], "o", ms=9, mfc="white", mec=_TRUTH, mew=1.8, zorder=9)
-    for name, xy in told.items():
+    for name, xy in reported.items():
         known = np.flatnonzero(~np.isnan(xy[:, 0]))
         is_lost = known[-1] < 0.98 * len(xy)
         end, marker, size = xy[known[-1]], "X" if is_lost else "o", 10 if is_lost else 7

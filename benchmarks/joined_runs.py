@@ -63,7 +63,7 @@ def localizer_of(name: str, calibration: Calibration, odometry: str = "dense") -
 def run_all(events: Iterable[Event], calibration: Calibration, odometry: str = "dense") -> dict[str, Answers]:
     """Each localizer's answers to the same events, by its name.
 
-    The paper's filter is told the answers of the camera alone: it goes by these, and would find the same again.
+    The paper's filter is reported the answers of the camera alone: it goes by these, and would find the same again.
     """
     localizers = {name: localizer_of(name, calibration, odometry) for name in (WHEELS, CAMERA, PAPER, JOINED)}
     again = _Again()

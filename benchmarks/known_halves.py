@@ -151,7 +151,7 @@ def main() -> None:
         sheet = measure(recording, recording.ground_truth, arguments.starts, Path(folder))
     Console(width=120).print(sheet.to_rich())
     if arguments.out is not None:
-        lines = [f"- {name}: {told}" for name, told in about.items()]
+        lines = [f"- {name}: {reported}" for name, reported in about.items()]
         page = [f"# In the map of a first half\n\n{__doc__}", "\n".join(lines) + "\n", sheet.to_markdown()]
         arguments.out.write_text("\n".join(page), encoding="utf-8")
 

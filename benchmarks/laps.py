@@ -182,7 +182,7 @@ def _loops(correction: CorrectionRecord, T_world_camera: FloatArray) -> tuple[Bo
 
 
 def is_right(T_world_ends: FloatArray, loop: RelativePose) -> bool:
-    """Whether a loop between cameras that truly are at (2, 4, 4) tells how they lie, in directions that it tells of."""
+    """Whether a loop between cameras that truly are at (2, 4, 4) shows how they lie, in directions that it shows."""
     off = loop.T_first_second @ se3.invert(se3.invert(T_world_ends[0]) @ T_world_ends[1])
     xi = se3.log(off)
     is_near = np.linalg.norm(off[:3, 3]) <= FALSE_M and np.degrees(np.linalg.norm(xi[3:])) <= FALSE_DEG

@@ -170,11 +170,11 @@ def cpu_s(thread: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def moving(robot: WatchedSimulator, clicked_s: float, told_s: float) -> tuple[float, float, float]:
-    """Seconds from a click until the robot truly moves, by the wall's clock and its own, and until a page is told."""
+def moving(robot: WatchedSimulator, clicked_s: float, reported_s: float) -> tuple[float, float, float]:
+    """Seconds from a click until the robot truly moves, by the wall's clock and its own, and until a page shows it."""
     own_s = max((time_s for wall_s, time_s, _ in robot.moved if wall_s <= clicked_s), default=0.0)
     wall_s, time_s = next((wall_s, time_s) for wall_s, time_s, moves in robot.moved if wall_s > clicked_s and moves)
-    return wall_s - clicked_s, time_s - own_s, told_s - clicked_s
+    return wall_s - clicked_s, time_s - own_s, reported_s - clicked_s
 
 
 def stop_ms(run: Running, times: int, every_s: float) -> list[float]:
@@ -226,11 +226,11 @@ def sheets_of(
 ) -> list[Sheet]:
     """What was measured, and what must be reached."""
     header = "clients", "updates/s", "images/s", "server, % of a core", "periods/s", "simulated time, % of real"
-    moved, by_own, told = (list(seconds) for seconds in zip(*moving_s, strict=True))
+    moved, by_own, reported = (list(seconds) for seconds in zip(*moving_s, strict=True))
     rows = [
         _row("goal clicked to robot moving, s", moved, 2),
         _row("the same by the robot's clock, s", by_own, 2),
-        _row("goal clicked to the page's confirmation, s", told, 2),
+        _row("goal clicked to the page's confirmation, s", reported, 2),
         _row("STOP to the stop command, ms", driven_ms, 1),
         _row("the same while the robot's program hangs, ms", hung_ms, 1),
     ]

@@ -1,6 +1,6 @@
 """`python -m benchmarks.map_bias`: whether surfaces of a map lie too near or too far, though it is fed with true poses.
 
-Noise is averaged out; what is left draws along, frame by frame, whoever tracks against the map. Depth of frames and of
+Noise is averaged out; what is left draws along, frame by frame, a camera tracked in the map. Depth of frames and of
 what the map shows from the true pose, less the true depth, in the mean over a simulated drive, by how far off surfaces
 are. Pixels whose neighbours are of another surface, by the true depth, do not count.
 """

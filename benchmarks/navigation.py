@@ -111,7 +111,11 @@ def sheets_of(drives: Sequence[Drive], hard: Hardness) -> list[Sheet]:
 
 
 def drives_in(
-    building: Building, arguments: argparse.Namespace, hard: Hardness, kept: KeptRecords, told: Callable[[Drive], None]
+    building: Building,
+    arguments: argparse.Namespace,
+    hard: Hardness,
+    kept: KeptRecords,
+    reported: Callable[[Drive], None],
 ) -> None:
     """From all starts; the map of the first day is made where not all of them are kept."""
     names = [f"{building.name}-{arguments.seed}-{number}" for number in range(arguments.starts)]
@@ -122,10 +126,10 @@ def drives_in(
         for number, (name, record) in enumerate(zip(names, records, strict=True)):
             if record is not None:
                 for one in record:
-                    told(_of(one))
+                    reported(_of(one))
                 continue
             known = known or known_building(building, arguments, maps)
-            done = drives_from(known, number, arguments.goals, arguments.seed, hard, told)
+            done = drives_from(known, number, arguments.goals, arguments.seed, hard, reported)
             kept.keep(name, [asdict(drive) for drive in done])
 
 
@@ -172,14 +176,14 @@ def main() -> None:
     same |= {"calibrated": True} if asked.calibrated else {}
     kept = KeptRecords(asked.keep, same)
 
-    def told(drive: Drive) -> None:
+    def reported(drive: Drive) -> None:
         drives.append(drive)
         console.print(drive.sentence)
         if asked.out is not None:  # now, since hours of drives may be broken off
             write_section(asked.out, title_of(hard), __doc__ or "", about, sheets_of(drives, hard))
 
     for building in buildings_of(asked.buildings, asked.data, asked.way):
-        drives_in(building, asked, hard, kept, told)
+        drives_in(building, asked, hard, kept, reported)
     for sheet in sheets_of(drives, hard):
         console.print(sheet.to_rich())
 

@@ -54,7 +54,7 @@ class Drive:
     Attributes:
         building: where.
         goal: x, y, yaw in the map.
-        says_arrived: as the navigator tells it; None where it took too long.
+        says_arrived: as the navigator shows it; None where it took too long.
         detail: in its words.
         plans: how many it made; None where it took too long.
         off_m, off_deg: of the true pose from the goal, beside the map's nearest keyframe.
@@ -151,7 +151,7 @@ def _begun(
             simulator = Simulator(settings, world=with_boxes(world, things, seed), start=(x, y, yaw))
         except ConfigError:
             continue  # something stands there on this day
-        # Whoever starts it looks round first: it may turn on the spot.
+        # Anyone who starts it looks round first: it may turn on the spot.
         turned = [se3.from_plane(x, y, yaw + turn) for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False)]
         if len(things) == hard.things and min(simulator.clearance_m(T) for T in turned) > ROUND_M:
             return simulator, course

@@ -167,7 +167,7 @@ def played(drive: PlayedDrive, minutes: float, profile: str | None) -> list[Quar
 @contextmanager
 def _localized(drive: PlayedDrive, profile: str | None) -> Iterator[tuple[LocalizerBeside, CountingLocalizer]]:
     config = load_config(overrides={"odometry": "wheels,dense", "loops.source": "keyframes", "profile": profile})
-    apart = LocalizerApart(localizer_of, drive.calibration, config, tells_keyframes=True)
+    apart = LocalizerApart(localizer_of, drive.calibration, config, keeps_keyframes=True)
     counting = CountingLocalizer(apart)
     with closing(LocalizerBeside(counting)) as localization:
         yield localization, counting

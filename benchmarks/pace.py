@@ -122,7 +122,7 @@ class SeenSoFar:
         self._state = np.full(plan.is_taken.shape, CellState.UNKNOWN, np.uint8)
         cells = np.moveaxis(np.indices(self._state.shape), 0, -1)
         near = np.hypot(*np.moveaxis(plan.middle_of(cells) - start[:2], -1, 0)) < SIGHT.near_m
-        self._is_told = near & ~plan.is_taken
+        self._is_reported = near & ~plan.is_taken
         self._stood = np.zeros(self._state.shape, bool)
         self.layer = self._layer()
 
@@ -153,7 +153,7 @@ class SeenSoFar:
     def _layer(self) -> StaticLayer:
         state = np.where(self._stood & (self._state == CellState.UNKNOWN), CellState.FREE, self._state).astype(np.uint8)
         layer = StaticLayer(state, np.full(state.shape, np.inf, np.float32), CELL_M, self._plan.origin)
-        return layer.with_floor(self._is_told, is_assumed=True)
+        return layer.with_floor(self._is_reported, is_assumed=True)
 
 
 @dataclass

@@ -33,7 +33,7 @@ def watch(port: int, clients: int, seconds: float) -> list[tuple[int, int]]:
 
 
 def click(port: int, goal: tuple[float, float], times: int, longest_s: float) -> list[tuple[float, float]]:
-    """When a goal was clicked, and when the page was told that the robot moves, by the clock that all processes share.
+    """When a goal was clicked, and when the page showed that the robot moves, by the common clock of all processes.
 
     After each it is stopped, and waited for until it stands. Raises TimeoutError where it does not move, or stand.
     """
@@ -70,7 +70,7 @@ def press(port: int, times: int, every_s: float) -> list[float]:
     """When STOP was pressed, by the clock that all processes share."""
     pressed = []
     with _opened(port) as socket:
-        # What is sent is not kept waiting by what nobody reads.
+        # What is sent is not kept waiting by what no one reads.
         reading = threading.Thread(target=lambda: [None for _ in socket], daemon=True)
         reading.start()
         for _ in range(times):
@@ -89,9 +89,9 @@ def _watch(port: int, seconds: float) -> tuple[int, int]:
     with _opened(port) as socket:
         socket.send('{"type": "costmap", "shown": true}')
         while time.monotonic() < ends_s:
-            told = json.loads(socket.recv(timeout=_WAIT_S))
-            updates += "robot" in told
-            for name, picture in told.get("robot", {}).get("pictures", {}).items():
+            reported = json.loads(socket.recv(timeout=_WAIT_S))
+            updates += "robot" in reported
+            for name, picture in reported.get("robot", {}).get("pictures", {}).items():
                 if numbers.get(name) != picture["number"]:
                     numbers[name] = picture["number"]
                     connection.request("GET", f"/{name}.{_KINDS[name]}?n={picture['number']}")
@@ -104,15 +104,15 @@ def _watch(port: int, seconds: float) -> tuple[int, int]:
 
 
 def _until(socket: ClientConnection, what: Callable[[dict[str, Any]], bool], longest_s: float) -> dict[str, Any]:
-    """What is told of the robot once something is so. Raises TimeoutError."""
+    """What is reported the robot once something is so. Raises TimeoutError."""
     ends_s, alive_s = time.monotonic() + longest_s, 0.0
     while time.monotonic() < ends_s:
-        told = json.loads(socket.recv(timeout=_WAIT_S))
+        reported = json.loads(socket.recv(timeout=_WAIT_S))
         if time.monotonic() - alive_s > _ALIVE_S:
             alive_s = time.monotonic()
             socket.send(_ALIVE)
-        if "robot" in told and told["robot"]["phase"] == "driving" and what(told["robot"]):
-            return dict(told["robot"])
+        if "robot" in reported and reported["robot"]["phase"] == "driving" and what(reported["robot"]):
+            return dict(reported["robot"])
     raise TimeoutError("the robot does not do what it was asked")
 
 

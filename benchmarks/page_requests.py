@@ -119,9 +119,9 @@ def _message(name: str, text: str) -> BadRequest:
         with _socket(port) as opened:
             opened.send(text)
             for _ in range(_MOST_MESSAGES):
-                told = json.loads(opened.recv(timeout=_WAIT_S))
-                if "refused" in told:
-                    return str(told["refused"])
+                reported = json.loads(opened.recv(timeout=_WAIT_S))
+                if "refused" in reported:
+                    return str(reported["refused"])
             return "no answer"
 
     return BadRequest(name, send, lambda came: came.startswith("a message of no sense") and "\n" not in came)

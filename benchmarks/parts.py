@@ -49,7 +49,7 @@ class Part:
     Attributes:
         name: for `--only`.
         measure: measures it.
-        contenders: that take part, whose settings are to be told.
+        contenders: that take part, whose settings are to be reported.
     """
 
     name: str

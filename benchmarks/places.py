@@ -142,7 +142,7 @@ def _plain_way(frame: RgbdFrame, model: PlaceModel) -> Callable[[], object]:
 
 
 def _made_frame(area: int, number: int) -> RgbdFrame:
-    """A corridor's end at a distance that the area tells, under noise, with holes."""
+    """A corridor's end at a distance that the area shows, under noise, with holes."""
     rng = np.random.default_rng((area, number))
     across, down = np.meshgrid(np.linspace(-1, 1, 640), np.linspace(-1, 1, 480))
     depth_m = np.minimum(1 / np.maximum(np.maximum(abs(across), abs(down)), 0.1), 1.5 + 0.6 * area)

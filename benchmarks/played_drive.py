@@ -1,4 +1,4 @@
-"""A drive rendered beforehand, played there and back in real time as a robot that does not mind what it is told."""
+"""A drive rendered beforehand, played there and back in real time as a robot that does not mind what it is reported."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ class Followed:
             self.posed.append(estimate)
 
     def trajectory(self, body: str) -> Trajectory | None:
-        """Of all that has a pose, at the poses as they were told; None of less than two."""
+        """Of all that has a pose, at the poses as they were reported; None of less than two."""
         stamps_s = np.array([estimate.stamp_s for estimate in self.posed])
         poses: list[FloatArray] = [np.asarray(estimate.T_map_body) for estimate in self.posed]
         return Trajectory(stamps_s, np.array(poses), body=body) if len(poses) > 1 else None
@@ -92,7 +92,7 @@ class Cost:
     Attributes:
         drive, settings: which.
         frames, posed: how many frames came, and have a pose.
-        error_m: RMSE of positions after alignment; None where it cannot be told.
+        error_m: RMSE of positions after alignment; None where it cannot be reported.
         median_ms, p95_ms, cpu_ms: of a frame.
         keyframes, surfels: kept at the end; None where there is no map.
     """

@@ -286,7 +286,7 @@ def main() -> None:
     for sheet in sheets:
         console.print(sheet.to_rich())
     if arguments.out is not None:
-        lines = [f"- {name}: {told}" for name, told in about.items()]
+        lines = [f"- {name}: {reported}" for name, reported in about.items()]
         pages = [f"# Relocalization\n\n{__doc__}", "\n".join(lines) + "\n", *(sheet.to_markdown() for sheet in sheets)]
         arguments.out.write_text("\n".join(pages), encoding="utf-8")
 

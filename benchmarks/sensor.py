@@ -1,4 +1,4 @@
-"""What a recording tells of its own camera, without ground truth: keypoint noise by pyramid level, and the shutter.
+"""What a recording shows its own camera, without ground truth: keypoint noise by pyramid level, and the shutter.
 
     python -m benchmarks.sensor RECORDING
 

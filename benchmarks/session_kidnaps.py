@@ -1,7 +1,7 @@
 """A robot that is carried elsewhere in its building, in the dark: does it notice, and does it find itself again?
 
 The second day's drive is cut: it stands for some seconds in the dark, and goes on at another moment of the same drive.
-Counts of the wheels go on as they were: whoever is carried turns no wheel.
+Counts of the wheels go on as they were: anyone who is carried turns no wheel.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ class Kidnapping:
         where = f"{self.building} from {self.moment_s:.1f} to {self.moment_to_s:.1f} s, {self.mode}"
         if not self.was_found:
             return f"{where}: not found before"
-        told = "UNNOTICED, " if self.is_unnoticed else ""
+        reported = "UNNOTICED, " if self.is_unnoticed else ""
         again = "not found again" if self.again_s is None else f"found again after {self.again_s:.1f} s"
-        return f"{where}: {told}{again}{', then LED ASTRAY' if self.is_astray else ''}"
+        return f"{where}: {reported}{again}{', then LED ASTRAY' if self.is_astray else ''}"
 
 
 def carried_off(events: Sequence[Event], from_s: float, to_s: float, dark_s: float = DARK_S) -> Iterator[Event]:

@@ -28,27 +28,29 @@ def kept_day(
     `measured_with` is what its map depends on besides. Raises InputError where the folder has one of another kind.
     """
     records = KeptRecords(folder, measured_with)
-    told = records.of(building.name)
-    if told is None:
+    reported = records.of(building.name)
+    if reported is None:
         day = first_day(building, folder / building.name, rate_hz, units)
-        records.keep(building.name, _told(day, folder))
+        records.keep(building.name, _reported(day, folder))
         return day
-    poses = {name: np.array(told.pop(name)).reshape((-1, 4, 4) if name != "T_world_map" else (4, 4)) for name in _POSES}
-    return FirstDay(**{**told, "folder": folder / told["folder"], **poses})
+    poses = {
+        name: np.array(reported.pop(name)).reshape((-1, 4, 4) if name != "T_world_map" else (4, 4)) for name in _POSES
+    }
+    return FirstDay(**{**reported, "folder": folder / reported["folder"], **poses})
 
 
 def kept_one(records: KeptRecords, name: str, kind: type[One], measured: Callable[[], One]) -> One:
     """What was kept by that name, or else what is measured now, and is kept."""
-    told = records.of(name)
-    if told is None:
+    reported = records.of(name)
+    if reported is None:
         one = measured()
         records.keep(name, asdict(one))
         return one
-    known: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in told.items()}
+    known: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in reported.items()}
     return kind(**known)
 
 
-def _told(day: FirstDay, folder: Path) -> dict[str, Any]:
+def _reported(day: FirstDay, folder: Path) -> dict[str, Any]:
     """What JSON knows of it; its map by where that lies in the folder, so that both may be moved."""
     poses = {name: getattr(day, name).tolist() for name in _POSES}
     numbers = {name: getattr(day, name) for name in ("ate_m", "way_m", "keyframes", "together")}

@@ -181,8 +181,8 @@ def measure(buildings: Sequence[Building], asked: argparse.Namespace, folder: Pa
     for building in buildings:
         of.known.append(kept_day(building, folder, map_settings(asked), asked.rate, asked.calibrated))
         day = of.known[-1]
-        told = f"{day.together} of {day.keyframes} keyframes together, {day.ate_m:.3f} m off"
-        console.print(f"{building.name}: first day mapped, {day.way_m:.0f} m, {told}")
+        reported = f"{day.together} of {day.keyframes} keyframes together, {day.ate_m:.3f} m off"
+        console.print(f"{building.name}: first day mapped, {day.way_m:.0f} m, {reported}")
     for number, building in enumerate(buildings):
         calibration, events = second_day(building, asked.rate, asked.calibrated)
         console.print(f"{building.name}: second day rendered")

@@ -81,8 +81,8 @@ def _frames_per_s(size: tuple[int, int]) -> float:
 def _memory_mb() -> tuple[float, float]:
     """Of a process of its own, which holds nothing else."""
     words = [sys.executable, "-m", "benchmarks.simulation", "memory"]
-    told = subprocess.run(words, check=True, capture_output=True, text=True).stdout.split()
-    return float(told[0]), float(told[1])
+    reported = subprocess.run(words, check=True, capture_output=True, text=True).stdout.split()
+    return float(reported[0]), float(reported[1])
 
 
 def _tell_memory() -> None:

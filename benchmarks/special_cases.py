@@ -199,7 +199,7 @@ RULES = (
         lambda with_it, _: with_it[1] is not None and with_it[1] < 0.75,
     ),
     Rule(
-        "corrected keyframes (`_laid_anew`)",
+        "corrected keyframes (`_laid_again`)",
         "filter",
         "Freiburg79, first day",
         "recordings",
@@ -426,7 +426,7 @@ VERDICTS = {
     "0.75 of the regions agree": (
         "Stays: +33 ± 17 mm in eleven crowds (seven better, two worse). No other drive changes."
     ),
-    "corrected keyframes (`_laid_anew`)": (
+    "corrected keyframes (`_laid_again`)": (
         "Gains 50 ± 16 mm in eleven crowds (eight better, two worse). Three other drives change by -0.7 to +1.2 mm."
     ),
     "camera restarts in its map": (

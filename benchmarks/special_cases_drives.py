@@ -299,7 +299,7 @@ CROWDS = {f"{name}, crowd": SIMULATED[name] for name in ("studio-52", "studio-61
 _OF_CROWDS = (
     "moving regions left out",
     "0.75 of the regions agree",
-    "corrected keyframes (`_laid_anew`)",
+    "corrected keyframes (`_laid_again`)",
     "camera restarts in its map",
     "keyframes wait while undecided",
     "slip by time covers the wheels' pose",

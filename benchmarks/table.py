@@ -111,13 +111,13 @@ def firmware_sheet(figures: FirmwareFigures) -> Sheet:
     """What the wheel controller takes, and how fast wheels it counts."""
     why_not = f"not measured: {' and '.join(figures.missing)} {'is' if len(figures.missing) == 1 else 'are'} missing"
 
-    def told(figure: int | None, unit: str) -> str:
+    def reported(figure: int | None, unit: str) -> str:
         return why_not if figure is None else f"{figure:,} {unit}"
 
     rows = (
-        ("flash, of 8,192 bytes", told(figures.flash_bytes, "bytes")),
-        ("memory without the stack, of 1,024 bytes", told(figures.ram_bytes, "bytes")),
-        ("the fastest both wheels turn before a count is lost", told(figures.pulses_per_s, "pulses/s")),
+        ("flash, of 8,192 bytes", reported(figures.flash_bytes, "bytes")),
+        ("memory without the stack, of 1,024 bytes", reported(figures.ram_bytes, "bytes")),
+        ("the fastest both wheels turn before a count is lost", reported(figures.pulses_per_s, "pulses/s")),
     )
     return Sheet("The wheel controller's program, on a simulated ATmega8", ("what", "measured"), rows)
 
@@ -155,10 +155,10 @@ def shown(path: Path) -> str:
     return path.name if path.is_absolute() else path.as_posix()
 
 
-def write_page(path: Path, title: str, told: str, about: Mapping[str, str], sheets: Sequence[Sheet]) -> None:
+def write_page(path: Path, title: str, reported: str, about: Mapping[str, str], sheets: Sequence[Sheet]) -> None:
     """Keep the tables of one benchmark as Markdown, with what it measures and what it ran on."""
     lines = "\n".join(f"- {topic}: {value}" for topic, value in about.items())
-    pages = [f"# {title}\n\n{told}", f"{lines}\n", *(sheet.to_markdown() for sheet in sheets)]
+    pages = [f"# {title}\n\n{reported}", f"{lines}\n", *(sheet.to_markdown() for sheet in sheets)]
     path.write_text("\n".join(pages), encoding="utf-8")
 
 

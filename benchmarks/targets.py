@@ -41,7 +41,7 @@ class Target:
 
     @property
     def is_met(self) -> bool | None:
-        """None where it cannot be told."""
+        """None where it cannot be reported."""
         if self.limit is None or self.measured is None:
             return None
         return self.measured >= self.limit if self.is_least else self.measured <= self.limit

@@ -1,4 +1,4 @@
-"""A drive through three areas by wheels that turn the robot aside, with frames whose look tells the area."""
+"""A drive through three areas by wheels that turn the robot aside, with frames whose look shows the area."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class AreaDrive:
 
 @cache
 def area_drive() -> AreaDrive:
-    """25 readings and 5 frames a second; areas are told apart by what frames show, but at borders some err."""
+    """25 readings and 5 frames a second; areas are distinguished by what frames show, but at borders some err."""
     rng = np.random.default_rng(5)
     drive = simulate(TRUE_WHEELS, _LEGS, rng=rng)
     truth = drive.truth.moved(T_WORLD_START)

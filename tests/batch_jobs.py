@@ -49,7 +49,7 @@ def ends_itself(job: Job) -> Outcome:
 
 
 def waits(job: Job) -> Outcome:
-    """Until the file "go" is there; a mark tells that it has begun."""
+    """Until the file "go" is there; a mark shows that it has begun."""
     _try(job)
     while not (Path(job.recording) / "go").exists():
         time.sleep(0.02)

@@ -47,7 +47,7 @@ def limits(about: FieldInfo) -> str:
     return ", ".join(f"{sign} {bound:g}" for sign, bound in rules)
 
 
-def told(value: Any) -> str:
+def reported(value: Any) -> str:
     if value is PydanticUndefined:
         return "needed"
     if value is None or isinstance(value, bool):
@@ -71,7 +71,7 @@ def rows(settings: BaseModel) -> Iterator[str]:
         if isinstance(value, BaseModel):
             continue
         source = about.json_schema_extra.get("source", "") if isinstance(about.json_schema_extra, dict) else ""
-        cells = (f"`{name}`", told(value), limits(about), about.description or "", source)
+        cells = (f"`{name}`", reported(value), limits(about), about.description or "", source)
         yield "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
 
 

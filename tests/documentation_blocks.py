@@ -91,7 +91,7 @@ def python_blocks(page: Path) -> Iterator[tuple[int, str]]:
 
 
 def declared(block: str) -> str:
-    """The block below declarations of what it uses and nobody made. Raises KeyError for a name that is not GIVEN."""
+    """The block below declarations of what it uses and no one made. Raises KeyError for a name that is not GIVEN."""
     lines = ["from typing import Any as _Any, Callable as _Callable", "_given: _Any = None"]
     for name in unmade(block):
         kind, module = GIVEN[name]

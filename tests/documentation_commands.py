@@ -20,8 +20,8 @@ def wheelsight_commands(text: str) -> Iterator[list[str]]:
     blocks = re.findall(r"^```\w*\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
     lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
     within = re.findall(r"`(wheelsight [^`]*)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
-    for told in (*lines, *within):
-        if found := re.match(r"(?:[$>] +)?(?:\S*/)?wheelsight ([a-z].*)", told.strip(), re.DOTALL):
+    for reported in (*lines, *within):
+        if found := re.match(r"(?:[$>] +)?(?:\S*/)?wheelsight ([a-z].*)", reported.strip(), re.DOTALL):
             yield re.split(r"\s{2,}| \| ", found[1])[0].split()
 
 
@@ -41,5 +41,5 @@ def unknown_in(words: list[str]) -> list[str]:
             return words[:1]
         command, words = inner, words[1:]
     known = {name for one in command.params for name in (*one.opts, *one.secondary_opts)}
-    told = [word.partition("=")[0] for word in words if word.startswith("--") and word not in _PLACEHOLDERS]
-    return [name for name in told if name not in known]
+    reported = [word.partition("=")[0] for word in words if word.startswith("--") and word not in _PLACEHOLDERS]
+    return [name for name in reported if name not in known]

@@ -31,14 +31,14 @@ class HandFedCamera:
     """A `LiveCamera`; `put` a frame, and it is read once.
 
     Attributes:
-        told: what `report` says.
+        reported: what `report` says.
         is_closed: whether it was given back.
     """
 
     def __init__(self, calibration: Calibration = CALIBRATION) -> None:
         self.name, self.calibration = "fake 1", calibration
         self.warnings: tuple[str, ...] = ("It is made by hand.",)
-        self.told = CameraReport(CameraStatus.STREAMING, host_clock.now_s())
+        self.reported = CameraReport(CameraStatus.STREAMING, host_clock.now_s())
         self.is_closed = False
         self._coming: queue.Queue[LiveFrame] = queue.Queue()
         self._turns: queue.Queue[AngularVelocity] = queue.Queue()
@@ -48,7 +48,7 @@ class HandFedCamera:
 
     def tell(self, status: CameraStatus | None = None, **changes: object) -> None:
         """Report something else from now on."""
-        self.told = replace(self.told, status=status or self.told.status, **changes)  # type: ignore[arg-type]
+        self.reported = replace(self.reported, status=status or self.reported.status, **changes)  # type: ignore[arg-type]
 
     def read(self, timeout_s: float) -> LiveFrame | None:
         try:
@@ -63,7 +63,7 @@ class HandFedCamera:
         return found
 
     def report(self) -> CameraReport:
-        return self.told
+        return self.reported
 
     def take_angular_velocities(self) -> list[AngularVelocity]:
         found = []

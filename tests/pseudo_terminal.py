@@ -66,7 +66,7 @@ def _read(ours: int, screen: Screen) -> None:
     while True:
         try:
             read = os.read(ours, 65536)
-        except OSError:  # nobody has the other end any more
+        except OSError:  # no one has the other end any more
             return
         if not read:
             return

@@ -12,7 +12,7 @@ import pytest
 
 
 def shared_folder(factory: pytest.TempPathFactory, name: str, fill: Callable[[Path], None]) -> Path:
-    """A folder of the session, filled by the first process that asks for it, while others wait. Nobody changes it."""
+    """A folder of the session, filled by the first process that asks for it, while others wait. No one changes it."""
     root = factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         root = root.parent

@@ -26,7 +26,7 @@ CAMERA = PinholeCamera(32, 24, 26.0, 26.0, 15.5, 11.5)
 
 
 def frame(index: int, stamp_s: float, *, dark: bool = False) -> RgbdFrame:
-    """A small frame whose colour tells its index; a dark one is what `TrueOdometry` cannot follow."""
+    """A small frame whose colour shows its index; a dark one is what `TrueOdometry` cannot follow."""
     color = np.full((24, 32, 3), 0 if dark else 1 + index, np.uint8)
     return RgbdFrame(stamp_s, color, np.full((24, 32), 2.0, np.float32), index)
 

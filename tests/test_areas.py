@@ -13,9 +13,9 @@ from wheelsight.core.areas import Area, AreaMap, load_areas, save_areas
 from wheelsight.core.errors import AreaError, OutputError
 
 
-def box(name: str, left: float, bottom: float, right: float, top: float, **told: float) -> Area:
+def box(name: str, left: float, bottom: float, right: float, top: float, **reported: float) -> Area:
     corners = np.array([[left, bottom], [right, bottom], [right, top], [left, top]], float)
-    return Area(name, corners, **(told or {"x_m": (left + right) / 2}))
+    return Area(name, corners, **(reported or {"x_m": (left + right) / 2}))
 
 
 def floor() -> AreaMap:

@@ -1,4 +1,4 @@
-"""Calibrations laid over each other: what a later one tells stands, and what is missing or wrong names its file."""
+"""Calibrations laid over each other: what a later one shows stands, and what is missing or wrong names its file."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def written(path: Path, **fields: Any) -> Path:
 
 
 def test_files_are_laid_over_each_other_part_by_part(tmp_path: Path) -> None:
-    """Each tells something else; a later one wins field by field, and what none tells stays as it was."""
+    """Each shows something else; a later one wins field by field, and what none shows stays as it was."""
     own = tmp_path / "own.yaml"
     save_calibration(
         Calibration(COLOR, DEPTH, T_COLOR_DEPTH, rolling_shutter_s=0.02, wheels=WHEELS, source="factory"), own
@@ -84,7 +84,7 @@ def test_what_is_missing_in_the_end_is_named_with_the_file_that_begins_it(tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("fields", "told"),
+    ("fields", "reported"),
     [
         ({"wheels": {"track_width_m": -1.0}}, r"field wheels: track_width_m is -1\.0"),
         ({"wheels": {"track": 1.0}}, "field wheels has an unknown entry 'track'"),
@@ -92,7 +92,7 @@ def test_what_is_missing_in_the_end_is_named_with_the_file_that_begins_it(tmp_pa
         ({"gyro": {"bias_rad_s": "much"}}, "field gyro.bias_rad_s is 'much', not a number"),
     ],
 )
-def test_what_is_wrong_with_a_layer_names_its_file(tmp_path: Path, fields: dict[str, Any], told: str) -> None:
+def test_what_is_wrong_with_a_layer_names_its_file(tmp_path: Path, fields: dict[str, Any], reported: str) -> None:
     wrong, right = written(tmp_path / "wrong.yaml", **fields), written(tmp_path / "right.yaml", T_base_camera=EYE)
-    with pytest.raises(CalibrationError, match=r"wrong\.yaml: " + told):
+    with pytest.raises(CalibrationError, match=r"wrong\.yaml: " + reported):
         load_calibration(wrong, right, under=Calibration(wheels=WHEELS))

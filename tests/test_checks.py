@@ -35,18 +35,18 @@ WRONG_FRAMES = (
 )
 
 
-@pytest.mark.parametrize(("change", "told"), WRONG_FRAMES)
+@pytest.mark.parametrize(("change", "reported"), WRONG_FRAMES)
 @pytest.mark.parametrize("odometry", ["features", "dense", "wheels,dense"])
-def test_a_localizer_refuses_images_that_are_none(odometry: str, change: dict[str, Any], told: str) -> None:
+def test_a_localizer_refuses_images_that_are_none(odometry: str, change: dict[str, Any], reported: str) -> None:
     localizer = Localizer(CALIBRATION, load_config(overrides={"odometry": odometry}))
-    with pytest.raises(ArgumentError, match=told):
+    with pytest.raises(ArgumentError, match=reported):
         localizer.process(replace(FRAME, **change))
 
 
-@pytest.mark.parametrize(("change", "told"), WRONG_FRAMES)
+@pytest.mark.parametrize(("change", "reported"), WRONG_FRAMES)
 @pytest.mark.parametrize("kind", [FeatureOdometry, DenseOdometry])
-def test_so_does_an_odometry(kind: Callable[..., Any], change: dict[str, Any], told: str) -> None:
-    with pytest.raises(ArgumentError, match=told):
+def test_so_does_an_odometry(kind: Callable[..., Any], change: dict[str, Any], reported: str) -> None:
+    with pytest.raises(ArgumentError, match=reported):
         kind(CALIBRATION).process(replace(FRAME, **change))
 
 
@@ -57,7 +57,7 @@ def test_what_is_no_event_is_refused(event: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("event", "told"),
+    ("event", "reported"),
     [
         (WheelTicks(None, 1, 2), "stamp_s of WheelTicks is None"),  # type: ignore[arg-type]
         (WheelTicks(0.0, "1", 2), "left of WheelTicks is a str"),  # type: ignore[arg-type]
@@ -65,8 +65,8 @@ def test_what_is_no_event_is_refused(event: Any) -> None:
         (YawRate(0.0, [1.0]), "yaw_rate_rad_s of YawRate is a list"),  # type: ignore[arg-type]
     ],
 )
-def test_numbers_that_are_none_are_refused(event: Any, told: str) -> None:
-    with pytest.raises(ArgumentError, match=told):
+def test_numbers_that_are_none_are_refused(event: Any, reported: str) -> None:
+    with pytest.raises(ArgumentError, match=reported):
         Localizer(CALIBRATION, load_config(overrides={"odometry": "wheels"})).process(event)
 
 
@@ -76,7 +76,7 @@ def test_numbers_of_numpy_are_numbers() -> None:
 
 
 @pytest.mark.parametrize(
-    ("prior", "told"),
+    ("prior", "reported"),
     [
         (np.eye(3), r"is of shape \(3, 3\), not \(4, 4\)"),
         ("there", "is a str, not"),
@@ -85,10 +85,10 @@ def test_numbers_of_numpy_are_numbers() -> None:
     ],
 )
 @pytest.mark.parametrize("kind", [FeatureOdometry, DenseOdometry])
-def test_motions_that_are_none_are_refused(kind: Callable[..., Any], prior: Any, told: str) -> None:
-    with pytest.raises(ArgumentError, match="prior " + told):
+def test_motions_that_are_none_are_refused(kind: Callable[..., Any], prior: Any, reported: str) -> None:
+    with pytest.raises(ArgumentError, match="prior " + reported):
         kind(CALIBRATION).process(FRAME, prior)
-    with pytest.raises(ArgumentError, match="T_map_camera " + told):
+    with pytest.raises(ArgumentError, match="T_map_camera " + reported):
         kind(CALIBRATION).restart(FRAME, prior, np.eye(6))
     with pytest.raises(ArgumentError, match=r"covariance is of shape \(3, 3\), not \(6, 6\)"):
         kind(CALIBRATION).restart(FRAME, np.eye(4), np.eye(3))

@@ -28,14 +28,14 @@ def drive(seconds: float = 8.0, camera_hz: float = 10.0, begin_s: float = 0.0, l
 
 def times(clock: SessionClock, events: list[Event]) -> list[tuple[Event, float]]:
     """Events that have a time, with it."""
-    told = [(event, clock.time_of(event)) for event in events]
-    return [(event, time_s) for event, time_s in told if not isinstance(time_s, Untimed)]
+    reported = [(event, clock.time_of(event)) for event in events]
+    return [(event, time_s) for event, time_s in reported if not isinstance(time_s, Untimed)]
 
 
-def off_s(events: list[Event], leapt: list[Event], told: list[tuple[Event, float]]) -> np.ndarray:
+def off_s(events: list[Event], leapt: list[Event], reported: list[tuple[Event, float]]) -> np.ndarray:
     """By how much the times of frames differ from those of wheels, at the true instants of both."""
     true_s = {id(now): before.stamp_s for before, now in zip(events, leapt, strict=True)}
-    settled = [(event, time_s - true_s[id(event)]) for event, time_s in told if true_s[id(event)] > LEAP_AT_S + 3]
+    settled = [(event, time_s - true_s[id(event)]) for event, time_s in reported if true_s[id(event)] > LEAP_AT_S + 3]
     of_wheels = [off for event, off in settled if isinstance(event, WheelTicks)]
     return np.array([off for event, off in settled if isinstance(event, SkippedFrame)]) - of_wheels[-1]
 
@@ -57,14 +57,14 @@ def test_a_leap_is_bridged_and_sensors_stay_together(
 ) -> None:
     clock, events = SessionClock(), drive(12.0, camera_hz, late_s=late_s)
     leapt = ClockLeaps(LEAP_AT_S, by_s, sensors).apply(events)
-    told = times(clock, leapt)
-    assert len(told) > 0.85 * len(events)
-    session_s = [t for _, t in told if isinstance(_, WheelTicks)]
+    reported = times(clock, leapt)
+    assert len(reported) > 0.85 * len(events)
+    session_s = [t for _, t in reported if isinstance(_, WheelTicks)]
     assert (np.diff(session_s) > 0).all()
     assert np.diff(session_s).max() < 1.6
-    # Common leaps keep what lies between stamps; of one alone, the order in which events come tells to within a period.
+    # Common leaps keep what lies between stamps; of one alone, the order in which events come shows to within a period.
     few_s = 0.001 if sensors == "both" else 0.1 if camera_hz > 5 else 0.3
-    assert np.abs(off_s(events, leapt, told)).max() < few_s
+    assert np.abs(off_s(events, leapt, reported)).max() < few_s
     (warning,) = clock.warnings
     assert ("wheels" in warning, "camera" in warning) == (sensors != "camera", sensors != "wheels")
     assert ("or all sensors paused that long" in warning) == (sensors == "both" and by_s > 0)
@@ -77,19 +77,19 @@ def test_a_small_leap_of_one_clock_is_known_by_the_others_that_come_later_than_u
 ) -> None:
     clock, events = SessionClock(), drive()
     leapt = ClockLeaps(LEAP_AT_S, by_s, sensors).apply(events)
-    told = times(clock, leapt)
-    assert np.abs(off_s(events, leapt, told)).max() < 0.03
-    assert len(told) > len(events) - 10
+    reported = times(clock, leapt)
+    assert np.abs(off_s(events, leapt, reported)).max() < 0.03
+    assert len(reported) > len(events) - 10
     assert sensors in clock.warnings[0]
 
 
 @pytest.mark.parametrize("asleep_s", [2.0, 300.0])
 def test_a_host_that_sleeps_is_a_leap_of_all(asleep_s: float) -> None:
     clock, events = SessionClock(), drive()
-    told = times(clock, ClockLeaps(LEAP_AT_S, asleep_s, "both", missing_s=1.0).apply(events))
-    steps_s = np.diff([t for _, t in told])
+    reported = times(clock, ClockLeaps(LEAP_AT_S, asleep_s, "both", missing_s=1.0).apply(events))
+    steps_s = np.diff([t for _, t in reported])
     assert steps_s.max() == pytest.approx(0.4, abs=1e-6)
-    assert told[-1][1] + clock.shift_s == pytest.approx(events[-1].stamp_s + asleep_s)
+    assert reported[-1][1] + clock.shift_s == pytest.approx(events[-1].stamp_s + asleep_s)
 
 
 @pytest.mark.parametrize("share", [0.05, 0.15])
@@ -97,10 +97,10 @@ def test_single_stamps_far_away_are_noise(share: float) -> None:
     rng, clock = np.random.default_rng(5), SessionClock()
     events = drive()
     odd = [e if k < 20 or rng.random() > share else _off(e, rng.choice([-1e6, 1e3, 1e9])) for k, e in enumerate(events)]
-    told = times(clock, odd)
-    honest = [(e, t) for e, t in told if abs(e.stamp_s) < 100]
+    reported = times(clock, odd)
+    honest = [(e, t) for e, t in reported if abs(e.stamp_s) < 100]
     assert max(abs(t - e.stamp_s) for e, t in honest) < 1e-9
-    assert len(told) == len(honest) > (1 - 1.3 * share) * len(events)
+    assert len(reported) == len(honest) > (1 - 1.3 * share) * len(events)
 
 
 @pytest.mark.parametrize("stamp_s", [np.nan, np.inf, -np.inf])
@@ -108,25 +108,25 @@ def test_what_is_no_number_has_no_time_and_moves_nothing(stamp_s: float) -> None
     clock = SessionClock()
     events = drive()
     times(clock, events[:100])
-    told = clock.time_of(WheelTicks(stamp_s, 0, 0))
-    assert isinstance(told, Untimed)
-    assert told.reason is Reason.INVALID
+    reported = clock.time_of(WheelTicks(stamp_s, 0, 0))
+    assert isinstance(reported, Untimed)
+    assert reported.reason is Reason.INVALID
     assert len(times(clock, events[100:])) == len(events) - 100
 
 
 def test_a_stamp_that_comes_again_is_refused() -> None:
     clock = SessionClock()
     assert clock.time_of(WheelTicks(1.0, 0, 0)) == 1.0
-    told = clock.time_of(WheelTicks(1.0, 5, 5))
-    assert told == Untimed(Reason.CLOCK_BACKWARDS, "its stamp does not come after 1.000000 s")
+    reported = clock.time_of(WheelTicks(1.0, 5, 5))
+    assert reported == Untimed(Reason.CLOCK_BACKWARDS, "its stamp does not come after 1.000000 s")
 
 
 @pytest.mark.parametrize("apart_s", [18.0, 1e9, -1e9])
 def test_a_sensor_of_another_epoch_is_left_out_by_name(apart_s: float) -> None:
     clock = SessionClock()
     events = [_off(e, apart_s) if isinstance(e, SkippedFrame) else e for e in drive()]
-    told = times(clock, events)
-    assert all(isinstance(event, WheelTicks) for event, _ in told)
+    reported = times(clock, events)
+    assert all(isinstance(event, WheelTicks) for event, _ in reported)
     (warning,) = clock.warnings
     assert warning.startswith("The camera is left out: the clock of the camera is ")
     assert "stamp all sensors by one clock" in warning
@@ -146,7 +146,7 @@ def test_a_camera_alone_may_pause_and_may_be_slow() -> None:
     assert [clock.time_of(SkippedFrame(stamp_s, "")) for stamp_s in stamps_s] == stamps_s
 
 
-def test_leaps_without_end_are_told_ten_times() -> None:
+def test_leaps_without_end_are_reported_ten_times() -> None:
     clock, events = SessionClock(), drive(60.0)
     for k in range(1, 20):
         events = ClockLeaps(events[0].stamp_s + 3.0 * k, 0.0).apply(events)
@@ -166,11 +166,11 @@ def test_whatever_comes_the_times_of_a_sensor_grow(given_events: list[tuple[int,
     for kind, value, how in given_events:
         stamp_s = value if how == 0 else stamp_s + 0.02 * how
         event = (WheelTicks(stamp_s, 0, 0), SkippedFrame(stamp_s, ""), YawRate(stamp_s, 0.0))[kind]
-        told = clock.time_of(event)
-        if not isinstance(told, Untimed):
-            assert np.isfinite(told)
-            assert told > last.get(kind, -np.inf) or kind == 2  # a gyroscope gives way to wheels, and begins anew
-            last[kind] = told
+        reported = clock.time_of(event)
+        if not isinstance(reported, Untimed):
+            assert np.isfinite(reported)
+            assert reported > last.get(kind, -np.inf) or kind == 2  # a gyroscope gives way to wheels, and begins again
+            last[kind] = reported
 
 
 def _off(event: Event, by_s: float) -> Event:
@@ -198,15 +198,15 @@ def scenes() -> list[list[Event]]:
     return [*map(list, made), apart, far_apart, often, alike, *slow]
 
 
-def told_of(settings: ClockSettings, events: list[Event]) -> object:
+def reported_of(settings: ClockSettings, events: list[Event]) -> object:
     clock = SessionClock(settings)
     return [time_s if isinstance(time_s := clock.time_of(event), float) else None for event in events], clock.warnings
 
 
 @pytest.mark.parametrize("name", numbers(ClockSettings))
-def test_each_setting_changes_what_is_told(name: str) -> None:
+def test_each_setting_changes_what_is_reported(name: str) -> None:
     assert any(
-        told_of(changed, events) != told_of(ClockSettings(), events)
+        reported_of(changed, events) != reported_of(ClockSettings(), events)
         for events in scenes()
         for changed in variants(ClockSettings, name)
         if isinstance(changed, ClockSettings)

@@ -73,9 +73,9 @@ class Area:
     def start(self, code: str = RUN, **environment: str) -> subprocess.Popen[str]:
         """A process of its own; without Python's own caches, which know the second of a change alone."""
         path = os.pathsep.join([str(self.folder.parent), *sys.path])
-        told = os.environ | {"PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"} | environment
+        reported = os.environ | {"PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"} | environment
         command = [sys.executable, "-c", code]
-        return subprocess.Popen(command, env=told, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        return subprocess.Popen(command, env=reported, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
     def run(self, **environment: str) -> tuple[float, int, Path]:
         """What twice(1.5) is, how many of its compiled forms were on the disk, and where."""
@@ -83,9 +83,9 @@ class Area:
 
 
 def outcome(process: subprocess.Popen[str]) -> tuple[float, int, Path]:
-    told, problem = process.communicate(timeout=120)
+    reported, problem = process.communicate(timeout=120)
     assert process.returncode == 0, problem
-    value, hits, folder = told.split()
+    value, hits, folder = reported.split()
     return float(value), int(hits), Path(folder)
 
 
@@ -153,19 +153,19 @@ def test_what_may_not_stand_beside_its_file_stands_in_the_users_cache(area: Area
 
 @pytest.mark.slow
 def test_of_processes_that_start_at_once_one_compiles_and_the_others_wait(area: Area) -> None:
-    told = [outcome(process)[:2] for process in [area.start(), area.start(), area.start()]]
-    assert sorted(told) == [(6.0, 0), (6.0, 1), (6.0, 1)]
+    reported = [outcome(process)[:2] for process in [area.start(), area.start(), area.start()]]
+    assert sorted(reported) == [(6.0, 0), (6.0, 1), (6.0, 1)]
 
 
 @pytest.mark.slow
-def test_a_process_that_dies_while_it_compiles_holds_nobody_up(area: Area) -> None:
+def test_a_process_that_dies_while_it_compiles_holds_no_one_up(area: Area) -> None:
     dying = area.start(DIE_BEFORE_IT_IS_KEPT + RUN)
     dying.communicate(timeout=120)
     assert dying.returncode == 3
     assert area.run()[:2] == (6.0, 0)
 
 
-def test_nothing_is_compiled_where_numba_is_told_so(area: Area) -> None:
+def test_nothing_is_compiled_where_numba_is_reported(area: Area) -> None:
     process = area.start("from area import scaled; print(type(scaled).__name__)", NUMBA_DISABLE_JIT="1")
     assert process.communicate()[0] == "function\n"
 

@@ -44,10 +44,10 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
 
 def test_what_is_written_is_the_same_with_libyaml_and_without(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = Config().to_dict() | {"note": "of a flat: 3 × 4 m", "start": [0.5, 1e-7, None, True]}
-    told = settings_text(settings)
+    reported = settings_text(settings)
     monkeypatch.delattr(yaml, "CSafeDumper", raising=False)
-    assert told == settings_text(settings)
-    assert yaml.safe_load(told) == yaml.safe_load(yaml.safe_dump(settings))
+    assert reported == settings_text(settings)
+    assert yaml.safe_load(reported) == yaml.safe_load(yaml.safe_dump(settings))
 
 
 def test_a_file_changes_what_it_names_and_options_win_over_it(tmp_path: Path) -> None:

@@ -115,7 +115,7 @@ def test_a_calibration_file_holds_it_and_another_lens_drops_it(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("wrong", "told"),
+    ("wrong", "reported"),
     [
         ({"scale": 1000}, "scale is 1000, not 0.5 to 2"),
         ({"offset_m": 24}, "offset_m is 24, not -1 to 1 m"),
@@ -129,10 +129,10 @@ def test_a_calibration_file_holds_it_and_another_lens_drops_it(tmp_path: Path) -
         ({"slope": 1}, "unknown entry 'slope'"),
     ],
 )
-def test_what_no_depth_camera_has_is_refused(wrong: dict[str, object], told: str) -> None:
+def test_what_no_depth_camera_has_is_refused(wrong: dict[str, object], reported: str) -> None:
     with pytest.raises(CalibrationError, match="depth_error") as refusal:
         depth_error_from(wrong)
-    assert told in str(refusal.value)
+    assert reported in str(refusal.value)
 
 
 def recording_with(folder: Path, calibration: Calibration) -> Path:

@@ -52,7 +52,7 @@ NOT_RUN = {
     "python papers/": "needs recordings that are not part of the project; tests/papers",
     "rerun ": "opens a window; tests/viewer reads the files",
     "wheelsight wheels ": "needs a wheel controller; tests/cli/test_wheels.py",
-    "wheelsight devices": "tells of this machine; tests/cli/test_devices.py",
+    "wheelsight devices": "shows this machine; tests/cli/test_devices.py",
     "wheelsight batch RECORDING": "of whole recordings; docs/batch.md's is of short ones",
     "wheelsight record ": "needs a wheel controller or a camera; tests/cli/test_record.py, test_record_camera.py",
     "wheelsight run --live ": "needs a camera or a wheel controller; tests/cli/test_run_live.py",
@@ -98,7 +98,7 @@ NOT_WITH_STAND_INS = {
     "wheelsight warm-up": "minutes where nothing is compiled yet; tests/cli/test_warm_up.py",
     "wheelsight wheels simulate ": "the test has its own controller; tests/cli/test_wheels.py",
     "wheelsight run sample ": "twenty seconds; tests/recordings/test_sample.py",
-    "wheelsight devices": "tells of this machine; tests/cli/test_devices.py",
+    "wheelsight devices": "shows this machine; tests/cli/test_devices.py",
     "wheelsight calibrate camera --camera any": "a minute of views; tests/cli/test_calibrate_camera.py draws them",
     "wheelsight run calibration_drive --odometry dense": "half a minute; the truth stands for its trajectory",
     "wheelsight calibrate base ": "ten seconds; that of docs/base-calibration.md is run",
@@ -156,7 +156,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def write_recordings(folder: Path) -> None:
     """RECORDING, which shows all that is calibrated; `short`, its first seconds; `rooms` and `areas`, whose places
-    can be told apart; and squares."""
+    can be distinguished; and squares."""
     begins = np.cumsum([0.0, *(leg[0] for leg in LEGS)])
     rows = [f"{begin},{v},{w}" for begin, (_, v, w) in zip(begins, (*LEGS, (0.0, 0.0, 0.0)), strict=True)]
     (folder / "legs.csv").write_text("\n".join(["stamp_s,v_m_s,yaw_rate_rad_s", *rows]) + "\n")
@@ -220,8 +220,8 @@ def fresh(recordings: Path, tmp_path: Path) -> Path:
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", [page for page in PAGES if to_run(page) and page != YOURS])
-def test_what_a_page_tells_to_type_works(page: str, fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Most commands in this process, which has loaded by then what each would load anew; index.md's in a shell."""
+def test_what_a_page_shows_to_type_works(page: str, fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Most commands in this process, which has loaded by then what each would load again; index.md's in a shell."""
     path = os.pathsep.join([str(fresh / "bin"), os.environ["PATH"]])
     environment = {**os.environ, "PATH": path, "PYTHONPATH": str(PROJECT)}
     monkeypatch.chdir(fresh)
@@ -230,11 +230,11 @@ def test_what_a_page_tells_to_type_works(page: str, fresh: Path, monkeypatch: py
         typed = f"{command.split('  #')[0].replace(*SHORT_RUN)} {more}"
         if typed.startswith("wheelsight ") and not FOR_A_SHELL.search(typed):
             result = CliRunner().invoke(app, shlex.split(typed)[1:])
-            code, told = result.exit_code, f"{result.output}\n{result.exception!r}"
+            code, reported = result.exit_code, f"{result.output}\n{result.exception!r}"
         else:
             answer = subprocess.run(["bash", "-c", typed], env=environment, capture_output=True, text=True, check=False)
-            code, told = answer.returncode, answer.stderr
-        assert code == 0, f"{page}: {typed}\n{told}"
+            code, reported = answer.returncode, answer.stderr
+        assert code == 0, f"{page}: {typed}\n{reported}"
 
 
 @pytest.mark.slow
@@ -282,16 +282,16 @@ def test_every_reason_for_not_running_is_of_some_command() -> None:
 
 
 def test_commands_that_pages_name_have_the_options_that_they_give() -> None:
-    """All of them, since those in NOT_RUN and those within text are run by nobody."""
+    """All of them, since those in NOT_RUN and those within text are run by no one."""
     pages = (
         *PAGES,
         "papers/README.md",
         "BENCHMARKS.md",
         *(f"docs/benchmarks/{path.name}" for path in (DOCS / "benchmarks").glob("*.md")),
     )
-    told = [(page, words) for page in pages for words in wheelsight_commands((PROJECT / page).read_text("utf-8"))]
-    assert len(told) > 200
-    assert [(page, unknown) for page, words in told if (unknown := unknown_in(words))] == []
+    reported = [(page, words) for page in pages for words in wheelsight_commands((PROJECT / page).read_text("utf-8"))]
+    assert len(reported) > 200
+    assert [(page, unknown) for page, words in reported if (unknown := unknown_in(words))] == []
     assert unknown_in(["run", "drive", "--outt", "x", "--map-from=y"]) == ["--outt"]
     assert unknown_in(["map", "shrink", "x"]) == ["shrink"]
 
@@ -376,8 +376,8 @@ def test_a_strict_checker_takes_what_pages_show(tmp_path: Path) -> None:
     )
     command = [sys.executable, "-m", "mypy", "--config-file", "mypy.ini", "."]
     environment = {**os.environ, "MYPYPATH": str(PROJECT)}
-    told = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-    assert told.returncode == 0, told.stdout + told.stderr
+    reported = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert reported.returncode == 0, reported.stdout + reported.stderr
 
 
 def test_the_site_begins_with_tutorials_and_has_each_page_once() -> None:

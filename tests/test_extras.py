@@ -92,7 +92,7 @@ def test_what_is_installed_is_handed_out() -> None:
 
 
 @pytest.mark.parametrize(
-    ("module", "told"),
+    ("module", "reported"),
     [
         ("skops.io", "skops is missing (pip install scikit-learn skops)"),
         ("plotly.subplots", "plotly is missing (pip install plotly)"),
@@ -102,8 +102,8 @@ def test_what_is_installed_is_handed_out() -> None:
         ("zenoh", "Zenoh is missing (pip install eclipse-zenoh rosbags)"),
     ],
 )
-def test_what_is_missing_is_told(module: str, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_missing_is_reported(module: str, reported: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(ConfigError) as missing:
         needed(module)
-    assert str(missing.value) == told
+    assert str(missing.value) == reported

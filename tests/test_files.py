@@ -207,7 +207,7 @@ def test_an_output_folder_that_cannot_be_written_to(tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="this system has no /proc")
-def test_an_output_folder_where_nobody_can_make_one() -> None:
+def test_an_output_folder_where_no_one_can_make_one() -> None:
     with pytest.raises(OutputError, match="does not exist and cannot be made"):
         make_output_folder(Path("/proc/wheelsight"))
     with pytest.raises(OutputError, match="/proc"):

@@ -128,7 +128,7 @@ def test_an_error_that_was_raised_once_does_not_stop_what_comes_later() -> None:
     assert store[number].stamp_s == 0.0
 
 
-def test_what_follows_is_told_how_keyframes_moved_since_it_asked() -> None:
+def test_what_follows_is_reported_how_keyframes_moved_since_it_asked() -> None:
     store = KeyframeStore()
     follower = store.follow()
     T, after, last = poses(3, 3), poses(3, 4), poses(1, 5)
@@ -227,9 +227,9 @@ def test_what_is_recalled_goes_by_numbers_alone() -> None:
         store.add(keyframe(float(newest)), np.eye(4))
         store.keep_on_disk(KeyframeId(newest), lambda: keyframe(-1.0))
         for asked in range(max(0, newest - 2), newest + 1):  # a thread that lags, or does not
-            told = [store.as_of(KeyframeId(k), KeyframeId(asked)).stamp_s for k in range(asked + 1)]
-            assert told == [-1.0] * max(asked - 2, 0) + list(map(float, range(max(asked - 2, 0), asked + 1)))
-            recalled.append(told)
+            reported = [store.as_of(KeyframeId(k), KeyframeId(asked)).stamp_s for k in range(asked + 1)]
+            assert reported == [-1.0] * max(asked - 2, 0) + list(map(float, range(max(asked - 2, 0), asked + 1)))
+            recalled.append(reported)
     assert recalled
 
 
@@ -239,6 +239,6 @@ def test_nothing_rests_unless_somebody_says() -> None:
         store.add(kept, np.eye(4))
     assert store.as_of(KeyframeId(0), KeyframeId(4)) is kept
     store.limit_memory(1)
-    assert store.as_of(KeyframeId(0), KeyframeId(4)) is kept  # nobody has written it
+    assert store.as_of(KeyframeId(0), KeyframeId(4)) is kept  # no one has written it
     with pytest.raises(ArgumentError):
         store.as_of(KeyframeId(5), KeyframeId(6))

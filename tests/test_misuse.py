@@ -108,9 +108,9 @@ WRONG_IMAGES: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.parametrize("mistake", WRONG_IMAGES)
 @pytest.mark.parametrize("way_in", FRAMES_GO_IN)
 def test_a_wrong_frame_is_refused_with_what_to_do(begin: Begin, way_in: str, mistake: str) -> None:
-    change, told = WRONG_IMAGES[mistake]
+    change, reported = WRONG_IMAGES[mistake]
     process = begin(way_in)
-    with pytest.raises(ArgumentError, match=told):
+    with pytest.raises(ArgumentError, match=reported):
         process(replace(FRAME, **change))
 
 
@@ -150,17 +150,17 @@ UNITS = {"milliseconds": (1e3, "1e3"), "microseconds": (1e6, "1e6"), "nanosecond
 @pytest.mark.parametrize("start_s", [100.0, 1.76e9])
 @pytest.mark.parametrize("way_in", FRAMES_GO_IN)
 def test_frames_stamped_in_other_units_are_refused(begin: Begin, way_in: str, start_s: float, unit: str) -> None:
-    """What is longer ago than 150 years at the first frame, others once four have told how far they step."""
+    """What is longer ago than 150 years at the first frame, others once four have reported how far they step."""
     per_second, divisor = UNITS[unit]
     process, unsaid = begin(way_in), 0 if start_s * per_second > 5e9 else 3
-    told = (
+    reported = (
         "no seconds since any time .divide milliseconds" if unsaid == 0 else f"{unit}, not seconds .divide by {divisor}"
     )
     for k in range(unsaid):
         process(replace(FRAME, stamp_s=(start_s + k / 30) * per_second))
     frame = replace(FRAME, stamp_s=(start_s + unsaid / 30) * per_second)
     for _ in range(2):
-        with pytest.raises(ArgumentError, match=f"stamp_s of RgbdFrame is .*: {told}"):
+        with pytest.raises(ArgumentError, match=f"stamp_s of RgbdFrame is .*: {reported}"):
             process(frame)
 
 
@@ -195,8 +195,8 @@ WRONG_READINGS: dict[str, tuple[Event, str]] = {
 @pytest.mark.parametrize("mistake", WRONG_READINGS)
 @pytest.mark.parametrize("way_in", READINGS_GO_IN)
 def test_a_wrong_reading_is_refused(begin: Begin, way_in: str, mistake: str) -> None:
-    event, told = WRONG_READINGS[mistake]
-    with pytest.raises(ArgumentError, match=told):
+    event, reported = WRONG_READINGS[mistake]
+    with pytest.raises(ArgumentError, match=reported):
         begin(way_in)(event)
 
 
@@ -271,8 +271,8 @@ def seen_by(camera: PinholeCamera, **others: Any) -> Calibration:
 
 @pytest.mark.parametrize("mistake", WRONG_PARTS)
 def test_a_wrong_calibration_is_refused_where_it_is_made(mistake: str) -> None:
-    make, told = WRONG_PARTS[mistake]
-    with pytest.raises(CalibrationError, match=told):
+    make, reported = WRONG_PARTS[mistake]
+    with pytest.raises(CalibrationError, match=reported):
         make()
 
 
@@ -311,17 +311,17 @@ WRONG_MOTIONS: dict[str, tuple[Any, str]] = {
 @pytest.mark.parametrize("name", ["T_base_camera", "T_color_depth"])
 @pytest.mark.parametrize("mistake", WRONG_MOTIONS)
 def test_a_mount_that_is_none_is_refused_by_what_is_wrong(name: str, mistake: str) -> None:
-    T, told = WRONG_MOTIONS[mistake]
-    with pytest.raises(CalibrationError, match=f"{name} is not a rigid motion: .*{told}"):
+    T, reported = WRONG_MOTIONS[mistake]
+    with pytest.raises(CalibrationError, match=f"{name} is not a rigid motion: .*{reported}"):
         seen_by(CAMERA, **{name: T})
 
 
 @pytest.mark.parametrize("mistake", sorted(set(WRONG_MOTIONS) - {"three rows", "a position"}))
 def test_so_is_an_expected_motion_and_the_pose_of_a_map(mistake: str) -> None:
-    T, told = WRONG_MOTIONS[mistake]
-    with pytest.raises(ArgumentError, match=f"prior .*{told}"):
+    T, reported = WRONG_MOTIONS[mistake]
+    with pytest.raises(ArgumentError, match=f"prior .*{reported}"):
         FeatureOdometry(CALIBRATION).process(FRAME, T)
-    with pytest.raises(MapError, match=f"T_map_camera is not a rigid motion: .*{told}"):
+    with pytest.raises(MapError, match=f"T_map_camera is not a rigid motion: .*{reported}"):
         SurfelMap().fuse(SURFACE, GRID, T, 0.0)
 
 
@@ -334,7 +334,7 @@ def test_what_is_no_matrix_is_no_mount_and_no_pose(T: Any) -> None:
             seen_by(CAMERA, T_base_camera=T)
 
 
-def test_a_mount_in_mm_is_told_as_metres() -> None:
+def test_a_mount_in_mm_is_reported_as_metres() -> None:
     with pytest.raises(CalibrationError, match=r"T_base_camera is 1140.18, not 0 to 10 m \(give metres: 1140.18 mm"):
         seen_by(CAMERA, T_base_camera=rotated(R_MOUNT, [300.0, 0.0, 1100.0]))
 
@@ -348,7 +348,7 @@ SURFACE = FrameSurface(
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [
         ({"depth_m": np.full(SHAPE, 2000.0, np.float32)}, r"depth_m is 2000 .*no metres \(.*millimetres by 1000"),
         ({"depth_m": np.full(SHAPE, 2000, np.uint16)}, r"depth_m is of uint16, not float32 \(.*depth / 1000"),
@@ -360,9 +360,9 @@ SURFACE = FrameSurface(
         ({"normal": None}, "normal is a NoneType, not an array"),
     ],
 )
-def test_a_map_takes_no_surface_that_is_none(change: dict[str, Any], told: str) -> None:
+def test_a_map_takes_no_surface_that_is_none(change: dict[str, Any], reported: str) -> None:
     surfel_map = SurfelMap()
-    with pytest.raises(MapError, match=told):
+    with pytest.raises(MapError, match=reported):
         surfel_map.fuse(replace(SURFACE, **change), GRID, np.eye(4), 0.0)
     assert surfel_map.frames == len(surfel_map) == 0
     surfel_map.fuse(SURFACE, GRID, np.eye(4), 0.0)
@@ -395,8 +395,8 @@ WRONG_BEGINNINGS: dict[str, tuple[Callable[[], object], str]] = {
 
 @pytest.mark.parametrize("mistake", WRONG_BEGINNINGS)
 def test_what_is_begun_with_is_looked_at(mistake: str) -> None:
-    make, told = WRONG_BEGINNINGS[mistake]
-    with pytest.raises(ArgumentError, match=told):
+    make, reported = WRONG_BEGINNINGS[mistake]
+    with pytest.raises(ArgumentError, match=reported):
         make()
 
 

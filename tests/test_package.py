@@ -38,8 +38,8 @@ def run_python(code: str) -> str:
 
 
 def test_importing_wheelsight_loads_nothing_but_itself() -> None:
-    told = run_python("import sys; before = {*sys.modules}; import wheelsight; print(*({*sys.modules} - before))")
-    loaded = {name for name in told.split() if name.partition(".")[0] not in sys.stdlib_module_names}
+    reported = run_python("import sys; before = {*sys.modules}; import wheelsight; print(*({*sys.modules} - before))")
+    loaded = {name for name in reported.split() if name.partition(".")[0] not in sys.stdlib_module_names}
     assert loaded == {"wheelsight", "wheelsight._version"}
 
 

@@ -73,7 +73,7 @@ def test_another_lens_does_not_inherit_them(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "told"),
+    ("value", "reported"),
     [
         (3.0, "list of lists"),
         ([1.0], "list of lists"),
@@ -84,11 +84,11 @@ def test_another_lens_does_not_inherit_them(tmp_path: Path) -> None:
     ],
     ids=["a number", "numbers", "short", "not finite", "text", "many"],
 )
-def test_what_is_none_is_refused(value: Any, told: str, tmp_path: Path) -> None:
+def test_what_is_none_is_refused(value: Any, reported: str, tmp_path: Path) -> None:
     save_calibration(Calibration.registered_camera(CAMERA), tmp_path / "bad.yaml")
     document = yaml.safe_load((tmp_path / "bad.yaml").read_text()) | {"point_errors": value}
     (tmp_path / "bad.yaml").write_text(yaml.safe_dump(document))
-    with pytest.raises(CalibrationError, match=told) as refused:
+    with pytest.raises(CalibrationError, match=reported) as refused:
         load_calibration(tmp_path / "bad.yaml")
     assert "point_errors" in str(refused.value)
 

@@ -171,12 +171,12 @@ def pixels_of(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return np.frombuffer(data, np.uint8, width * height, at).reshape(height, width), np.ones((height, width), bool)
 
 
-def plain_value(shade: int, mode: object, told: dict[str, Any]) -> int:
+def plain_value(shade: int, mode: object, reported: dict[str, Any]) -> int:
     """Of one shade as Nav2's map_server reads it, in exact fractions; none lies midway between two whole numbers."""
     if mode == "raw":
         return shade if shade <= 100 else -1
-    occupied = Fraction(shade if told["negate"] else 255 - shade, 255)
-    occupied_at, free_at = Fraction(str(told["occupied_thresh"])), Fraction(str(told["free_thresh"]))
+    occupied = Fraction(shade if reported["negate"] else 255 - shade, 255)
+    occupied_at, free_at = Fraction(str(reported["occupied_thresh"])), Fraction(str(reported["free_thresh"]))
     if occupied >= occupied_at:
         return 100
     if occupied <= free_at:
@@ -186,11 +186,11 @@ def plain_value(shade: int, mode: object, told: dict[str, Any]) -> int:
 
 def plainly_read(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
     """A map by map_server's documentation, shade by shade."""
-    told = yaml.safe_load(path.read_text())
-    mode = told.get("mode", "trinary")
-    table = np.array([plain_value(shade, mode, told) for shade in range(256)], np.int8)
-    shades, is_opaque = pixels_of(path.parent / told["image"])
-    return np.where(is_opaque, table[shades], -1)[::-1], told
+    reported = yaml.safe_load(path.read_text())
+    mode = reported.get("mode", "trinary")
+    table = np.array([plain_value(shade, mode, reported) for shade in range(256)], np.int8)
+    shades, is_opaque = pixels_of(path.parent / reported["image"])
+    return np.where(is_opaque, table[shades], -1)[::-1], reported
 
 
 def real_maps(data_folder: Path) -> list[Path]:
@@ -202,8 +202,8 @@ def real_maps(data_folder: Path) -> list[Path]:
 def check_returns(plan: RosMap, path: Path, mode: Mode) -> None:
     """What is written is read as the same map, by us and plainly."""
     write_ros_map(plan, path, mode)
-    again, (cells, told) = read_ros_map(path), plainly_read(path)
-    assert told["mode"] == mode
+    again, (cells, reported) = read_ros_map(path), plainly_read(path)
+    assert reported["mode"] == mode
     for back in (again.occupancy, cells):
         np.testing.assert_array_equal(back, plan.occupancy, err_msg=f"{path.name}, {mode}")
     assert (again.resolution_m, again.origin) == (plan.resolution_m, plan.origin)
@@ -214,9 +214,9 @@ def test_cells_of_real_maps_are_those_of_a_plain_reading_and_come_back(
     data_folder: Path, tmp_path: Path, mode: Mode
 ) -> None:
     for path in real_maps(data_folder):
-        plan, (cells, told) = read_ros_map(path), plainly_read(path)
+        plan, (cells, reported) = read_ros_map(path), plainly_read(path)
         np.testing.assert_array_equal(plan.occupancy, cells, err_msg=path.name)
-        assert [plan.resolution_m, *plan.origin] == [told["resolution"], *told["origin"]]
+        assert [plan.resolution_m, *plan.origin] == [reported["resolution"], *reported["origin"]]
         check_returns(plan, tmp_path / path.name, mode)
 
 
@@ -224,7 +224,7 @@ def test_cells_of_real_maps_are_those_of_a_plain_reading_and_come_back(
 def test_every_percent_of_real_maps_is_that_of_a_plain_reading_and_comes_back(
     data_folder: Path, tmp_path: Path, mode: Mode
 ) -> None:
-    """Their images, the greys of some and all, as a file of that mode tells them."""
+    """Their images, the greys of some and all, as a file of that mode shows them."""
     seen = set[int]()
     for path in real_maps(data_folder):
         fields = yaml.safe_load(path.read_text())

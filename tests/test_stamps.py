@@ -11,7 +11,7 @@ NAMES = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 @pytest.mark.parametrize("start_s", [0.0, 4711.0, 1.6e9], ids=["of this run", "since boot", "since 1970"])
 @pytest.mark.parametrize("rate_hz", [2.0, 5.0, 15.0, 30.0, 50.0, 90.0, 200.0])
 @pytest.mark.parametrize("per_second", [1e3, 1e6, 1e9])
-def test_units_are_told_whatever_the_epoch(start_s: float, rate_hz: float, per_second: float) -> None:
+def test_units_are_reported_whatever_the_epoch(start_s: float, rate_hz: float, per_second: float) -> None:
     stamps = np.rint(per_second * (start_s + np.arange(100) / rate_hz))
     found = unit_of(stamps)
     assert found is not None
@@ -35,7 +35,7 @@ def test_jitter_and_pauses_hide_no_unit(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("first", [0, 1, 15, 100_000])
-def test_numbers_are_told_some_of_them_missing_or_not(first: int) -> None:
+def test_numbers_are_reported_some_of_them_missing_or_not(first: int) -> None:
     numbers = first + np.arange(200)
     assert unit_of(numbers) is NUMBERS
     assert unit_of(np.delete(numbers, [3, 4, 50])) is NUMBERS
@@ -74,5 +74,5 @@ MS, US, NS = UNITS
         ("filename,stamp_ms", None),
     ],
 )
-def test_a_column_tells_its_unit_where_it_names_one(text: str, unit: StampUnit | None) -> None:
+def test_a_column_shows_its_unit_where_it_names_one(text: str, unit: StampUnit | None) -> None:
     assert column_unit(text) is unit

@@ -25,13 +25,13 @@ def drive(count: int, left: int, right: int) -> list[WheelTicks]:
     return [WheelTicks(100 + 0.02 * n, left * n, right * n) for n in range(count)]
 
 
-def told(ticks: list[WheelTicks]) -> list[dict[str, Any]]:
+def reported(ticks: list[WheelTicks]) -> list[dict[str, Any]]:
     telemetry = Telemetry(WHEELS)
     return [json.loads(telemetry.line(reading)) for reading in ticks]
 
 
 def test_a_line_holds_what_the_docs_say() -> None:
-    line = told(drive(51, 60, 60))[-1]
+    line = reported(drive(51, 60, 60))[-1]
     assert list(line) == [
         "stamp_s",
         "ticks_stamp_s",
@@ -56,7 +56,7 @@ def test_a_line_holds_what_the_docs_say() -> None:
 
 def test_a_circle_closes() -> None:
     ticks_around = 2 * math.pi * 0.6 / (2 * 30 * M_PER_TICK)
-    lines = told(drive(round(ticks_around) + 1, -30, 30))
+    lines = reported(drive(round(ticks_around) + 1, -30, 30))
     assert lines[-1]["w_rad_s"] == pytest.approx(2 * 30 * M_PER_TICK / 0.6 / 0.02)
     assert abs(lines[-1]["yaw_rad"]) < 0.02
     assert np.hypot(lines[-1]["x_m"], lines[-1]["y_m"]) < 1e-9
@@ -78,11 +78,11 @@ def test_the_covariance_is_that_of_x_y_and_yaw(rng: np.random.Generator) -> None
 
 def test_counters_are_not_unrolled_twice() -> None:
     ticks = [WheelTicks(0.0, 0, 0), WheelTicks(0.02, 60, 60), WheelTicks(0.04, (1 << 32) + 60, 60)]
-    assert told(ticks)[-1]["reason"] == Reason.IMPLAUSIBLE_MOTION
+    assert reported(ticks)[-1]["reason"] == Reason.IMPLAUSIBLE_MOTION
 
 
-def test_a_gap_is_told_with_the_reason_and_the_way_goes_on() -> None:
-    lines = told([*drive(10, 60, 60), WheelTicks(105.0, 900, 900), WheelTicks(105.02, 960, 960)])
+def test_a_gap_is_reported_with_the_reason_and_the_way_goes_on() -> None:
+    lines = reported([*drive(10, 60, 60), WheelTicks(105.0, 900, 900), WheelTicks(105.02, 960, 960)])
     assert lines[-2]["reason"] == Reason.GAP
     assert lines[-2]["x_m"] == pytest.approx(540 * M_PER_TICK)
     assert lines[-2]["covariance"][0] > lines[-3]["covariance"][0]

@@ -301,7 +301,7 @@ def test_tum_text_of_all_dialects_is_read(tmp_path: Path, text: str | bytes) -> 
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         (DIALECT.replace(" ", ",").replace(".", ","), ":1: 10 values where 8 are expected"),
         ("time x y z\n" + DIALECT, ":1: names no column qx (name the columns stamp tx ty tz qx qy qz qw)"),
@@ -314,11 +314,11 @@ def test_tum_text_of_all_dialects_is_read(tmp_path: Path, text: str | bytes) -> 
         (DIALECT.replace("0.5", "0\0.5"), ":2: holds a NUL character"),
     ],
 )
-def test_the_rest_is_refused_with_the_fix(tmp_path: Path, text: str, told: str) -> None:
+def test_the_rest_is_refused_with_the_fix(tmp_path: Path, text: str, reported: str) -> None:
     (tmp_path / "a.txt").write_text(text)
     with pytest.raises(TrajectoryError) as caught:
         read_tum(tmp_path / "a.txt")
-    assert str(caught.value).startswith(f"{tmp_path / 'a.txt'}{told}")
+    assert str(caught.value).startswith(f"{tmp_path / 'a.txt'}{reported}")
 
 
 @pytest.mark.parametrize(

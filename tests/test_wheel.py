@@ -48,7 +48,7 @@ def wheel(project_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 def fresh_bin(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("fresh")
     run(sys.executable, "-m", "venv", "--without-pip", folder / "venv", folder=folder)
-    # What nobody imports here need not be translated: it is half of the work.
+    # What no one imports here need not be translated: it is half of the work.
     pip(folder / "venv/bin", "install", "-q", "--no-compile", wheel, folder=folder)
     return folder / "venv/bin"
 

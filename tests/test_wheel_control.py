@@ -132,7 +132,7 @@ def test_saturated_wheels_keep_the_bend(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_feedback_has_its_bounds_and_comes_back_from_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Motors so weak that all correction is not enough; once they are strong again, the speed is soon as told."""
+    """Motors so weak that all correction is not enough; once they are strong again, the speed is soon as reported."""
     monkeypatch.setattr(robots, "_FAULT_M_S", 2.0)
     plant = Plant(strength=0.4)
     plant.run(VelocityCommand(0.9), 4.0)

@@ -37,7 +37,7 @@ class VirtualClock:
                 self._move()
                 if woken.wait(_LOOK_S):
                     return
-            raise AssertionError("nobody wakes whoever waits here")
+            raise AssertionError("nobody wakes anyone who waits here")
         finally:
             condition.acquire()
 
@@ -52,7 +52,7 @@ class VirtualClock:
                 self.wait(condition, until_s)
 
     def end(self) -> None:
-        """Let nobody wait any more."""
+        """Let no one wait any more."""
         with self._lock:
             self.is_over = True
             self._wake(lambda its, until_s: True)

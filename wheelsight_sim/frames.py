@@ -103,7 +103,7 @@ class FrameMaker:
             if balance is not None:
                 radiance *= balance.astype(np.float32)
             color = unit.delivered(self._sensor.expose(radiance, view, exposure, color_rng, moment.twist))
-            return RgbdFrame(float(self.times.told_s[index]), color, depth_m, index)
+            return RgbdFrame(float(self.times.reported_s[index]), color, depth_m, index)
         finally:
             self._idle_eyes.append(eye)
 
@@ -261,7 +261,7 @@ class Renderer(FrameMaker):
 
     def stamp_s(self, index: int) -> float:
         """The stamp of a frame: what the host takes for the time of its middle row."""
-        return float(self.times.told_s[index])
+        return float(self.times.reported_s[index])
 
     def taken_s(self, index: int) -> float:
         """The true time of a frame's middle row."""

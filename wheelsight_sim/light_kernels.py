@@ -132,7 +132,7 @@ def light_row(v: int, view: View, light: Lighting, out: Any) -> None:
 
 @kernel(error_model="numpy")
 def tinted(c: int, shade: float, lamp: float, window: float, tints: Any) -> Any:
-    """What comes in one of three colours of the light that `light_at` tells."""
+    """What comes in one of three colours of the light that `light_at` shows."""
     return shade * (tints[0, c] + tints[1, c] * lamp + tints[2, c] * window)
 
 
@@ -244,7 +244,7 @@ class Blockers(NamedTuple):
 
 
 class Shadowing(NamedTuple):
-    """All that decides of shadows; `glows` (G,) tells geoms that have light of their own."""
+    """All that decides of shadows; `glows` (G,) shows geoms that have light of their own."""
 
     lamps: Lamps
     blockers: Blockers

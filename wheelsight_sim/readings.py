@@ -131,11 +131,11 @@ class FrameTimes:
 
     Attributes:
         taken_s: (N,) when the middle row is exposed, by the true clock.
-        told_s: (N,) the stamps, growing strictly.
+        reported_s: (N,) the stamps, growing strictly.
     """
 
     taken_s: FloatArray
-    told_s: FloatArray
+    reported_s: FloatArray
 
     def __len__(self) -> int:
         return len(self.taken_s)
@@ -151,7 +151,7 @@ def frame_times(count: int, rate_hz: float, settings: StampSettings, rng: np.ran
     """Frames at their rate, with losses, delays and jitter of stamps. The first one always arrives."""
     taken_s = exact_times(count, rate_hz).taken_s
     late_s = rng.uniform(*settings.camera_late_s) + settings.camera_jitter_s * rng.standard_normal(count)
-    told_s = _growing(taken_s + late_s)
+    reported_s = _growing(taken_s + late_s)
     begins = rng.random(count) < settings.dropped / settings.dropped_together
     lengths = rng.geometric(1 / settings.dropped_together, count)
     is_lost = np.zeros(count, bool)
@@ -159,7 +159,7 @@ def frame_times(count: int, rate_hz: float, settings: StampSettings, rng: np.ran
         is_lost[begin : begin + lengths[begin]] = True
     is_lost[0] = False
     kept = np.flatnonzero(~is_lost)
-    return FrameTimes(taken_s[kept], told_s[kept])
+    return FrameTimes(taken_s[kept], reported_s[kept])
 
 
 def as_stamped(readings: Sequence[Reading], settings: StampSettings, rng: np.random.Generator) -> tuple[Reading, ...]:
@@ -170,8 +170,10 @@ def as_stamped(readings: Sequence[Reading], settings: StampSettings, rng: np.ran
     late_s = np.abs(settings.wheel_jitter_s * rng.standard_normal(len(taken_s)))
     is_held = rng.random(len(taken_s)) < settings.burst_share
     late_s += is_held * rng.uniform(0, settings.burst_s, len(taken_s))
-    told_s = _growing(taken_s + late_s)
-    return tuple(replace(reading, stamp_s=stamp_s) for reading, stamp_s in zip(readings, told_s.tolist(), strict=True))
+    reported_s = _growing(taken_s + late_s)
+    return tuple(
+        replace(reading, stamp_s=stamp_s) for reading, stamp_s in zip(readings, reported_s.tolist(), strict=True)
+    )
 
 
 def _growing(stamps_s: FloatArray) -> FloatArray:

@@ -450,7 +450,7 @@ class SimulatedCamera:
     @property
     def next_stamp_s(self) -> float:
         """The stamp of the next frame."""
-        return float(self._times.told_s[self._next]) if self._next < len(self._times) else np.inf
+        return float(self._times.reported_s[self._next]) if self._next < len(self._times) else np.inf
 
     def follow(self, reading: Reading) -> None:
         """Add the next pose of the base."""

@@ -11,7 +11,7 @@ from wheelsight.core.geometry.arrays import FloatArray
 
 
 class RouteGrid(NamedTuple):
-    """How far along a route each cell lies (R, C), and how far left of it (R, C); along starts anew after a lap."""
+    """How far along a route each cell lies (R, C), and how far left of it (R, C); along starts again after a lap."""
 
     along_m: FloatArray
     left_m: FloatArray

@@ -119,7 +119,7 @@ def test_the_joined_way_counts_where_sensors_are_joined() -> None:
     }  # fmt: skip
 
 
-def test_a_job_of_another_wheelsight_is_refused_and_one_that_breaks_is_told(tmp_path: Path) -> None:
+def test_a_job_of_another_wheelsight_is_refused_and_one_that_breaks_is_reported(tmp_path: Path) -> None:
     made = planned(write_wheels(tmp_path / "drive", 80), tmp_path)
     assert run_job(replace(made, code="another")).problem == (
         "this computer has another wheelsight (install the same on all of them)"

@@ -108,20 +108,20 @@ def test_one_that_kills_each_worker_is_given_up(
     assert outcomes["a"].problem is None
 
 
-def test_a_scheduler_without_workers_is_told(scheduler: str, tmp_path: Path) -> None:
-    told: list[str] = []
+def test_a_scheduler_without_workers_is_reported(scheduler: str, tmp_path: Path) -> None:
+    reported: list[str] = []
     with suppress(_EnoughError):
-        list(run_on_fleet([job("a")], scheduler, works.quick, on_note=_raising(told)))
-    assert told == ["the scheduler has no worker yet; work begins when one comes: dask worker ADDRESS --nthreads 1"]
+        list(run_on_fleet([job("a")], scheduler, works.quick, on_note=_raising(reported)))
+    assert reported == ["the scheduler has no worker yet; work begins when one comes: dask worker ADDRESS --nthreads 1"]
 
 
 class _EnoughError(Exception):
     """Ends a test that would wait."""
 
 
-def _raising(told: list[str]) -> Callable[[str], None]:
+def _raising(reported: list[str]) -> Callable[[str], None]:
     def tell(note: str) -> None:
-        told.append(note)
+        reported.append(note)
         raise _EnoughError
 
     return tell

@@ -84,14 +84,14 @@ def test_large_files_are_compared_by_their_ends_their_middle_and_their_time(
 
 
 def test_seeds_are_of_what_is_random_alone() -> None:
-    for told, expected in (
+    for reported, expected in (
         ({"odometry": "wheels"}, False),
         ({"odometry": "wheels,dense", "map": "surfels"}, False),
         ({"odometry": "features"}, True),
         ({"odometry": "wheels,features"}, True),
         ({"odometry": "dense", "loops.source": "keyframes"}, True),
     ):
-        assert is_random(load_config(overrides=told)) is expected
+        assert is_random(load_config(overrides=reported)) is expected
     seeded = list(jobs.seeded(load_config(overrides={"odometry": "features", "features.seed": 2**32 - 2}), 3))
     assert [(one.features.seed, one.recognition.seed) for one in seeded] == [(2**32 - 2, 0), (2**32 - 1, 1), (0, 2)]
 

@@ -36,14 +36,14 @@ def is_running(process: int) -> bool:
 @pytest.mark.slow
 def test_a_job_whose_process_is_killed_is_run_again_in_another_and_none_is_lost(tmp_path: Path) -> None:
     jobs = [job(name, marks=tmp_path) for name in ("a", "fatal", "b", "c", "d")]
-    told: list[tuple[Job, str]] = []
-    tell: Callable[[Job, str], None] = lambda *death: told.append(death)  # noqa: E731
+    reported: list[tuple[Job, str]] = []
+    tell: Callable[[Job, str], None] = lambda *death: reported.append(death)  # noqa: E731
     outcomes = list(run_on_processes(jobs, 2, works.dies_once, tmp_path, on_death=tell))
     assert sorted(outcome.job for outcome in outcomes) == sorted(one.id for one in jobs)
     assert [outcome.problem for outcome in outcomes] == [None] * 5
     first, second = tries(tmp_path, "fatal")
     assert first != second
-    ((which, why),) = told
+    ((which, why),) = reported
     assert which.id == "fatal"
     assert why == "its process was killed by SIGKILL, as the system does where memory runs out"
     assert {len(tries(tmp_path, name)) for name in "abcd"} == {1}

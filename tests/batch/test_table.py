@@ -58,7 +58,7 @@ def test_a_page_shows_the_worst_of_several_and_each_reason() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("a,b\n1,2\n", "is no table of a batch"),
         ("", "is no table of a batch"),
@@ -67,9 +67,9 @@ def test_a_page_shows_the_worst_of_several_and_each_reason() -> None:
         (csv_text(ROWS).replace("0.3", "1e300", 1), ":2: holds no numbers"),
     ],
 )
-def test_what_is_no_table_is_refused(text: str, told: str, tmp_path: Path) -> None:
+def test_what_is_no_table_is_refused(text: str, reported: str, tmp_path: Path) -> None:
     (tmp_path / "table.csv").write_text(text)
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=reported):
         read_rows(tmp_path / "table.csv")
 
 
@@ -122,7 +122,7 @@ def test_time_and_memory_are_judged_where_that_is_asked_for() -> None:
     assert worse(now, before, cost=0.5) == ("drive, dense: ms median 30.00, was 10.00",)
 
 
-def test_what_is_gone_is_worse_and_what_is_new_or_missing_is_told() -> None:
+def test_what_is_gone_is_worse_and_what_is_new_or_missing_is_reported() -> None:
     assert worse(row(), row(ate_m=0.1)) == ("drive, dense: no ATE, m any more",)
     broken = replace(row(), seeds=0, status="broken")
     assert worse(broken, row(ate_m=0.1)) == ("drive, dense: broken",)

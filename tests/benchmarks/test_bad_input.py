@@ -45,7 +45,7 @@ def events() -> list[Event]:
 
 
 class Tracker:
-    """Knows the truth from its own start, but for what it is told to get wrong."""
+    """Knows the truth from its own start, but for what it is reported to get wrong."""
 
     def __init__(
         self,
@@ -100,15 +100,15 @@ def test_a_failure_unsaid_is_counted_as_long_as_it_lasts(truth: Trajectory, even
         assert measure_case(case, "dense", Tracker(truth, wrong_s=(3.0, 5.0), **off), events, truth).wrong == 0
 
 
-@pytest.mark.parametrize("told", [{"status": Status.COASTING}, {"doubtful": True}])
-def test_a_wrong_pose_that_is_told_as_such_is_not_unsaid(
-    truth: Trajectory, events: list[Event], told: dict[str, Any]
+@pytest.mark.parametrize("reported", [{"status": Status.COASTING}, {"doubtful": True}])
+def test_a_wrong_pose_that_is_reported_as_such_is_not_unsaid(
+    truth: Trajectory, events: list[Event], reported: dict[str, Any]
 ) -> None:
     tracker, case = Tracker(truth, off_m=0.5, wrong_s=(3.0, 5.0)), Case("person", 2.0, 4.0)
 
     def telling(event: Event) -> Answer | None:
         answer = tracker(event)
-        return None if answer is None else Answer(FusedEstimate(**(_fields(answer.estimate) | told)))
+        return None if answer is None else Answer(FusedEstimate(**(_fields(answer.estimate) | reported)))
 
     assert measure_case(case, "wheels, dense", tracker, events, truth).wrong == 20
     assert measure_case(case, "wheels, dense", telling, events, truth).wrong == 0
@@ -152,7 +152,7 @@ def test_what_a_map_learned_of_failed_and_of_wrong_frames_is_counted(truth: Traj
     assert (figures.fused_failed, figures.fused_wrong, figures.wrong) == (10, 5, 5)
 
 
-def test_a_case_spoils_events_and_tells_of_frames_that_never_came(truth: Trajectory, events: list[Event]) -> None:
+def test_a_case_spoils_events_and_shows_frames_that_never_came(truth: Trajectory, events: list[Event]) -> None:
     case = Case("cable out", 2.0, 4.0, (CableOut(begin_s=2.0, end_s=4.0),))
     figures = measure_case(case, "dense", Tracker(truth), events, truth)
     assert (figures.frames, figures.statuses, figures.back_s) == (FRAMES - 20, (), 0.0)

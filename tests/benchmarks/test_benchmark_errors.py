@@ -1,4 +1,4 @@
-"""What whoever calls a benchmark can mend is told in one line; what is the program's fault keeps its trace."""
+"""What anyone who calls a benchmark can mend is reported in one line; what is the program's fault keeps its trace."""
 
 from __future__ import annotations
 
@@ -23,5 +23,5 @@ def test_a_world_that_is_not_there_is_one_line() -> None:
 def test_a_fault_of_the_program_keeps_its_trace(capsys: pytest.CaptureFixture[str]) -> None:
     for error in (ConfigError("a field", fix="mend it"), ZeroDivisionError("by zero")):
         benchmarks.tell(type(error), error, error.__traceback__)
-    told = capsys.readouterr().err.splitlines()
-    assert told == ["error: a field (mend it)", "ZeroDivisionError: by zero"]
+    reported = capsys.readouterr().err.splitlines()
+    assert reported == ["error: a field (mend it)", "ZeroDivisionError: by zero"]

@@ -46,7 +46,7 @@ def test_dead_reckoning_is_timed() -> None:
     assert [target.is_met for target in judge_wheels(WheelTimes(1_000_000, 101.0, 120.0, 9.0))] == [False, True]
 
 
-def test_missing_tools_are_told_and_meet_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_tools_are_reported_and_meet_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(firmware, "missing_tools", lambda: ["avr-gcc"])
     missing = measure_firmware()
     assert {row[1] for row in firmware_sheet(missing).rows} == {"not measured: avr-gcc is missing"}

@@ -1,4 +1,4 @@
-"""Boxes stand where they are told to, in a hall and in a world that was made without them."""
+"""Boxes stand where they are reported to, in a hall and in a world that was made without them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_a_hall_is_free_but_for_its_boxes_and_has_walls_all_round() -> None:
     assert border.difference(solid).length == pytest.approx(0.0, abs=0.5)  # but for the corners
 
 
-def test_a_thing_put_into_a_world_is_as_high_as_told_and_looks_like_something() -> None:
+def test_a_thing_put_into_a_world_is_as_high_as_reported_and_looks_like_something() -> None:
     before = build_world("flat", 3)
     after = with_boxes(before, [TURNED], 3)
     (thing,) = [one for one in footprints(after) if one.name == "box0"]

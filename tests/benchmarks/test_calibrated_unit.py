@@ -131,7 +131,7 @@ def test_squares_tell_how_unlike_the_wheels_are() -> None:
 
 
 @pytest.mark.slow
-def test_a_board_tells_what_depth_and_registration_are_off_by() -> None:
+def test_a_board_shows_what_depth_and_registration_are_off_by() -> None:
     bench, found = bench_of(REAL), by_board(views_of(REAL, 30), REAL.camera)
     assert found.depth is not None
     assert found.T_color_depth is not None
@@ -168,7 +168,7 @@ def test_by_a_unit_that_a_board_has_calibrated_mount_and_wheels_come_out(tmp_pat
     # Taken for straight, the depth lens put x 26 mm off by 11, and radii 0.7 % by 0.3.
     for name, limit in {"yaw": np.radians(0.5), "x": 0.02, "y": 0.01}.items():
         assert abs(off[name][0]) < min(limit, 3 * off[name][1]), off
-    # What the floor tells was up to 0.23° and 5 mm off while σ, 0.02° and 1 mm, knew nothing of the camera.
+    # What the floor shows was up to 0.23° and 5 mm off while σ, 0.02° and 1 mm, knew nothing of the camera.
     for name in ("roll", "pitch", "height"):
         assert abs(off[name][0]) < 3 * off[name][1] < (0.03 if name == "height" else np.radians(1.0)), off
     assert np.abs(sizes[:2]).max() < min(6e-3, 3 * way.scale_sigma)

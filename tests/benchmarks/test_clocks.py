@@ -70,7 +70,7 @@ class Knows(Localizer):
 
 def measured(monkeypatch: pytest.MonkeyPatch, row: Row, **how: Any) -> ClockFigures:
     found: list[ClockFigures] = []
-    monkeypatch.setattr("benchmarks.clock_runs.Localizer", type("Told", (Knows,), how))
+    monkeypatch.setattr("benchmarks.clock_runs.Localizer", type("Reported", (Knows,), how))
     measure_drive(cast(Recording, Drive()), [row], 1, found.append)
     (figures,) = found
     return figures
@@ -84,7 +84,7 @@ def leap(by_s: float, at_s: float = 2.0, sensors: Sensors = "both", **how: Any) 
 def test_what_is_right_is_right_whatever_the_stamps_say(monkeypatch: pytest.MonkeyPatch, row: Row) -> None:
     figures = measured(monkeypatch, row)
     assert [e.posed for e in figures.errors.values()] == [1.0] * 3
-    # The camera alone is told no readings, so Knows stands still there.
+    # The camera alone is reported no readings, so Knows stands still there.
     assert figures.errors[JOINED].rmse_m < 1e-6 > figures.errors[WHEELS].rmse_m
     assert figures.errors[CAMERA].rmse_m > 0.5
 
@@ -102,12 +102,12 @@ def test_an_answer_with_an_old_stamp_is_compared_there_only_where_it_says_that_c
 ) -> None:
     how = {"behind_s": 1.05, "reason": Reason.CLOCKS_APART}
     apart = measured(monkeypatch, ROWS[0], **how).errors[JOINED]
-    assert apart.posed == pytest.approx(33 / 41)  # the first eight are older than all that was told
+    assert apart.posed == pytest.approx(33 / 41)  # the first eight are older than all that was reported
     assert apart.rmse_m < 0.05  # the next three stood where the drive begins
     assert measured(monkeypatch, ROWS[0], behind_s=1.05).errors[JOINED].rmse_m == pytest.approx(0.525)
 
 
-def test_readings_keep_their_true_time_and_are_told_as_they_come() -> None:
+def test_readings_keep_their_true_time_and_are_reported_as_they_come() -> None:
     ticks = [event for event in leap(60.0).events(timed(Drive().events())) if isinstance(event, TimedTicks)]
     np.testing.assert_allclose([event.true_s for event in ticks], STAMPS_S)
     assert type(ticks[-1].plain) is WheelTicks
@@ -188,10 +188,10 @@ def test_two_rows_on_a_tiny_drive_that_is_kept(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     tiny = replace(DRIVE, size=(160, 120), rate_hz=5.0, duration_s=2.0)
     rows = [ROWS[0], next(row for row in ROWS if row.name == "counters of 8 bits")]
-    told: list[ClockFigures] = []
-    figures = measure_clocks(rows, [1], tmp_path, told.append, settings=tiny)
+    reported: list[ClockFigures] = []
+    figures = measure_clocks(rows, [1], tmp_path, reported.append, settings=tiny)
     assert [f.row for f in figures] == [row.name for row in rows]
-    assert figures == told
+    assert figures == reported
     assert not any(f.problems for f in figures)
     assert figures[0].errors[CAMERA] == figures[1].errors[CAMERA]
     assert all(f.errors[JOINED].rmse_m < 0.02 for f in figures)

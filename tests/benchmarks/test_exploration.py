@@ -50,7 +50,7 @@ def test_it_comes_through_what_it_fits_through(gap_m: float, is_passed: bool) ->
     row, column = plan.cells_at(np.array([6.0, 2.0])).tolist()
     assert bool(reached[row, column]) is is_passed
     assert (covered_m2(plan) > 30.0) is is_passed
-    # For whoever is no wheelchair all of it is open floor.
+    # For anyone who is no wheelchair all of it is open floor.
     assert plan.open_floor(START)[row, column]
 
 
@@ -105,9 +105,9 @@ def test_what_was_to_be_reached(changed: dict[str, Any], is_good: bool) -> None:
 
 def test_targets_are_by_the_worst() -> None:
     worst = replace(DONE, free_m2=40.0, way_m=50.0, contacts=("sofa",))
-    told = exploration.targets_of([DONE, worst])
-    assert [target.measured for target in told] == pytest.approx([80.0, 2.5, 1])
-    assert not any(target.is_met for target in told)
+    reported = exploration.targets_of([DONE, worst])
+    assert [target.measured for target in reported] == pytest.approx([80.0, 2.5, 1])
+    assert not any(target.is_met for target in reported)
     assert all(target.is_met for target in exploration.targets_of([DONE]))
     assert "80.0 % of 50.0 m²" in worst.sentence
     assert "touched sofa" in worst.sentence

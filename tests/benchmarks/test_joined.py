@@ -59,16 +59,18 @@ def answers_to(
     T_odom_true = se3.from_parts(so3.exp([0.1, -0.2, 0.3]), [5.0, 1.0, 0.2])
     said: list[Estimate] = []
     for index, (stamp_s, T) in enumerate(drive.truth):
-        T_told = T_odom_true @ T @ se3.from_parts(np.eye(3), [0, off_m * (index > 0), 0])
-        told = FusedEstimate(stamp_s, status(stamp_s), slip=slip(stamp_s))
-        said.append(replace(told, T_odom_body=T_told, covariance=VARIANCE * np.eye(6)) if known(stamp_s) else told)
+        T_reported = T_odom_true @ T @ se3.from_parts(np.eye(3), [0, off_m * (index > 0), 0])
+        reported = FusedEstimate(stamp_s, status(stamp_s), slip=slip(stamp_s))
+        said.append(
+            replace(reported, T_odom_body=T_reported, covariance=VARIANCE * np.eye(6)) if known(stamp_s) else reported
+        )
     return Answers(said)
 
 
 def figures(case: Case, drive: Drive, lasts_s: tuple[float, float] = (0.0, math.inf), **joined: Any) -> JoinedFigures:
-    told = {WHEELS: answers_to(drive, off_m=0.2), CAMERA: answers_to(drive, off_m=0.1)}
-    told |= {PAPER: answers_to(drive, off_m=0.15), JOINED: answers_to(drive, **joined)}
-    return figures_of(case, 1, told, drive, WHEELS_TRUE, lasts_s)
+    reported = {WHEELS: answers_to(drive, off_m=0.2), CAMERA: answers_to(drive, off_m=0.1)}
+    reported |= {PAPER: answers_to(drive, off_m=0.15), JOINED: answers_to(drive, **joined)}
+    return figures_of(case, 1, reported, drive, WHEELS_TRUE, lasts_s)
 
 
 ORDINARY = Case("ordinary", Way.CLEAN)
@@ -100,8 +102,10 @@ def test_a_heading_that_is_lost_is_an_error() -> None:
         else straight.truth.T_frame_body[0] @ se3.from_plane(0, 0, 0.1) @ se3.invert(straight.truth.T_frame_body[0]) @ T
         for i, (_, T) in enumerate(straight.truth)
     ]
-    told = Answers([Estimate(float(t), Status.TRACKING, T, np.eye(6)) for t, T in zip(STAMPS_S, T_turned, strict=True)])
-    assert accuracy_of(told, straight.truth).end_share == pytest.approx(2 * math.sin(0.05), rel=1e-3)
+    reported = Answers(
+        [Estimate(float(t), Status.TRACKING, T, np.eye(6)) for t, T in zip(STAMPS_S, T_turned, strict=True)]
+    )
+    assert accuracy_of(reported, straight.truth).end_share == pytest.approx(2 * math.sin(0.05), rel=1e-3)
 
 
 def test_a_camera_that_is_lost_for_good_is_no_better_sensor() -> None:
@@ -125,15 +129,15 @@ def test_a_blackout_asks_for_coasting_and_for_being_back() -> None:
     assert late.back_s == math.inf
 
 
-def test_slips_are_found_and_must_be_told() -> None:
+def test_slips_are_found_and_must_be_reported() -> None:
     slipping = drive((3.0, 5.0), 0.2)
     (span,) = slip_spans_s(slipping, WHEELS_TRUE)
     assert span == pytest.approx((3.0, 5.0), abs=1e-6)
     assert slip_spans_s(drive((3.0, 5.0), 0.04), WHEELS_TRUE) == []
     case = Case("lifted", Way.LIFTED, Expected.SLIP)
-    told = figures(case, slipping, slip=lambda t: 3.3 <= t < 5.4)
-    assert told.right == (75, 75)
-    assert told.false_slip == 0.0
+    reported = figures(case, slipping, slip=lambda t: 3.3 <= t < 5.4)
+    assert reported.right == (75, 75)
+    assert reported.false_slip == 0.0
     silent = figures(case, slipping)
     assert silent.right == (75, 0)
     assert figures(ORDINARY, drive(), slip=lambda t: t >= 5).false_slip == pytest.approx(0.5, abs=0.01)
@@ -153,7 +157,7 @@ def test_a_base_that_slides_sideways_slips() -> None:
     assert slip_spans_s(replace(straight, truth=Trajectory(STAMPS_S, T, body="base")), WHEELS_TRUE)
 
 
-def test_robots_differ_as_told() -> None:
+def test_robots_differ_as_reported() -> None:
     for seed in range(1, 11):
         robot, nominal = robot_of(seed), RobotModel()
         size = (robot.left_radius_m + robot.right_radius_m) / 2 / nominal.left_radius_m - 1
@@ -186,14 +190,14 @@ def test_a_case_that_was_measured_on_fewer_drives_says_so() -> None:
 
 
 @pytest.mark.slow
-def test_all_four_answer_and_the_paper_goes_by_the_camera_told() -> None:
+def test_all_four_answer_and_the_paper_goes_by_the_camera_reported() -> None:
     pytest.importorskip("mujoco")
     from benchmarks.joined import measure_joined
 
     (found,) = measure_joined([ORDINARY], seeds=[2], duration_s=3.0, odometry="features")
     assert isinstance(found, JoinedFigures)
     assert set(found.accuracy) == {WHEELS, CAMERA, PAPER, JOINED}
-    # Were the paper's filter told no camera, it would have no pose.
+    # Were the paper's filter reported no camera, it would have no pose.
     assert all(accuracy.rmse_m < 0.1 for accuracy in found.accuracy.values())
 
 

@@ -37,10 +37,10 @@ def at(x: float, y: float, yaw: float = 0.0) -> np.ndarray:
 )
 def test_a_loop_is_false_that_is_far_off(off: np.ndarray, is_right: bool) -> None:
     ends = np.stack([at(1.0, 2.0, 0.3), at(1.5, 2.2, 0.4)])
-    told = se3.exp(off) @ se3.invert(ends[0]) @ ends[1]
+    reported = se3.exp(off) @ se3.invert(ends[0]) @ ends[1]
     sure, along = np.eye(6) * 0.01**2, np.diag([9.0, 1e-4, 1e-4, 1e-4, 9.0, 1e-4])
-    assert laps.is_right(ends, RelativePose(KeyframeId(0), KeyframeId(1), told, sure)) == is_right
-    assert laps.is_right(ends, RelativePose(KeyframeId(0), KeyframeId(1), told, along))
+    assert laps.is_right(ends, RelativePose(KeyframeId(0), KeyframeId(1), reported, sure)) == is_right
+    assert laps.is_right(ends, RelativePose(KeyframeId(0), KeyframeId(1), reported, along))
 
 
 def test_a_revisit_is_near_looks_the_same_way_and_comes_later() -> None:

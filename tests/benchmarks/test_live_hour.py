@@ -54,11 +54,11 @@ def test_every_minute_has_a_row() -> None:
 
 
 @pytest.mark.slow
-def test_events_of_another_process_are_run_as_live_ones_and_each_minute_is_told() -> None:
-    told: list[Minute] = []
-    hour = drive_hour(0.1, told.append, send_drawn, minute_s=1.5)
-    assert hour.minutes == tuple(told)
-    assert [minute.number for minute in told] == [1, 2, 3, 4]
-    assert [minute.keyframes for minute in told] == sorted(minute.keyframes for minute in told)
-    assert all(minute.frame_ms > minute.reading_ms > 0 and minute.surfels > 1000 for minute in told)
+def test_events_of_another_process_are_run_as_live_ones_and_each_minute_is_reported() -> None:
+    reported: list[Minute] = []
+    hour = drive_hour(0.1, reported.append, send_drawn, minute_s=1.5)
+    assert hour.minutes == tuple(reported)
+    assert [minute.number for minute in reported] == [1, 2, 3, 4]
+    assert [minute.keyframes for minute in reported] == sorted(minute.keyframes for minute in reported)
+    assert all(minute.frame_ms > minute.reading_ms > 0 and minute.surfels > 1000 for minute in reported)
     assert 0 < hour.start_mb < hour.peak_mb

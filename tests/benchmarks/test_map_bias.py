@@ -10,7 +10,7 @@ from benchmarks.map_bias import Bias, bias_sheet, drives, measure_bias
 pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install '.[sim]'")
 
 
-def test_sums_are_by_distance_and_leave_out_what_nobody_asked() -> None:
+def test_sums_are_by_distance_and_leave_out_what_no_one_asked() -> None:
     true_m, asked = np.array([[1.5, 1.6, 4.2, 4.3]]), np.array([[True, True, True, False]])
     bias = Bias()
     bias.add(true_m, (true_m + 0.01, np.array([[1.48, 0.0, 4.25, 9.0]])), asked)

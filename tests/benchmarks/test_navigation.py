@@ -46,7 +46,7 @@ def test_targets_are_others_among_people_and_things() -> None:
     assert navigation.title_of(Hardness()) == "Goals in a known map"
 
 
-def test_what_went_wrong_is_told() -> None:
+def test_what_went_wrong_is_reported() -> None:
     *_, wrong = navigation.sheets_of([ARRIVED, LOST], Hardness())
     assert len(wrong.rows) == 1
     assert "does not know where" in wrong.rows[0][0]

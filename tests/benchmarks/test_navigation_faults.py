@@ -65,7 +65,7 @@ def test_a_lost_command_leaves_the_last_one_until_the_watchdog() -> None:
         assert robot.stopped_m > robot.blind_m
 
 
-def test_a_stalled_program_hears_late_what_came_and_has_not_told_anything() -> None:
+def test_a_stalled_program_hears_late_what_came_and_has_not_reported_anything() -> None:
     with broken(FaultKind.STALLED, at_s=2.0) as robot:
         while robot.now_s < 2.0 - 1e-9:
             robot.step(AHEAD)

@@ -13,7 +13,7 @@ from wheelsight.core.messages import RgbdFrame
 from wheelsight.estimation import Localizer
 
 
-def test_both_settings_follow_the_same_frames_and_are_told_apart() -> None:
+def test_both_settings_follow_the_same_frames_and_are_distinguished() -> None:
     truth = wobbling_trajectory(8)
     frames = [
         RgbdFrame(float(s), *render_room(T), index)
@@ -30,7 +30,7 @@ def test_both_settings_follow_the_same_frames_and_are_told_apart() -> None:
         assert cost.median_ms > 0
 
 
-def test_the_profile_is_told_as_a_share_of_the_default() -> None:
+def test_the_profile_is_reported_as_a_share_of_the_default() -> None:
     plain = Cost("room", "default", 100, 90, 0.02, 40.0, 80.0, 30.0, 10, None)
     small = Cost("room", "pi", 100, 85, 0.03, 20.0, 60.0, 12.0, 5, None)
     assert ratio_sheet([plain, small]).rows == (("room", "0.50", "0.40", "1.50", "-5.0"),)

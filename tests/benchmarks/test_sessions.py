@@ -20,7 +20,7 @@ FOUND = Start("flat", ALONE, 4.0, 1.5, 0.03, 0.4, 0.02, 0.3, 0.05, 0.6, (100.0, 
 NOT_FOUND = Start("flat", JOINED, 8.0, None, nan, nan, nan, nan, nan, nan, ())
 
 
-def test_a_place_is_wrong_by_where_it_was_first_told() -> None:
+def test_a_place_is_wrong_by_where_it_was_first_reported() -> None:
     assert not FOUND.is_wrong
     assert replace(FOUND, first_m=0.6).is_wrong
     assert replace(FOUND, first_deg=11.0).is_wrong
@@ -47,8 +47,8 @@ def test_tables_and_targets_count_starts() -> None:
     assert unnoticed.measured is None
 
 
-def test_errors_are_told_beside_the_nearest_keyframe_and_in_the_whole_map() -> None:
-    """The far half of the map lies a metre aside: who is there and told so is right there, and off in the whole."""
+def test_errors_are_reported_beside_the_nearest_keyframe_and_in_the_whole_map() -> None:
+    """The far half of the map lies a metre aside: who is there and reported is right there, and off in the whole."""
     here, there = np.eye(4), se3.from_plane(9.0, 0.0, 0.0)
     aside = se3.from_plane(0.0, 1.0, 0.0)
     known = FirstDay(

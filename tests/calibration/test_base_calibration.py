@@ -66,7 +66,7 @@ def test_a_delay_known_before_is_where_the_search_begins(rng: np.random.Generato
     assert base_from(seen, known).values["delay"] == pytest.approx(1.2, abs=0.005)
 
 
-def test_what_the_camera_leaves_open_is_in_sigma_and_told(rng: np.random.Generator) -> None:
+def test_what_the_camera_leaves_open_is_in_sigma_and_reported(rng: np.random.Generator) -> None:
     seen = sighted(rng=rng, blur=USUAL)
     exact, open_ = base_from(seen, nominal(MOUNT)), base_from(seen, replace(nominal(MOUNT), point_errors=None))
     assert not exact.warnings
@@ -81,7 +81,7 @@ def test_what_the_camera_leaves_open_is_in_sigma_and_told(rng: np.random.Generat
 
 
 def test_a_mount_far_from_nominal_is_doubted(rng: np.random.Generator) -> None:
-    """Wheels that both count backwards cannot be told from a camera that looks back."""
+    """Wheels that both count backwards cannot be distinguished from a camera that looks back."""
     looks_back = RobotModel(camera_yaw_rad=3.0).T_base_camera
     assert not base_from(sighted(rng=rng, blur=USUAL), nominal(MOUNT)).warnings
     (doubt,) = base_from(sighted(rng=rng, blur=USUAL), nominal(looks_back)).warnings
@@ -89,7 +89,7 @@ def test_a_mount_far_from_nominal_is_doubted(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize(
-    ("legs", "told"),
+    ("legs", "reported"),
     [
         ([(20.0, 0.0, 0.0)], r"by its wheels the robot stands, it goes 0.00 m .drive a minute or two"),
         ([(20.0, 0.8, 0.0)], r"hardly turns, by \d° in all: x and y of the camera stay unseen .drive some turns too"),
@@ -99,9 +99,9 @@ def test_a_mount_far_from_nominal_is_doubted(rng: np.random.Generator) -> None:
     ids=["standing", "straight", "bend", "on-the-spot"],
 )
 def test_drives_that_cannot_show_it_are_refused_by_their_wheels(
-    legs: list[tuple[float, float, float]], told: str
+    legs: list[tuple[float, float, float]], reported: str
 ) -> None:
-    with pytest.raises(CalibrationError, match=told):
+    with pytest.raises(CalibrationError, match=reported):
         refuse_if_hardly_moving(sighted(legs=legs).drive, NOMINAL)
 
 
@@ -126,7 +126,7 @@ def unlike(seen: Sightings) -> Sightings:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [
         (lost, r"the camera could be followed in \d+ of \d+ frames only .drive slowly"),
         (swapped, r"the camera turns left where the wheels turn right .swap left and right wheel"),
@@ -139,22 +139,22 @@ def unlike(seen: Sightings) -> Sightings:
     ids=["lost", "swapped", "wrong-depth", "other-drive", "other-epoch", "no-overlap", "seconds-apart"],
 )
 def test_sightings_that_do_not_fit_are_refused(
-    rng: np.random.Generator, change: Callable[[Sightings], Sightings], told: str
+    rng: np.random.Generator, change: Callable[[Sightings], Sightings], reported: str
 ) -> None:
-    with pytest.raises(CalibrationError, match=told):
+    with pytest.raises(CalibrationError, match=reported):
         base_from(change(sighted(rng=rng, blur=USUAL)), nominal())
 
 
 @pytest.mark.parametrize(
-    ("T_base_camera", "told"),
+    ("T_base_camera", "reported"),
     [
         (RobotModel(camera_pitch_rad=-0.7).T_base_camera, "no floor is in view|show enough floor"),
         (RobotModel(camera_pitch_rad=0.02, camera_height_m=2.9).T_base_camera, "no floor is in view|show enough floor"),
     ],
     ids=["looks-up", "hangs-high"],
 )
-def test_a_camera_that_sees_no_floor_is_refused(T_base_camera: FloatArray, told: str) -> None:
-    with pytest.raises(CalibrationError, match=told) as refused:
+def test_a_camera_that_sees_no_floor_is_refused(T_base_camera: FloatArray, reported: str) -> None:
+    with pytest.raises(CalibrationError, match=reported) as refused:
         base_from(sighted(T_base_camera=T_base_camera), nominal())
     assert "tilt the camera down" in str(refused.value)
 

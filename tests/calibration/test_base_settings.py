@@ -52,7 +52,7 @@ def usual(seen: Sightings) -> object:
     return outcome(seen, ExtrinsicsSettings())
 
 
-# The first of each section is tried always, the others by continuous integration: each is a calibration anew.
+# The first of each section is tried always, the others by continuous integration: each is a calibration again.
 @pytest.mark.parametrize(
     ("section", "name"),
     [

@@ -57,9 +57,9 @@ def test_injected_mount_and_clock_are_found(name: str) -> None:
     body_s = delay_of_body_s(recording)
     expected = mount_values(settings.robot.T_base_camera) | {"delay": body_s - late_s}
     off = {quantity: found.values[quantity] - expected[quantity] for quantity in QUANTITIES}
-    told = {quantity: (off[quantity], found.sigmas[quantity]) for quantity in QUANTITIES}
+    reported = {quantity: (off[quantity], found.sigmas[quantity]) for quantity in QUANTITIES}
     assert abs(body_s) < 0.01
     for quantity, limit in (LIMITS | {"delay": 0.005}).items():
-        assert abs(off[quantity]) < limit, told
-        assert found.sigmas[quantity] < limit, told
-        assert abs(off[quantity]) < 4 * found.sigmas[quantity], told
+        assert abs(off[quantity]) < limit, reported
+        assert found.sigmas[quantity] < limit, reported
+        assert abs(off[quantity]) < 4 * found.sigmas[quantity], reported

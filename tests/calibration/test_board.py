@@ -38,7 +38,7 @@ def test_a_board_is_named(text: str, board: Board) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("9x6", "names no board"),
         ("9:25mm", "no counts such as 9x6"),
@@ -52,10 +52,10 @@ def test_a_board_is_named(text: str, board: Board) -> None:
         ("9x6:25mm:18mm", "names no board"),
     ],
 )
-def test_what_names_none_is_refused_with_what_would(text: str, told: str) -> None:
+def test_what_names_none_is_refused_with_what_would(text: str, reported: str) -> None:
     with pytest.raises(ConfigError, match=r"\(.+\)") as refusal:
         board_from(text)
-    assert told in str(refusal.value)
+    assert reported in str(refusal.value)
 
 
 def test_half_turns() -> None:
@@ -96,10 +96,10 @@ def test_files_tell_true_sizes_and_the_board() -> None:
 
 
 @pytest.mark.parametrize(
-    ("board", "paper", "told"),
+    ("board", "paper", "reported"),
     [("20x15:25mm", "A4", "squares of at most 11 mm"), ("9x6:?", "A4", "unknown size"), ("9x6:25mm", "B5", "A4")],
 )
-def test_what_cannot_be_printed_is_refused(board: str, paper: str, told: str) -> None:
+def test_what_cannot_be_printed_is_refused(board: str, paper: str, reported: str) -> None:
     with pytest.raises(ConfigError) as refusal:
         draw_board(board_from(board), paper)
-    assert told in str(refusal.value)
+    assert reported in str(refusal.value)

@@ -177,7 +177,7 @@ def test_a_depth_lens_is_bent_where_no_infrared_image_shows_it(seed: int) -> Non
     u, v = np.meshgrid(np.linspace(0.1, 0.9, 9) * rig.depth.width, np.linspace(0.1, 0.9, 7) * rig.depth.height)
     px = np.stack([u.ravel(), v.ravel()], axis=-1)
     rays, true = (lens.normalise(px) - lens.normalise(px).mean(axis=0) for lens in (found.depth, rig.depth))
-    # Where all rays look is where the camera sits; how they lie to each other tells ways and turns.
+    # Where all rays look is where the camera sits; how they lie to each other shows ways and turns.
     size = float((rays * true).sum() / (true**2).sum())
     assert size == pytest.approx(1, abs=3 * found.sigmas["depth.fx"] / found.depth.fx)
     assert size == pytest.approx(1, abs=3e-3)
@@ -215,19 +215,19 @@ def test_a_board_of_unknown_size_takes_its_size_from_depth() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [
         (lambda views: views[:4], "4 views show the board, fewer than 6"),
         (lambda views: [frontal(k) for k in range(10)], "all boards face the same way"),
         (lambda views: [middle(k) for k in range(10)], "of the image alone"),
     ],
 )
-def test_views_that_do_not_determine_it_are_refused(change, told: str) -> None:
+def test_views_that_do_not_determine_it_are_refused(change, reported: str) -> None:
     _, seen = rig_of("realsense", 2)
     views = tuple(change(list(seen.views)))
     with pytest.raises(CalibrationError, match=r"\(.+\)") as refusal:
         calibrate_camera(replace(seen, views=views), BOARD, CameraSetup("stereo", on_plate=True))
-    assert told in str(refusal.value)
+    assert reported in str(refusal.value)
 
 
 LENS = PinholeCamera(1280, 720, 915.0, 915.0, 639.5, 359.5)
@@ -271,7 +271,7 @@ def test_depth_beyond_the_last_board_is_said_to_be_less_sure_and_is() -> None:
 
 def test_setups_that_fit_no_images_are_refused() -> None:
     rig, seen = rig_of("kinect-v2", 2)
-    for setup, told in (
+    for setup, reported in (
         (CameraSetup("laser"), "structured-light, tof, stereo"),
         (CameraSetup("tof", is_registered=True), "leave --registered out"),
         (CameraSetup("tof", keeps_color=True), "add --calibration"),
@@ -279,7 +279,7 @@ def test_setups_that_fit_no_images_are_refused() -> None:
     ):
         with pytest.raises(ConfigError) as refusal:
             calibrate_camera(seen, BOARD, setup)
-        assert told in str(refusal.value)
+        assert reported in str(refusal.value)
     bare = replace(seen, views=tuple(replace(view, reading=None) for view in seen.views))
     with pytest.raises(ConfigError, match="size of the squares is unknown"):
         calibrate_camera(bare, replace(BOARD, is_size_known=False), CameraSetup("tof"))

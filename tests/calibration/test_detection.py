@@ -62,7 +62,7 @@ def test_half_a_charuco_board_will_do_and_half_a_checkerboard_will_not() -> None
     assert no == "no whole board is seen"
 
 
-def test_a_blurred_board_is_told_from_a_sharp_one() -> None:
+def test_a_blurred_board_is_reported_from_a_sharp_one() -> None:
     T = pose(CHECKERS, 0.6)
     truth, _ = CAMERA.project(se3.apply(T, CHECKERS.points_m))
     corners = Corners(np.arange(CHECKERS.count), truth)

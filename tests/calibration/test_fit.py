@@ -55,7 +55,7 @@ def test_exact_readings_give_exact_wheels() -> None:
     assert (result.weights > 0.5).all()
 
 
-def test_slips_are_told_from_noise(rng: np.random.Generator) -> None:
+def test_slips_are_reported_from_noise(rng: np.random.Generator) -> None:
     noisy = replace(TRUE, slip_m_per_sqrt_m=0.003)
     clean, slipping = (fit(simulate(noisy, rng=rng, slips=slips, reference_sigma_m=0.002)) for slips in (0, 10))
     assert 10 <= slipping.is_slip.sum() - clean.is_slip.sum() <= 20
@@ -140,7 +140,7 @@ def test_the_path_is_that_of_the_robot() -> None:
 
 
 @pytest.mark.parametrize(
-    ("legs", "told", "advice"),
+    ("legs", "reported", "advice"),
     [
         ([(120.0, 0.8, 0.0), (2.0, 0.0, 0.0)], "track width", "hardly turns: drive some full turns"),
         ([(4.0, 0.0, 0.8), (2.0, 0.0, -0.6)] * 20, "radius", "drive straight for some metres"),
@@ -149,12 +149,12 @@ def test_the_path_is_that_of_the_robot() -> None:
     ids=["straight", "on-the-spot", "circles"],
 )
 def test_a_drive_that_leaves_something_open_is_refused(
-    legs: list[tuple[float, float, float]], told: str, advice: str, rng: np.random.Generator
+    legs: list[tuple[float, float, float]], reported: str, advice: str, rng: np.random.Generator
 ) -> None:
     simulated = simulate(replace(TRUE, slip_m_per_sqrt_m=0.003), legs, rng=rng, reference_sigma_m=0.002)
     with pytest.raises(CalibrationError, match="the drive does not determine") as caught:
         fit(simulated)
-    assert told in caught.value.problem
+    assert reported in caught.value.problem
     assert advice in (caught.value.fix or "")
 
 

@@ -65,7 +65,7 @@ def test_wheels_that_are_wrong_do_not_spoil_the_mount(wheels: Wheels) -> None:
 
 
 def test_sliding_in_bends_is_not_taken_for_the_mount() -> None:
-    """The more turns differ in speed, the better the two are told apart; at 0.5 m/s it looks like a centimetre of x."""
+    """The more turns differ in speed, the better both are distinguished; at 0.5 m/s it looks like a centimetre of x."""
     fit = fitted(sighted(slide_s=0.02, legs=MIXED * 2))
     assert fit.slide_s == pytest.approx(0.02, abs=2e-3)
     np.testing.assert_allclose(found(fit), [*TRUE, 0.0], atol=1.5e-3)

@@ -68,10 +68,10 @@ def test_a_wheel_that_slipped_is_no_size() -> None:
     """Half a metre of spin on the second side: neither size alone ends up where that does."""
     found = looped(WHEELS, seed=1)
     spun = found.right + np.where(np.arange(len(found.right)) > 600, round(0.5 / WHEELS.right_m_per_tick), 0)
-    told = check_loop(drive_from_ticks(WHEELS, found.stamps_s, found.left, spun), WHEELS)
-    assert not told.is_as_stated
-    assert not told.is_good
-    assert told.causes == ()
+    reported = check_loop(drive_from_ticks(WHEELS, found.stamps_s, found.left, spun), WHEELS)
+    assert not reported.is_as_stated
+    assert not reported.is_good
+    assert reported.causes == ()
 
 
 def test_sigmas_are_the_spread_over_drives_of_wheels_that_are_off_by_what_is_stated() -> None:

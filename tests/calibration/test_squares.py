@@ -103,7 +103,7 @@ def test_a_table_of_any_dialect_is_read(tmp_path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("", "errors.csv:1: the first line must be direction,x_m,y_m"),
         ("x,y\n", "errors.csv:1: the first line must be direction,x_m,y_m"),
@@ -113,9 +113,9 @@ def test_a_table_of_any_dialect_is_read(tmp_path: Path, text: str) -> None:
         ("direction,x_m,y_m\ncw,1,nan\n", "errors.csv:2: cw or ccw and two numbers"),
     ],
 )
-def test_a_wrong_table_names_its_line(tmp_path: Path, text: str, told: str) -> None:
+def test_a_wrong_table_names_its_line(tmp_path: Path, text: str, reported: str) -> None:
     path = tmp_path / "errors.csv"
     path.write_text(text)
     with pytest.raises(CalibrationError) as caught:
         read_return_errors(path)
-    assert str(caught.value).startswith(f"{tmp_path}/{told}")
+    assert str(caught.value).startswith(f"{tmp_path}/{reported}")

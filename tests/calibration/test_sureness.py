@@ -30,9 +30,9 @@ def test_what_is_stated_is_kept_and_what_is_not_is_not_written(tmp_path: Path) -
 def test_the_filter_goes_by_what_is_stated() -> None:
     settings = ErrorStateSettings()
     assert settings.with_wheels(None) == settings.with_wheels(WHEELS) == settings
-    told = settings.with_wheels(replace(WHEELS, turn_sigma=0.004))
-    assert told.turn_sigma == 0.004
-    assert told.scale_sigma == settings.scale_sigma
+    reported = settings.with_wheels(replace(WHEELS, turn_sigma=0.004))
+    assert reported.turn_sigma == 0.004
+    assert reported.scale_sigma == settings.scale_sigma
     assert settings.with_wheels(SURE).drift_sigma_rad_per_m == 0.001
 
 
@@ -77,7 +77,7 @@ def test_a_simulated_calibration_is_off_by_what_it_states() -> None:
         assert np.std(errors) == pytest.approx(getattr(drawn[0], name), rel=0.1)
 
 
-def test_sigmas_that_nobody_has_are_refused() -> None:
+def test_sigmas_that_no_one_has_are_refused() -> None:
     with pytest.raises(CalibrationError, match="turn_sigma"):
         replace(WHEELS, turn_sigma=-0.1)
     with pytest.raises(CalibrationError, match="drift_sigma_rad_per_m"):

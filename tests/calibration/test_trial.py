@@ -25,9 +25,9 @@ def recording(tmp_path: Path, rng: np.random.Generator) -> Recording:
 
 
 def test_the_rest_shows_what_it_is_worth(recording: Recording) -> None:
-    told: list[str] = []
-    trial = try_calibration(recording, on_step=told.append)
-    assert told == ["reading", "searching the delay", "fitting", "trying on the rest"]
+    reported: list[str] = []
+    trial = try_calibration(recording, on_step=reported.append)
+    assert reported == ["reading", "searching the delay", "fitting", "trying on the rest"]
     assert trial.fit.segments.end_s.max() <= trial.split_s <= trial.held_out.stamps_s[0]
     assert trial.after.evaluation.ate.translation.rmse < 0.1 * trial.before.evaluation.ate.translation.rmse
     assert trial.after.end_error_m < 0.2 * trial.before.end_error_m

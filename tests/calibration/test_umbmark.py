@@ -98,7 +98,7 @@ def test_one_run_each_has_no_standard_deviation() -> None:
 
 
 @pytest.mark.parametrize(
-    ("clockwise", "counter", "side_m", "told"),
+    ("clockwise", "counter", "side_m", "reported"),
     [
         ([], [[0.0, 0.0]], 4.0, "there is no clockwise run"),
         ([[0.0, 0.0]], [], 4.0, "there is no counter-clockwise run"),
@@ -108,6 +108,6 @@ def test_one_run_each_has_no_standard_deviation() -> None:
         ([[0.0, 0.0]], [[0.0, 0.0]], 1e300, r"the squares' side is 1e\+300 m"),
     ],
 )
-def test_what_is_no_square_is_refused(clockwise: object, counter: object, side_m: float, told: str) -> None:
-    with pytest.raises(CalibrationError, match=told):
+def test_what_is_no_square_is_refused(clockwise: object, counter: object, side_m: float, reported: str) -> None:
+    with pytest.raises(CalibrationError, match=reported):
         umbmark(NOMINAL, clockwise, counter, side_m)  # type: ignore[arg-type]

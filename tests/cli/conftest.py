@@ -37,7 +37,7 @@ def bare_pages(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.fixture(scope="session")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six seconds of frames at 15 Hz, each of which tells its number."""
+    """Six seconds of frames at 15 Hz, each of which shows its number."""
     folder = tmp_path_factory.mktemp("film") / "film"
     with RecordingWriter(folder, CALIBRATION) as writer:
         for number in range(90):

@@ -108,7 +108,7 @@ def test_long_help_stands_in_panels(wheelsight: Command, monkeypatch: pytest.Mon
 
 
 def test_paragraphs_are_as_wide_as_the_terminal() -> None:
-    told = """What it does.
+    reported = """What it does.
 
     One line
     and another.
@@ -120,7 +120,7 @@ def test_paragraphs_are_as_wide_as_the_terminal() -> None:
     wheelsight two --long
     """
     shown = "What it does.\n\nOne line and another.\n\n[bold]Examples[/bold]\n$ wheelsight one\n$ wheelsight two --long"
-    assert laid_out(told) == shown
+    assert laid_out(reported) == shown
 
 
 def test_a_commands_options_are_the_fields_of_a_class() -> None:
@@ -143,7 +143,7 @@ def test_a_commands_options_are_the_fields_of_a_class() -> None:
     assert said == [Asked("you", 3), Asked("you")]
 
 
-def test_compiled_kernels_that_can_be_kept_nowhere_are_told_in_one_line(room: Path, tmp_path: Path) -> None:
+def test_compiled_kernels_that_can_be_kept_nowhere_are_reported_in_one_line(room: Path, tmp_path: Path) -> None:
     """As for a user without a home of its own, who may not write into the installed package."""
     code = (
         "from numba.core import caching\n"

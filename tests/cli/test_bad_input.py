@@ -160,7 +160,7 @@ def test_an_output_folder_that_is_a_file(refusal: Refusal, room: Path) -> None:
 def test_an_output_folder_without_permission(
     refusal: Refusal, room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever runs the tests may be root, who may write anywhere; so the system's answer is given for it."""
+    """Anyone who runs the tests may be root, who may write anywhere; so the system's answer is given for it."""
 
     def denied(**_: object) -> None:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))

@@ -27,13 +27,13 @@ def test_info_lists_topics_and_what_each_is_used_as(wheelsight: Command, robot: 
     result = wheelsight("info", robot)
     assert result.exit_code == 0, result.output
     topics = result.stdout.partition("Topics")[2].splitlines()
-    told = {line.split()[0]: " ".join(line.split()[1:]) for line in topics if line.startswith("/")}
-    assert told[COLOR] == "6 × Image, used as color"
-    assert told[DEPTH] == "6 × Image, used as depth"
-    assert told["/camera/color/camera_info"] == "6 × CameraInfo, used as color_info"
-    assert told["/odom"] == "60 × Odometry, used as wheels"
-    assert told["/imu"] == "60 × Imu, used as gyro"
-    assert told["/joint_states"] == "60 × JointState"
+    reported = {line.split()[0]: " ".join(line.split()[1:]) for line in topics if line.startswith("/")}
+    assert reported[COLOR] == "6 × Image, used as color"
+    assert reported[DEPTH] == "6 × Image, used as depth"
+    assert reported["/camera/color/camera_info"] == "6 × CameraInfo, used as color_info"
+    assert reported["/odom"] == "60 × Odometry, used as wheels"
+    assert reported["/imu"] == "60 × Imu, used as gyro"
+    assert reported["/joint_states"] == "60 × JointState"
     assert "6 colour, 6 depth, 0 and 0 without a partner" in result.stdout
     assert "wheels are known by increments of its poses" in result.stderr
 

@@ -107,9 +107,9 @@ def test_a_batch_that_was_ended_goes_on(ended_by: signal.Signals, wheelsight: Co
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ, preexec_fn=listening) as process:
         until(lambda: done.is_dir() and any(done.glob("*.json")))
         process.send_signal(ended_by)
-        _, told = process.communicate()
+        _, reported = process.communicate()
     assert process.returncode == (128 + ended_by if ended_by in ENDING else -signal.SIGKILL)
-    assert ("interrupted; what is done is kept" in told) is (ended_by in ENDING)
+    assert ("interrupted; what is done is kept" in reported) is (ended_by in ENDING)
     kept = {path: path.stat().st_mtime_ns for path in done.glob("*.json")}
     assert 0 < len(kept) < 6
     assert not (data.parent / "out" / "table.csv").exists()
@@ -154,8 +154,8 @@ def test_the_table_fits_80_columns(monkeypatch: pytest.MonkeyPatch, capsys: pyte
     lines = plain(capsys.readouterr().out).splitlines()
     assert max(map(len, lines)) <= 80
     text = "\n".join(lines)
-    for told in ("0.1234", "12.5000", "100.250", "99.5", "36.90", "123.45", "812", "12345", "rgbd_data", "dense-"):
-        assert told in text
+    for reported in ("0.1234", "12.5000", "100.250", "99.5", "36.90", "123.45", "812", "12345", "rgbd_data", "dense-"):
+        assert reported in text
     assert "lower line: worst" in text
 
 
@@ -172,9 +172,9 @@ def test_progress_has_count_rate_and_time_left(
         now_s[0] += 60
         progress.show(Done(11, 20, 25, 100, Outcome("a", "broke"), None))
         progress.warn("a: broke")
-    told = plain(capfd.readouterr().err)
-    assert "warning: a: broke" in told
-    last = [line for line in told.replace("\r", "\n").splitlines() if "11/20 jobs" in line][-1]
+    reported = plain(capfd.readouterr().err)
+    assert "warning: a: broke" in reported
+    last = [line for line in reported.replace("\r", "\n").splitlines() if "11/20 jobs" in line][-1]
     assert "1.0 jobs/min" in last
     assert "3:00 left" in last
     assert "1 br" in last

@@ -118,8 +118,8 @@ def test_a_delay_can_be_kept(wheelsight: Command, drive: Path, tmp_path: Path) -
 def test_nothing_is_overwritten_unasked(wheelsight: Command, refusal: Refusal, drive: Path, tmp_path: Path) -> None:
     out = tmp_path / "wheels.yaml"
     out.write_text("mine")
-    told = refusal("calibrate", "wheels", drive, "--out", out)
-    assert told == f"{out}: is there already (choose another --out, or add --force to overwrite)"
+    reported = refusal("calibrate", "wheels", drive, "--out", out)
+    assert reported == f"{out}: is there already (choose another --out, or add --force to overwrite)"
     assert out.read_text() == "mine"
     assert wheelsight("calibrate", "wheels", drive, "--out", out, "--force").exit_code == 0
     out.unlink()
@@ -134,15 +134,15 @@ def test_outputs_that_cannot_be_are_refused(refusal: Refusal, drive: Path, tmp_p
 def test_a_straight_drive_is_refused_and_leaves_nothing(refusal: Refusal, tmp_path: Path) -> None:
     legs = [(20.0, 0.8, 0.0), (2.0, 0.0, 0.0)] * 6
     write_recording(tmp_path / "straight", NOMINAL, simulate(TRUE, legs))
-    told = refusal("calibrate", "wheels", tmp_path / "straight", "--out", tmp_path / "wheels.yaml")
-    assert told.startswith("the drive does not determine: ")
-    assert "track width" in told
-    assert "drive some full turns, both ways" in told
+    reported = refusal("calibrate", "wheels", tmp_path / "straight", "--out", tmp_path / "wheels.yaml")
+    assert reported.startswith("the drive does not determine: ")
+    assert "track width" in reported
+    assert "drive some full turns, both ways" in reported
     assert not (tmp_path / "wheels.yaml").exists()
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [
         (lambda drive: (drive / "groundtruth_base.txt").unlink(), "drive has no ground truth to calibrate against"),
         (lambda drive: (drive / "wheels.csv").write_text("stamp_s,left,right\n1,2,3\n"), "drive has 1 wheel readings"),
@@ -151,13 +151,13 @@ def test_a_straight_drive_is_refused_and_leaves_nothing(refusal: Refusal, tmp_pa
     ids=["no-truth", "no-readings", "no-wheels"],
 )
 def test_what_lacks_something_says_so(
-    refusal: Refusal, drive: Path, tmp_path: Path, change: Callable[[Path], object], told: str
+    refusal: Refusal, drive: Path, tmp_path: Path, change: Callable[[Path], object], reported: str
 ) -> None:
     change(drive)
-    assert told in refusal("calibrate", "wheels", drive, "--out", tmp_path / "wheels.yaml")
+    assert reported in refusal("calibrate", "wheels", drive, "--out", tmp_path / "wheels.yaml")
 
 
-def test_squares_are_told_apart_by_their_turning(wheelsight: Command, squares: list[Path], tmp_path: Path) -> None:
+def test_squares_are_distinguished_by_their_turning(wheelsight: Command, squares: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "wheels.yaml"
     result = wheelsight("calibrate", "umbmark", *squares, "--out", out)
     assert result.exit_code == 0, result.output
@@ -184,8 +184,8 @@ def test_a_table_of_errors_will_do(wheelsight: Command, refusal: Refusal, tmp_pa
 def test_squares_of_two_robots_are_refused(refusal: Refusal, squares: list[Path], tmp_path: Path) -> None:
     other = replace(NOMINAL, track_width_m=0.9)
     save_calibration(Calibration(wheels=other), squares[2] / "calibration.yaml")
-    told = refusal("calibrate", "umbmark", *squares, "--out", tmp_path / "wheels.yaml")
-    assert told.startswith("square2 and square0 have different nominal wheels")
+    reported = refusal("calibrate", "umbmark", *squares, "--out", tmp_path / "wheels.yaml")
+    assert reported.startswith("square2 and square0 have different nominal wheels")
 
 
 @pytest.mark.parametrize("command", ["wheels", "umbmark"])
@@ -209,12 +209,12 @@ def test_the_pages_draw_all_they_promise(
         assert "NaN" not in document.split("<script")[0]
 
 
-def test_the_reference_is_read_as_told(wheelsight: Command, refusal: Refusal, drive: Path, tmp_path: Path) -> None:
+def test_the_reference_is_read_as_reported(wheelsight: Command, refusal: Refusal, drive: Path, tmp_path: Path) -> None:
     camera = tmp_path / "camera.txt"
     truth = read_tum(drive / "groundtruth_base.txt")
     write_tum(Trajectory(truth.stamps_s, truth.T_frame_body, body="camera"), camera)
-    told = refusal("calibrate", "wheels", drive, "--reference", camera, "--out", tmp_path / "wheels.yaml")
-    assert "give T_base_camera" in told
+    reported = refusal("calibrate", "wheels", drive, "--reference", camera, "--out", tmp_path / "wheels.yaml")
+    assert "give T_base_camera" in reported
 
 
 def test_each_command_keeps_what_the_others_found(wheelsight: Command, drive: Path, tmp_path: Path) -> None:
@@ -250,8 +250,8 @@ def test_what_was_given_is_handed_on(wheelsight: Command, drive: Path, tmp_path:
 def test_a_calibration_that_cannot_be_read_is_not_lost(refusal: Refusal, drive: Path, tmp_path: Path) -> None:
     out = tmp_path / "wheels.yaml"
     out.write_text("format: wheelsight-calibration-1\ncolour: {}\n")
-    told = refusal("calibrate", "wheels", drive, "--out", out, "--force")
-    assert told.startswith(f"{out}: field calibration has an unknown entry 'colour'")
+    reported = refusal("calibrate", "wheels", drive, "--out", out, "--force")
+    assert reported.startswith(f"{out}: field calibration has an unknown entry 'colour'")
     assert "colour" in out.read_text()
 
 
@@ -260,6 +260,6 @@ def test_a_file_larger_than_any_calibration_is_neither_read_nor_lost(
 ) -> None:
     out = tmp_path / "wheels.yaml"
     out.write_bytes(bytes(2 << 20))
-    told = refusal("calibrate", "wheels", drive, "--out", out, "--force")
-    assert told.startswith(f"{out}: holds 2 MB, more than a YAML file may: 1 MB")
+    reported = refusal("calibrate", "wheels", drive, "--out", out, "--force")
+    assert reported.startswith(f"{out}: holds 2 MB, more than a YAML file may: 1 MB")
     assert out.stat().st_size == 2 << 20

@@ -42,7 +42,7 @@ def found() -> BaseCalibration:
 
 @pytest.fixture
 def drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: BaseCalibration) -> Path:
-    """A recording whose images nobody rendered; what they would have shown is known."""
+    """A recording whose images no one rendered; what they would have shown is known."""
     write_recording(tmp_path / "drive", NOMINAL, drive_legs(NOMINAL))
 
     def calibrate(
@@ -110,8 +110,8 @@ def test_a_recording_takes_the_mount(wheelsight: Command, drive: Path, tmp_path:
 def test_nothing_is_overwritten_unasked(wheelsight: Command, refusal: Refusal, drive: Path, tmp_path: Path) -> None:
     out = tmp_path / "base.yaml"
     out.write_text("mine")
-    told = refusal("calibrate", "base", drive, "--out", out)
-    assert told == f"{out}: is there already (choose another --out, or add --force to overwrite)"
+    reported = refusal("calibrate", "base", drive, "--out", out)
+    assert reported == f"{out}: is there already (choose another --out, or add --force to overwrite)"
     assert wheelsight("calibrate", "base", drive, "--out", out, "--force").exit_code == 0
     assert load_calibration(out).T_base_camera is not None
 
@@ -121,8 +121,8 @@ def test_it_goes_by_settings(wheelsight: Command, refusal: Refusal, drive: Path,
     config.write_text("extrinsics:\n  floor: {highest_m: 0.35}\n")
     assert "0.35 high" in wheelsight("calibrate", "base", drive, "--config", config, "--out", out).stderr
     config.write_text("extrinsics:\n  floor: {highest_m: 200}\n")
-    told = refusal("calibrate", "base", drive, "--config", config, "--out", tmp_path / "other.yaml")
-    assert told.startswith(f"{config}:2: extrinsics.floor.highest_m is 200")
+    reported = refusal("calibrate", "base", drive, "--config", config, "--out", tmp_path / "other.yaml")
+    assert reported.startswith(f"{config}:2: extrinsics.floor.highest_m is 200")
 
 
 def test_a_recording_without_images_is_refused(refusal: Refusal, wheels: Path, tmp_path: Path) -> None:
@@ -131,8 +131,8 @@ def test_a_recording_without_images_is_refused(refusal: Refusal, wheels: Path, t
 
 
 def test_a_recording_without_wheels_is_refused(refusal: Refusal, room: Path, tmp_path: Path) -> None:
-    told = refusal("calibrate", "base", room, "--out", tmp_path / "base.yaml")
-    assert "has no wheels (give nominal ones" in told
+    reported = refusal("calibrate", "base", room, "--out", tmp_path / "base.yaml")
+    assert "has no wheels (give nominal ones" in reported
 
 
 def test_calibrations_are_laid_over_each_other(wheelsight: Command, drive: Path, tmp_path: Path) -> None:

@@ -109,13 +109,13 @@ def test_bad_views_are_refused_in_a_line(refusal: Refusal, views: Path, tmp_path
     assert "VIEW-color" in refusal("calibrate", "camera", tmp_path, "--board", str(BOARD), *out)
     frontal = tmp_path / "frontal"
     write_views(frontal, BOARD, CAMERA, [pose(BOARD, 0.5 + 0.05 * k) for k in range(8)])
-    told = refusal("calibrate", "camera", frontal, "--board", str(BOARD), "--registered", *out)
-    assert "all boards face the same way" in told
+    reported = refusal("calibrate", "camera", frontal, "--board", str(BOARD), "--registered", *out)
+    assert "all boards face the same way" in reported
     assert not (tmp_path / "robot.yaml").exists()
 
 
 class BoardCamera(HandFedCamera):
-    """Shows each board for three looks, then has ended; `on_look` is told their number."""
+    """Shows each board for three looks, then has ended; `on_look` is reported their number."""
 
     def __init__(self, poses: Sequence[np.ndarray], on_look: Callable[[int], None] = lambda _: None) -> None:
         super().__init__(Calibration.registered_camera(CAMERA, source="the camera itself"))
@@ -175,11 +175,11 @@ def test_a_live_camera_is_calibrated_and_it_ends_by_itself(
     out, folder = tmp_path / "robot.yaml", tmp_path / "taken"
     result = wheelsight("calibrate", "camera", folder, *LIVE, "--config", few, "--out", out)
     assert result.exit_code == 0, result.output
-    told = result.stderr.splitlines()
-    assert "next: the whole board, in the middle of the image" in told[0]
-    assert "view 001 taken; next: " in told[1]
+    reported = result.stderr.splitlines()
+    assert "next: the whole board, in the middle of the image" in reported[0]
+    assert "view 001 taken; next: " in reported[1]
     assert f"view {len(POSES):03d} taken; nothing is missing" in result.stderr
-    assert camera.told.status is not CameraStatus.ENDED  # it was not shown the rest
+    assert camera.reported.status is not CameraStatus.ENDED  # it was not shown the rest
     assert camera.is_closed
     found = load_calibration(out)
     assert found.color is not None
@@ -288,13 +288,13 @@ def test_a_loop_shows_wheels_that_are_right_and_wheels_that_are_not(wheelsight: 
         save_calibration(Calibration(wheels=wheels), tmp_path / f"{name}.yaml")
         result = wheelsight("calibrate", "robot", tmp_path / f"{name}.yaml", "--check", tmp_path / "loop")
         assert result.exit_code == 0, result.output
-        told = " ".join(result.output.split())
-        assert word in told
-        assert "1 turn counter-clockwise: by the wheels alone it ends" in told
-        assert ("no more than that is off" in told) == (name == "good")
+        reported = " ".join(result.output.split())
+        assert word in reported
+        assert "1 turn counter-clockwise: by the wheels alone it ends" in reported
+        assert ("no more than that is off" in reported) == (name == "good")
         assert ("does not close" in result.output) == (name == "bad")
         # 0.66 m where 0.58 m are true.
-        shares = re.findall(r"track width were ([\d.]+) % too wide", told)
+        shares = re.findall(r"track width were ([\d.]+) % too wide", reported)
         assert [float(share) for share in shares] == ([pytest.approx(13.8, abs=0.3)] if name == "bad" else [])
 
 
@@ -307,7 +307,7 @@ def test_a_history_that_is_none_is_refusal(refusal: Refusal, tmp_path: Path) -> 
     assert "history.views is 'many'" in refusal("calibrate", "robot", path)
 
 
-def test_corrupt_images_are_told(wheelsight: Command, views: Path, tmp_path: Path) -> None:
+def test_corrupt_images_are_reported(wheelsight: Command, views: Path, tmp_path: Path) -> None:
     import shutil
 
     folder = tmp_path / "views"

@@ -60,9 +60,9 @@ def test_what_a_profile_changes_is_printed_alone_and_options_of_a_file_over_it(
 
 
 def test_a_profile_that_is_not_there_is_refused(refusal: Refusal, tmp_path: Path) -> None:
-    told = "--profile is 'nano' (known: 'pi')"
-    assert refusal("config", "--profile", "nano") == told
-    assert refusal("run", tmp_path, "--profile", "nano", "--out", tmp_path / "out") == told
+    reported = "--profile is 'nano' (known: 'pi')"
+    assert refusal("config", "--profile", "nano") == reported
+    assert refusal("run", tmp_path, "--profile", "nano", "--out", tmp_path / "out") == reported
 
 
 def test_a_run_writes_down_its_profile(wheelsight: Command, wheels: Path, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ FOUND = [
 ]
 
 
-def test_each_is_told_in_a_line_with_its_use_or_its_fix(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_is_reported_in_a_line_with_its_use_or_its_fix(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plugged_in, "plugged_in", lambda: FOUND)
     result = CliRunner().invoke(app, ["devices"])
     assert result.exit_code == 0
@@ -25,11 +25,11 @@ def test_each_is_told_in_a_line_with_its_use_or_its_fix(monkeypatch: pytest.Monk
         "RealSense D435 123: ready (--camera realsense:123)",
         "/dev/ttyUSB0: no permission to open it (join its group)",
     ]
-    told = json.loads(CliRunner().invoke(app, ["devices", "--json"]).stdout)
-    assert [(device["name"], device["problem"]) for device in told] == [(d.name, d.problem) for d in FOUND]
+    reported = json.loads(CliRunner().invoke(app, ["devices", "--json"]).stdout)
+    assert [(device["name"], device["problem"]) for device in reported] == [(d.name, d.problem) for d in FOUND]
 
 
-def test_nothing_is_told_too(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_reported_too(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plugged_in, "plugged_in", list)
     lines = CliRunner().invoke(app, ["devices"]).stdout.splitlines()
     assert [line.split(":")[0] for line in lines] == ["no depth camera is seen", "no serial port is seen"]

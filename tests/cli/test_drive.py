@@ -74,8 +74,8 @@ def calibration(tmp_path: Path) -> Path:
 def test_what_means_nothing_is_refused_in_a_line(
     refusal: Refusal, kept: Path, tmp_path: Path, options: tuple[str, ...], problem: str
 ) -> None:
-    told = refusal("drive", "--map", kept, "--to", "kitchen", "--out", tmp_path / "out", *options)
-    assert problem in told
+    reported = refusal("drive", "--map", kept, "--to", "kitchen", "--out", tmp_path / "out", *options)
+    assert problem in reported
     assert not (tmp_path / "out").exists()
 
 
@@ -96,23 +96,23 @@ def test_a_map_and_a_goal_are_needed(refusal: Refusal, kept: Path, tmp_path: Pat
     assert "there is no such folder" in nowhere
 
 
-def test_an_unknown_name_is_told_with_the_nearest_and_all(refusal: Refusal, kept: Path, tmp_path: Path) -> None:
+def test_an_unknown_name_is_reported_with_the_nearest_and_all(refusal: Refusal, kept: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    told = refusal("drive", "--sim", "flat", "--map", kept, "--to", "desk", "--to", "kichen", "--out", out)
-    assert told == "no place of the map is called 'kichen' (did you mean kitchen?) (known: desk, kitchen)"
+    reported = refusal("drive", "--sim", "flat", "--map", kept, "--to", "desk", "--to", "kichen", "--out", out)
+    assert reported == "no place of the map is called 'kichen' (did you mean kitchen?) (known: desk, kitchen)"
     assert not out.exists()
 
 
 def test_a_folder_that_holds_something_is_refused(refusal: Refusal, kept: Path, tmp_path: Path) -> None:
-    told = refusal("drive", "--sim", "flat", "--map", kept, "--to", "desk", "--out", kept)
-    assert "is not empty" in told
+    reported = refusal("drive", "--sim", "flat", "--map", kept, "--to", "desk", "--out", kept)
+    assert "is not empty" in reported
 
 
 def test_a_file_for_rerun_that_is_there_is_refused(refusal: Refusal, kept: Path, tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     (tmp_path / "drive.rrd").write_text("mine")
-    told = refusal("drive", "--sim", "flat", "--map", kept, "--to", "desk", "--rerun", tmp_path / "drive.rrd")
-    assert told.startswith(f"{tmp_path / 'drive.rrd'}: is there already")
+    reported = refusal("drive", "--sim", "flat", "--map", kept, "--to", "desk", "--rerun", tmp_path / "drive.rrd")
+    assert reported.startswith(f"{tmp_path / 'drive.rrd'}: is there already")
     assert (tmp_path / "drive.rrd").read_text() == "mine"
 
 
@@ -134,8 +134,8 @@ def of_robot(port: object, calibration: Path, kept: Path, *more: object) -> tupl
 
 
 def test_a_real_robot_without_its_camera_is_refused(refusal: Refusal, kept: Path, calibration: Path) -> None:
-    told = refusal(*of_robot("/dev/null", calibration, kept, "--camera", "kinet"))
-    assert told == f"no camera is called 'kinet' (one of {', '.join(LIVE_CAMERAS)})"
+    reported = refusal(*of_robot("/dev/null", calibration, kept, "--camera", "kinet"))
+    assert reported == f"no camera is called 'kinet' (one of {', '.join(LIVE_CAMERAS)})"
 
 
 def test_a_holonomic_base_is_not_driven(
@@ -144,19 +144,19 @@ def test_a_holonomic_base_is_not_driven(
     plug_in(monkeypatch, HandFedCamera())
     path = tmp_path / "mecanum.yaml"
     save_calibration(Calibration(holonomic=HolonomicWheels("increments")), path)
-    told = refusal(*of_robot("/dev/null", path, kept))
+    reported = refusal(*of_robot("/dev/null", path, kept))
     why = "has the wheels of a holonomic base, and this needs two driven wheels"
-    assert told == f"{path}: {why} (wheelsight run localizes such a base)"
+    assert reported == f"{path}: {why} (wheelsight run localizes such a base)"
 
 
-def test_a_robot_of_which_nobody_knows_how_it_is_built_is_refused(
+def test_a_robot_of_which_no_one_knows_how_it_is_built_is_refused(
     refusal: Refusal, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     camera = HandFedCamera()
     plug_in(monkeypatch, camera)
     save_calibration(Calibration(wheels=CALIBRATION.wheels), tmp_path / "wheels.yaml")
-    told = refusal(*of_robot("/dev/null", tmp_path / "wheels.yaml", kept))
-    assert told.startswith(f"{tmp_path / 'wheels.yaml'}: has no T_base_camera (wheelsight calibrate base finds")
+    reported = refusal(*of_robot("/dev/null", tmp_path / "wheels.yaml", kept))
+    assert reported.startswith(f"{tmp_path / 'wheels.yaml'}: has no T_base_camera (wheelsight calibrate base finds")
     assert camera.is_closed
 
 
@@ -175,7 +175,7 @@ def test_the_cameras_own_calibration_lies_under_the_robots(tmp_path: Path, monke
 
 def plug_in(monkeypatch: pytest.MonkeyPatch, camera: HandFedCamera) -> list[Any]:
     """Let it be the only camera; the calibrations that it is asked to go by."""
-    for kind in reversed(tuple(LIVE_CAMERAS)):  # what is put back last comes last, and their order is told
+    for kind in reversed(tuple(LIVE_CAMERAS)):  # what is put back last comes last, and their order is reported
         monkeypatch.delitem(LIVE_CAMERAS, kind)
     asked: list[Any] = []
 
@@ -210,8 +210,10 @@ def test_a_robot_whose_firmware_stops_too_late_is_refused(
     plug_in(monkeypatch, camera)
     with SimulatedController(tmp_path) as controller:
         controller.version = (1, 1, 0, 0)
-        told = refusal(*of_robot(controller.port, calibration, kept, "--camera", "fake", "--yes"))
-        assert "the controller's firmware is 1.0, older than 1.1: it stops the motors too late (write the new" in told
+        reported = refusal(*of_robot(controller.port, calibration, kept, "--camera", "fake", "--yes"))
+        assert (
+            "the controller's firmware is 1.0, older than 1.1: it stops the motors too late (write the new" in reported
+        )
         assert Commanded.DRIVE not in [kind for kind, _ in controller.commands]
     assert camera.is_closed
 
@@ -281,12 +283,12 @@ def test_a_robot_drives_to_a_place_of_a_flat_that_was_mapped_before(
     assert result.stdout.startswith("arrived at table: ")
     assert "idle → planning: to table" in result.stderr
     assert "status: knows where it is" in result.stderr
-    told = json.loads((tmp_path / "drive" / "drive.json").read_text())
-    assert told["has_arrived"] is True
-    assert told["goals"][0]["off_m"] < 0.15
-    assert told["truth"]["contacts"] == []
-    assert told["truth"]["clearance_m"] > 0
-    assert 0.25 < told["way_m"] < 1.0
+    reported = json.loads((tmp_path / "drive" / "drive.json").read_text())
+    assert reported["has_arrived"] is True
+    assert reported["goals"][0]["off_m"] < 0.15
+    assert reported["truth"]["contacts"] == []
+    assert reported["truth"]["clearance_m"] > 0
+    assert 0.25 < reported["way_m"] < 1.0
     page = (tmp_path / "drive" / "drive.html").read_text()
     assert "To table in map" in page
     for name in ("drive.png", "trajectory.txt", "config.yaml"):
@@ -321,9 +323,9 @@ def test_ctrl_c_stops_the_robot_first_and_says_so(
     assert result.exit_code == 130, result.output
     assert result.stderr.splitlines()[-1] == "interrupted; the robot was stopped first, and stands"
     assert stopped[0] == pytest.approx(1.5, abs=0.06)
-    told = json.loads((tmp_path / "drive" / "drive.json").read_text())
-    assert told["interrupted"] is True
-    assert told["goals"][0]["reason"] == "the task was canceled"
+    reported = json.loads((tmp_path / "drive" / "drive.json").read_text())
+    assert reported["interrupted"] is True
+    assert reported["goals"][0]["reason"] == "the task was canceled"
 
 
 @pytest.mark.slow

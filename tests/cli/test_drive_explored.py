@@ -24,13 +24,13 @@ SIDES_M = 4.2, 3.6
 ELSEWHERE = np.array([0.3, 0.5])
 
 
-def told_of(folder: Path) -> dict[str, Any]:
+def reported_of(folder: Path) -> dict[str, Any]:
     """What came of a drive, none of which may have touched anything."""
-    told: dict[str, Any] = json.loads((folder / "drive.json").read_text())
-    assert told["has_arrived"] is True
-    assert told["truth"]["contacts"] == []
-    assert told["truth"]["clearance_m"] > 0
-    return told
+    reported: dict[str, Any] = json.loads((folder / "drive.json").read_text())
+    assert reported["has_arrived"] is True
+    assert reported["truth"]["contacts"] == []
+    assert reported["truth"]["clearance_m"] > 0
+    return reported
 
 
 @pytest.mark.slow
@@ -40,7 +40,7 @@ def test_a_room_is_explored_to_its_end_and_driven_in_by_the_map_of_that(wheelsig
     room = ("--sim", write_plan(tmp_path, one_room(*SIDES_M)), *SMALL)
     result = wheelsight("drive", *room, "--explore", "--out", home)
     assert result.exit_code == 0, result.output
-    assert told_of(home)["loops"] > 0
+    assert reported_of(home)["loops"] > 0
     folder = MapFolder.open(find_map(home))
     assert len(folder.store) > 10
     folder.close()
@@ -55,5 +55,5 @@ def test_a_room_is_explored_to_its_end_and_driven_in_by_the_map_of_that(wheelsig
     to = "--config", settings, "--map", home, "--to", ",".join(map(str, ELSEWHERE))
     result = wheelsight("drive", *room, *to, "--out", drive)
     assert result.exit_code == 0, result.output
-    (goal,) = told_of(drive)["goals"]
+    (goal,) = reported_of(drive)["goals"]
     assert goal["off_m"] < 0.2

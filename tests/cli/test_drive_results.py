@@ -16,7 +16,7 @@ from wheelsight_report import drive_dict
 from wheelsight_report.drive_page import verdict
 
 
-def test_periods_that_came_late_are_told_where_they_are_many(capsys: pytest.CaptureFixture[str]) -> None:
+def test_periods_that_came_late_are_reported_where_they_are_many(capsys: pytest.CaptureFixture[str]) -> None:
     drive, _, config = rehearsed_drive()
     drive.go_to(NamedGoal.of(np.array([-0.7, -0.4, np.nan]), "there"), lambda feedback: None)
     record = recorded(drive, config)
@@ -24,13 +24,15 @@ def test_periods_that_came_late_are_told_where_they_are_many(capsys: pytest.Capt
     assert "longer than they should" not in capsys.readouterr().err
     late = replace(record, rows=replace(record.rows, stamps_s=2 * record.rows.stamps_s))
     print_results(late)
-    told, count = " ".join(capsys.readouterr().err.split()), len(record.rows) - 1
-    assert f"{count:,} of {count:,} periods of the control loop took longer than they should, 100 ms at most" in told
+    reported, count = " ".join(capsys.readouterr().err.split()), len(record.rows) - 1
+    assert (
+        f"{count:,} of {count:,} periods of the control loop took longer than they should, 100 ms at most" in reported
+    )
 
 
-@pytest.mark.parametrize(("start", "recognised", "is_told"), [(True, 0, True), (True, 3, False), (False, 0, False)])
-def test_a_start_that_nothing_bears_out_is_told(
-    start: bool, recognised: int, is_told: bool, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("start", "recognised", "is_reported"), [(True, 0, True), (True, 3, False), (False, 0, False)])
+def test_a_start_that_nothing_bears_out_is_reported(
+    start: bool, recognised: int, is_reported: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     drive, _, config = rehearsed_drive()
     drive.go_to(NamedGoal.of(np.array([-0.7, -0.4, np.nan]), "there"), lambda feedback: None)
@@ -40,9 +42,9 @@ def test_a_start_that_nothing_bears_out_is_told(
     known = {**record.config, "known_map": {**record.config["known_map"], "start": said}}
     found = replace(record, config=known, recognised=recognised)
     print_results(found)
-    told = " ".join(capsys.readouterr().err.split())
-    assert ("nothing of the map was recognised" in told) is is_told
-    assert ("Nothing of the map was recognised" in verdict(found)[1]) is is_told
+    reported = " ".join(capsys.readouterr().err.split())
+    assert ("nothing of the map was recognised" in reported) is is_reported
+    assert ("Nothing of the map was recognised" in verdict(found)[1]) is is_reported
     assert drive_dict(found)["recognised"] == recognised
 
 

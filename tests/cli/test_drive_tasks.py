@@ -1,4 +1,4 @@
-"""`wheelsight drive`: along a way of before, and back to the start; the robot is drawn, and told where it is."""
+"""`wheelsight drive`: along a way of before, and back to the start; the robot is drawn, and reported where it is."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ def test_the_robot_drives_along_a_way_of_before(
     assert result.exit_code == 0, result.output
     assert result.stdout.startswith(f"arrived at the end of {way}: ")
     np.testing.assert_allclose(drawn[1].pose[:2], (-0.7, -0.4), atol=0.15)
-    told = json.loads((tmp_path / "out" / "drive.json").read_text())
-    assert (told["has_arrived"], told["goals_asked"]) == (True, 1)
+    reported = json.loads((tmp_path / "out" / "drive.json").read_text())
+    assert (reported["has_arrived"], reported["goals_asked"]) == (True, 1)
     # What a drive leaves is a way to follow.
     assert len(read_tum(tmp_path / "out" / "trajectory.txt")) > 10
 
@@ -120,8 +120,8 @@ def test_back_returns_to_where_the_drive_began(
     np.testing.assert_allclose(robot.pose[:2], begin[:2], atol=0.15)
     assert abs(wrap_angle(robot.pose[2] - begin[2])) < np.radians(10)
     assert "--back was left out" not in result.stderr
-    told = json.loads((tmp_path / "out" / "drive.json").read_text())
-    assert (told["has_arrived"], told["goals_asked"], len(told["goals"])) == (True, 2, 2)
+    reported = json.loads((tmp_path / "out" / "drive.json").read_text())
+    assert (reported["has_arrived"], reported["goals_asked"], len(reported["goals"])) == (True, 2, 2)
 
 
 def test_back_is_left_out_aloud_where_a_goal_was_not_reached(
@@ -152,23 +152,23 @@ def test_back_is_left_out_aloud_where_the_start_is_not_known(
 def test_a_way_and_other_goals_exclude_each_other(
     refusal: Refusal, words: tuple[Any, ...], way: Path, tmp_path: Path
 ) -> None:
-    told = refusal(*words, "--follow", way, "--to", NEAR)
-    assert told == "--follow ends where its way does (leave out --follow or --to)"
-    told = refusal("drive", "--sim", "flat", "--explore", "--follow", way, "--out", tmp_path / "out")
-    assert told == "--explore finds its own way (leave out --explore or --follow)"
-    told = refusal("drive", "--sim", "flat", "--follow", way)
-    assert told.startswith("there is no map to drive in (--map DIR")
+    reported = refusal(*words, "--follow", way, "--to", NEAR)
+    assert reported == "--follow ends where its way does (leave out --follow or --to)"
+    reported = refusal("drive", "--sim", "flat", "--explore", "--follow", way, "--out", tmp_path / "out")
+    assert reported == "--explore finds its own way (leave out --explore or --follow)"
+    reported = refusal("drive", "--sim", "flat", "--follow", way)
+    assert reported.startswith("there is no map to drive in (--map DIR")
 
 
 def test_what_is_no_way_is_refused_in_a_line(refusal: Refusal, words: tuple[Any, ...], tmp_path: Path) -> None:
     (tmp_path / "way.txt").write_text("0 1 inf 0 0 0 0 1\n")
-    told = refusal(*words, "--follow", tmp_path / "way.txt", "--out", tmp_path / "out")
-    assert told == f"{tmp_path / 'way.txt'}:1: a value is not finite (remove the line)"
+    reported = refusal(*words, "--follow", tmp_path / "way.txt", "--out", tmp_path / "out")
+    assert reported == f"{tmp_path / 'way.txt'}:1: a value is not finite (remove the line)"
     assert refusal(*words, "--follow", tmp_path / "nowhere.txt").startswith(f"{tmp_path / 'nowhere.txt'}: ")
     assert not (tmp_path / "out").exists()
 
 
 def test_help_shows_how_a_way_is_followed(wheelsight: Command) -> None:
-    told = " ".join(wheelsight("drive", "--help").output.split())
-    assert "--follow" in told
-    assert "--follow drive/trajectory.txt --back" in told
+    reported = " ".join(wheelsight("drive", "--help").output.split())
+    assert "--follow" in reported
+    assert "--follow drive/trajectory.txt --back" in reported

@@ -80,20 +80,22 @@ def test_two_cells_are_a_letter_and_without_colours_the_higher_one(floor: Static
     assert as_text(signs, in_colour=False).plain == "o#"
 
 
-def test_a_line_tells_state_status_speed_way_and_why() -> None:
+def test_a_line_shows_state_status_speed_way_and_why() -> None:
     held = replace(STILL, monitor=MonitorResult(STOP, MonitorState.STOPPED, MonitorReason.OBSTACLE))
     so_far, at_s = SoFar(), 10.0
     for _ in range(5):
         so_far.add(replace(held, stamp_s=at_s))
         at_s += 1.0
     assert (so_far.seconds, so_far.way_m) == (4.0, 2.0)
-    told = line_of(held, so_far, 24.3)
-    assert told.startswith(
+    reported = line_of(held, so_far, 24.3)
+    assert reported.startswith(
         "12.3 s state: driving, kitchen; status: knows where it is; place: 1.00, 0.00 m, 0°; speed: 0.50 m/s; "
         "so far: 0:04, 2.0 m, 24 m² seen; rate: "
     )
-    assert told.endswith("; to go: 3.4 m, 0:07 left; monitor: holds it: something in the way")
+    assert reported.endswith("; to go: 3.4 m, 0:07 left; monitor: holds it: something in the way")
     lost = replace(STILL, pose=None, to_go_m=None, status=Status.LOST, turn_rad_s=-0.5, doing="")
-    told = line_of(lost, SoFar(), 0.0)
-    assert told.startswith("12.3 s state: driving; status: lost; speed: 0.50 m/s, -29°/s; so far: 0:00, 0.0 m, 0 m²")
-    assert told.endswith(" times real time; monitor: lets it drive")
+    reported = line_of(lost, SoFar(), 0.0)
+    assert reported.startswith(
+        "12.3 s state: driving; status: lost; speed: 0.50 m/s, -29°/s; so far: 0:00, 0.0 m, 0 m²"
+    )
+    assert reported.endswith(" times real time; monitor: lets it drive")

@@ -28,7 +28,7 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path / "estimate.txt", tmp_path / "truth.txt"
 
 
-def test_the_table_tells_all_errors(wheelsight: Command, files: tuple[Path, Path]) -> None:
+def test_the_table_shows_all_errors(wheelsight: Command, files: tuple[Path, Path]) -> None:
     result = wheelsight("evaluate", *files)
     assert result.exit_code == 0
     for name in ("ATE, position", "RPE a frame, rotation", "RPE a second, position", "RMSE", "median"):
@@ -44,7 +44,7 @@ def test_json_holds_figures_with_units(wheelsight: Command, files: tuple[Path, P
     assert figures["frame"] == "T_map_camera"
 
 
-def test_the_frame_is_told_and_what_headers_leave_out_can_be_said(
+def test_the_frame_is_reported_and_what_headers_leave_out_can_be_said(
     wheelsight: Command, refusal: Callable[..., str], files: tuple[Path, Path]
 ) -> None:
     estimate, truth = files
@@ -114,11 +114,11 @@ def test_a_folder_is_no_trajectory_but_may_hold_it(refusal: Callable[..., str], 
     folder = estimate.parent
     assert refusal("evaluate", folder, truth) == f"{folder}: is a folder, not a file (give the file)"
     truth.rename(folder / "groundtruth.txt")
-    told = refusal("evaluate", estimate, folder)
-    assert told == f"{folder}: is a folder, not a file (did you mean {folder / 'groundtruth.txt'}?)"
+    reported = refusal("evaluate", estimate, folder)
+    assert reported == f"{folder}: is a folder, not a file (did you mean {folder / 'groundtruth.txt'}?)"
 
 
-def test_doubts_are_told_after_the_table_and_in_json(wheelsight: Command, files: tuple[Path, Path]) -> None:
+def test_doubts_are_reported_after_the_table_and_in_json(wheelsight: Command, files: tuple[Path, Path]) -> None:
     estimate, truth = files
     sound = read_tum(truth)
     for path, scale in ((estimate, 1.0), (truth, 1e3)):
@@ -126,8 +126,10 @@ def test_doubts_are_told_after_the_table_and_in_json(wheelsight: Command, files:
     result = wheelsight("evaluate", estimate, truth, "--max-gap", "100")
     assert result.exit_code == 0, result.output
     assert "look like milliseconds" in " ".join(result.stderr.split())
-    (told, few) = json.loads(wheelsight("evaluate", estimate, truth, "--max-gap", "100", "--json").stdout)["warnings"]
-    assert "look like milliseconds" in told
+    (reported, few) = json.loads(wheelsight("evaluate", estimate, truth, "--max-gap", "100", "--json").stdout)[
+        "warnings"
+    ]
+    assert "look like milliseconds" in reported
     assert few.startswith("Only ")
 
 
@@ -147,7 +149,7 @@ def test_the_truth_of_the_estimates_body_is_taken_where_it_lies_beside(
 
 
 def test_the_truth_of_the_body_that_was_estimated_is_taken(wheelsight: Callable[..., Result], tmp_path: Path) -> None:
-    """A run tells of the base, a recording's groundtruth.txt of the camera: groundtruth_base.txt lies beside it."""
+    """A run shows the base, a recording's groundtruth.txt of the camera: groundtruth_base.txt lies beside it."""
     make_room_drive(tmp_path / "drive", frames=8)
     beside = tmp_path / "drive" / "groundtruth_base.txt"
     result = wheelsight("evaluate", beside, tmp_path / "drive" / "groundtruth.txt")
@@ -170,5 +172,5 @@ def test_any_encoding_takes_the_output(encoding: str, files: tuple[Path, Path], 
     assert "ATE, rotation" in answer.stdout.decode(encoding)
     wrong = subprocess.run([*command[:-1], "σ→missing.txt"], env=environment, capture_output=True, check=False)
     assert wrong.returncode == 2
-    told = wrong.stderr.decode(encoding)
-    assert told.startswith("error: σ→missing.txt" if encoding == "utf-8" else "error: sigma->missing.txt")
+    reported = wrong.stderr.decode(encoding)
+    assert reported.startswith("error: σ→missing.txt" if encoding == "utf-8" else "error: sigma->missing.txt")

@@ -94,7 +94,7 @@ def test_of_several_odometries_it_finds_the_one_with_a_map(wheelsight: Command, 
     assert (tmp_path / "dense" / "points.ply").is_file()
 
 
-def test_what_is_missing_is_told_with_its_fix(refusal: Refusal, results: Path, tmp_path: Path) -> None:
+def test_what_is_missing_is_reported_with_its_fix(refusal: Refusal, results: Path, tmp_path: Path) -> None:
     (tmp_path / "plain").mkdir()
     fix = "(make one: wheelsight run RECORDING --odometry dense --map surfels --out DIR)"
     assert refusal("export", tmp_path / "plain", "--ply") == f"{tmp_path / 'plain'}: holds no map.surfels {fix}"
@@ -107,7 +107,7 @@ def test_what_is_missing_is_told_with_its_fix(refusal: Refusal, results: Path, t
     assert "does not end in .ply" in refusal("export", results, "--ply", "--out", tmp_path / "x.obj")
 
 
-def test_what_is_no_map_is_told(refusal: Refusal, results: Path) -> None:
+def test_what_is_no_map_is_reported(refusal: Refusal, results: Path) -> None:
     path = results / "map.surfels"
     path.write_bytes(path.read_bytes()[:-100])
     assert "it is damaged or cut short" in refusal("export", results, "--ply")

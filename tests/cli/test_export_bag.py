@@ -70,10 +70,10 @@ def test_another_reader_finds_poses_covariances_and_statuses(
     assert transforms[1].transform.translation.x == pytest.approx(way.positions_m[-1, 0])
     poses = on_topic(bag, "/trajectory")[0].poses
     assert [pose.pose.position.y for pose in poses] == pytest.approx(way.positions_m[:, 1])
-    told = on_topic(bag, "/diagnostics")[-1].status[0]
-    assert (int.from_bytes(told.level) if isinstance(told.level, bytes) else told.level) == 0
-    assert told.message == "tracking"
-    assert {pair.key for pair in told.values} == {"matches", "inliers", "time_ms", "flags", "note"}
+    reported = on_topic(bag, "/diagnostics")[-1].status[0]
+    assert (int.from_bytes(reported.level) if isinstance(reported.level, bytes) else reported.level) == 0
+    assert reported.message == "tracking"
+    assert {pair.key for pair in reported.values} == {"matches", "inliers", "time_ms", "flags", "note"}
 
 
 def check_odometry(odometry: list[Any], driven: Path) -> None:
@@ -128,29 +128,31 @@ def test_counts_of_encoders_come_back_as_they_were_and_speeds_as_speeds(
     odometry = write_bag(tmp_path / f"odometry{suffix if suffix == '.bag' else ''}", odometry_drive(suffix == ".bag"))
     again = tmp_path / f"again{suffix}"
     assert wheelsight("export", odometry, "--bag", again).exit_code == 0
-    told, heard = (
+    reported, heard = (
         np.array([(event.left_rad_s, event.right_rad_s) for event in events if isinstance(event, WheelSpeeds)])
         for events in (open_recording(odometry).events(), open_recording(again).events())
     )
-    assert len(told) > 50
-    assert_allclose(heard, told, atol=1e-6)
+    assert len(reported) > 50
+    assert_allclose(heard, reported, atol=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("format: [", "is not YAML"),
         ("format: other", "field format is 'other'"),
         ("a" * 2_000_000, "a message of /wheelsight/calibration has 2,000,009 bytes, more than 1,048,576"),
     ],
 )
-def test_a_calibration_in_a_bag_that_is_none_is_refused(refusal: Refusal, tmp_path: Path, text: str, told: str) -> None:
+def test_a_calibration_in_a_bag_that_is_none_is_refused(
+    refusal: Refusal, tmp_path: Path, text: str, reported: str
+) -> None:
     with writing.new_bag(tmp_path / "a.mcap") as bag:
         bag.add("/wheelsight/calibration", bag.make.text(text), 0.0, is_latched=True)
         bag.add("/joint_states", bag.make.joints(0.0, ("left_wheel", "right_wheel"), (0.0, 0.0), ()), 0.0)
     problem = refusal("info", tmp_path / "a.mcap")
     assert problem.startswith(str(tmp_path / "a.mcap"))
-    assert told in problem
+    assert reported in problem
 
 
 @BOTH
@@ -220,8 +222,8 @@ def test_a_recording_that_has_gone_is_said_and_the_rest_is_written(
     assert answer.exit_code == 0, answer.output
     assert "There are no topics of sensors" in answer.stderr
     assert len(on_topic(tmp_path / "out.mcap", "/odom")) > 100
-    told = refusal("export", driven, "--bag", tmp_path / "more.mcap", "--images", "raw")
-    assert "the run's recording is not there any more" in told
+    reported = refusal("export", driven, "--bag", tmp_path / "more.mcap", "--images", "raw")
+    assert "the run's recording is not there any more" in reported
     assert not (tmp_path / "more.mcap").exists()
 
 

@@ -94,9 +94,9 @@ def test_folders_whose_names_look_like_markup(
     recording, out = tmp_path / "recordings" / name, tmp_path / "results" / name
     recording.parent.mkdir(parents=True)
     wheels.rename(recording)
-    told = wheelsight("info", recording)
-    assert told.exit_code == 0, told.output
-    assert Path(name).name in told.stdout
+    reported = wheelsight("info", recording)
+    assert reported.exit_code == 0, reported.output
+    assert Path(name).name in reported.stdout
     run = wheelsight("run", recording, "--odometry", "wheels", "--out", out)
     assert run.exit_code == 0, run.output
     assert f"report: {out / 'report.html'}" in run.stdout

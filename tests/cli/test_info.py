@@ -10,7 +10,7 @@ from typer.testing import Result
 Command = Callable[..., Result]
 
 
-def test_it_tells_what_is_in_a_recording(wheelsight: Command, room: Path) -> None:
+def test_it_shows_what_is_in_a_recording(wheelsight: Command, room: Path) -> None:
     result = wheelsight("info", room)
     assert result.exit_code == 0
     lines = {line[:16].strip(): line[16:].strip() for line in result.stdout.splitlines()}

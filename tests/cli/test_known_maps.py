@@ -64,17 +64,17 @@ def test_options_that_contradict_are_refused(
 
 def test_a_map_that_is_not_there_is_refused(refusal: Refusal, room: Path, tmp_path: Path) -> None:
     nowhere = tmp_path / "nowhere"
-    told = refusal("run", room, "--odometry", "dense", "--map-from", nowhere, "--out", tmp_path / "out")
-    assert told.startswith(str(nowhere))
+    reported = refusal("run", room, "--odometry", "dense", "--map-from", nowhere, "--out", tmp_path / "out")
+    assert reported.startswith(str(nowhere))
     assert not (tmp_path / "out").exists()
 
 
 def test_a_map_of_another_camera_is_refused(refusal: Refusal, monday: Path, room: Path, tmp_path: Path) -> None:
     other = PinholeCamera(CAMERA.width, CAMERA.height, 300.0, 300.0, CAMERA.cx, CAMERA.cy)
     save_calibration(Calibration.registered_camera(other), room / "calibration.yaml")
-    told = refusal("run", room, "--odometry", "dense", "--map-from", monday, "--out", tmp_path / "out")
-    assert "is of another camera: " in told
-    assert "300" in told
+    reported = refusal("run", room, "--odometry", "dense", "--map-from", monday, "--out", tmp_path / "out")
+    assert "is of another camera: " in reported
+    assert "300" in reported
     assert not (tmp_path / "out").exists()
 
 

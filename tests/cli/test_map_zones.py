@@ -59,8 +59,8 @@ def listed(wheelsight: Command, folder: Path) -> list[str]:
 def test_zones_are_drawn_listed_and_forgotten(wheelsight: Command, kept: Path) -> None:
     zone = ("map", "zone", kept)
     assert did(wheelsight(*zone)).startswith("the map has no zones: wheelsight map zone MAP --keep-out ")
-    told = did(wheelsight(*zone, "--keep-out", "-1,2", "-.5,2", "-0.5,3"))
-    assert re.fullmatch(r"1: keep-out zone: 0\.25 m², moves with keyframe \d\n", told)
+    reported = did(wheelsight(*zone, "--keep-out", "-1,2", "-.5,2", "-0.5,3"))
+    assert re.fullmatch(r"1: keep-out zone: 0\.25 m², moves with keyframe \d\n", reported)
     did(wheelsight(*zone, "0,0 1,0 1,2.5", "--speed", 0.3))
     did(wheelsight(*zone, "--wipe", "-1,-1", "0,1"))
     assert did(wheelsight(*zone, "--area", "kitchen", "1,0", "2,0", "2,2", "1,2")).startswith(
@@ -72,9 +72,9 @@ def test_zones_are_drawn_listed_and_forgotten(wheelsight: Command, kept: Path) -
         "3  wiped place: -1.00,-1.00 0.00,-1.00 0.00,1.00 -1.00,1.00",
         "4  area kitchen: 1.00,0.00 2.00,0.00 2.00,2.00 1.00,2.00",
     ]
-    told = did(wheelsight("map", "info", kept))
-    assert re.search(r"^edits +3 zones and wiped places", told, re.MULTILINE)
-    assert re.search(r"^areas +kitchen", told, re.MULTILINE)
+    reported = did(wheelsight("map", "info", kept))
+    assert re.search(r"^edits +3 zones and wiped places", reported, re.MULTILINE)
+    assert re.search(r"^areas +kitchen", reported, re.MULTILINE)
     assert did(wheelsight(*zone, "--forget", 2)) == "forgotten: speed zone, at most 0.3 m/s\n"
     assert [edit.kind for edit in MapFolder.open(kept).map_edits().edits] == ["keep_out", "wiped", "area"]
     assert did(wheelsight(*zone, "--floor", "0,0", "1,1")).startswith("4: declared floor: 1.00 m²")
@@ -101,8 +101,8 @@ def test_areas_of_a_file_are_taken_at_once(wheelsight: Command, kept: Path, tmp_
     square = np.array([[0, 0], [2, 0], [2, 2], [0, 2.0]])
     areas = Area("hall", square, x_m=1.0), Area("kitchen", square + [2, 0], y_m=1.0)
     save_areas(AreaMap(areas), tmp_path / "areas.yaml")
-    told = did(wheelsight("map", "zone", kept, "--areas", tmp_path / "areas.yaml"))
-    assert [line.partition(": 4")[0] for line in told.splitlines()] == ["1: area hall", "2: area kitchen"]
+    reported = did(wheelsight("map", "zone", kept, "--areas", tmp_path / "areas.yaml"))
+    assert [line.partition(": 4")[0] for line in reported.splitlines()] == ["1: area hall", "2: area kitchen"]
     found = MapFolder.open(kept).map_edits()
     assert found.area_names == ("hall", "kitchen")
     assert_allclose(found.areas[1].polygon, square + [2, 0])
@@ -111,9 +111,9 @@ def test_areas_of_a_file_are_taken_at_once(wheelsight: Command, kept: Path, tmp_
 def test_one_beyond_what_the_map_shows_and_a_name_given_twice_are_warned_of(wheelsight: Command, kept: Path) -> None:
     did(wheelsight("map", "name", kept, "kitchen", "--at", "0,0"))
     assert wheelsight("map", "zone", kept, "--keep-out", "3,0 4,0 4,1").stderr == ""
-    told = wheelsight("map", "zone", kept, "--area", "kitchen", "100,0 101,0 101,1")
-    assert told.exit_code == 0
-    first, second = (" ".join(line.split()) for line in told.stderr.splitlines())
+    reported = wheelsight("map", "zone", kept, "--area", "kitchen", "100,0 101,0 101,1")
+    assert reported.exit_code == 0
+    first, second = (" ".join(line.split()) for line in reported.stderr.splitlines())
     assert re.match(r"warning: area kitchen: it lies wholly beyond what the map shows, 9\d\.\d m from", first)
     assert second.startswith("warning: a place is called kitchen, too, and is where wheelsight drive --to goes")
 
@@ -145,7 +145,9 @@ def test_zones_that_mean_nothing_are_refused(
     assert not (kept / "edits.json").exists()
 
 
-def test_a_number_that_none_has_is_told_with_those_there_are(wheelsight: Command, refusal: Refusal, kept: Path) -> None:
+def test_a_number_that_none_has_is_reported_with_those_there_are(
+    wheelsight: Command, refusal: Refusal, kept: Path
+) -> None:
     did(wheelsight("map", "zone", kept, "--keep-out", "0,0 1,1"))
     assert refusal("map", "zone", kept, "--forget", 2).startswith("--forget is 2 (1 to 1; wheelsight map zone MAP")
     assert len(MapFolder.open(kept).map_edits()) == 1
@@ -219,10 +221,10 @@ def test_an_area_without_free_floor_is_no_goal(wheelsight: Command, mapped: Path
         goal_of(mapped, "garden")
 
 
-def test_a_name_that_nothing_has_is_told_with_places_and_areas(
+def test_a_name_that_nothing_has_is_reported_with_places_and_areas(
     wheelsight: Command, refusal: Refusal, kept: Path
 ) -> None:
     did(wheelsight("map", "zone", kept, "--area", "kitchen", "0,0 1,1"))
     did(wheelsight("map", "name", kept, "desk", "--at", "0,0"))
-    told = refusal("drive", "--sim", "flat", "--map", kept, "--to", "kichen")
-    assert told == "no place of the map is called 'kichen' (did you mean kitchen?) (known: desk, kitchen)"
+    reported = refusal("drive", "--sim", "flat", "--map", kept, "--to", "kichen")
+    assert reported == "no place of the map is called 'kichen' (did you mean kitchen?) (known: desk, kitchen)"

@@ -35,7 +35,7 @@ def damage(run: Path) -> None:
     path.write_bytes(data)
 
 
-def test_what_a_map_holds_is_told_within_80_columns(
+def test_what_a_map_holds_is_reported_within_80_columns(
     wheelsight: Command, kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
@@ -54,7 +54,7 @@ def test_what_a_map_holds_is_told_within_80_columns(
     assert result.stderr == ""
 
 
-def test_damage_is_told_in_the_table_and_as_json(wheelsight: Command, kept: Path) -> None:
+def test_damage_is_reported_in_the_table_and_as_json(wheelsight: Command, kept: Path) -> None:
     damage(kept)
     result = wheelsight("map", "info", kept / "map")
     assert result.exit_code == 0, result.output
@@ -62,13 +62,13 @@ def test_damage_is_told_in_the_table_and_as_json(wheelsight: Command, kept: Path
     first, second = result.stderr.splitlines()
     assert first.startswith("warning: keyframes-00000.journal: ")
     assert second == "warning: 1 keyframes are lost: 1."
-    told = json.loads(wheelsight("map", "info", kept, "--json").stdout)
-    assert told["health"]["is_whole"] is False
-    assert told["keyframes"] == 4
-    assert (told["source"], told["camera"]["width"]) == ("made up", 64)
+    reported = json.loads(wheelsight("map", "info", kept, "--json").stdout)
+    assert reported["health"]["is_whole"] is False
+    assert reported["keyframes"] == 4
+    assert (reported["source"], reported["camera"]["width"]) == ("made up", 64)
 
 
-def test_a_cut_end_is_told_in_the_table(wheelsight: Command, kept: Path) -> None:
+def test_a_cut_end_is_reported_in_the_table(wheelsight: Command, kept: Path) -> None:
     with (kept / "map" / "keyframes-00000.journal").open("ab") as journal:
         journal.write(b"half a record")
     result = wheelsight("map", "info", kept)
@@ -173,9 +173,9 @@ def test_what_is_no_map_is_refused_in_a_line(refusal: Callable[..., str], kept: 
 
 
 def test_places_get_names_that_can_be_listed_and_forgotten(wheelsight: Command, kept: Path) -> None:
-    told = wheelsight("map", "name", kept, "kitchen", "--at", "0.5,0.2,90")
-    assert told.exit_code == 0, told.output
-    assert re.fullmatch(r"kitchen is at 0\.50, 0\.20 m, 90°, and moves with keyframe \d\n", told.stdout)
+    reported = wheelsight("map", "name", kept, "kitchen", "--at", "0.5,0.2,90")
+    assert reported.exit_code == 0, reported.output
+    assert re.fullmatch(r"kitchen is at 0\.50, 0\.20 m, 90°, and moves with keyframe \d\n", reported.stdout)
     assert wheelsight("map", "name", kept / "map", "desk", "--at", "-1,0").exit_code == 0
     listed = [line.split(maxsplit=1) for line in wheelsight("map", "name", kept, "--list").stdout.splitlines()]
     assert [(name, where.strip()) for name, where in listed[1:]] == [
@@ -189,9 +189,9 @@ def test_places_get_names_that_can_be_listed_and_forgotten(wheelsight: Command, 
 
 def test_a_name_where_no_keyframe_sees_floor_is_warned_of(wheelsight: Command, kept: Path) -> None:
     assert wheelsight("map", "name", kept, "near", "--at", "3,0,0").stderr == ""
-    told = wheelsight("map", "name", kept, "far", "--at", "100,0,0")
-    assert told.exit_code == 0
-    words = " ".join(told.stderr.split())
+    reported = wheelsight("map", "name", kept, "far", "--at", "100,0,0")
+    assert reported.exit_code == 0
+    words = " ".join(reported.stderr.split())
     assert re.match(r"warning: far is 9\d\.\d m from the nearest keyframe, which shows the floor to 5 m", words)
 
 

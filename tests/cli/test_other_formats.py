@@ -36,9 +36,9 @@ MAKERS: dict[str, Callable[[Path, int], Trajectory]] = {
 def test_info_and_run_work_on_it(wheelsight: Command, tmp_path: Path, name: str) -> None:
     path = tmp_path / {"scannet": "recording.sens", "bonn": "rgbd_bonn_box"}.get(name, "recording")
     truth = MAKERS[name](path, FRAMES)
-    told = wheelsight("info", path)
-    assert told.exit_code == 0, told.output
-    assert name in told.stdout
+    reported = wheelsight("info", path)
+    assert reported.exit_code == 0, reported.output
+    assert name in reported.stdout
     result = wheelsight("run", path, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     found = read_tum(tmp_path / "out" / "trajectory.txt")
@@ -47,7 +47,7 @@ def test_info_and_run_work_on_it(wheelsight: Command, tmp_path: Path, name: str)
 
 def test_info_on_an_unknown_folder_lists_the_formats(refusal: Callable[..., str], tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("nothing\n")
-    told = refusal("info", tmp_path)
+    reported = refusal("info", tmp_path)
     for name in MAKERS:
-        assert f" {name}" in told
-    assert "docs/recordings.md" in told
+        assert f" {name}" in reported
+    assert "docs/recordings.md" in reported

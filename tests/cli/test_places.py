@@ -42,7 +42,7 @@ def model(wheelsight: Command, drives: tuple[Path, Path], tmp_path: Path) -> Pat
     return tmp_path / "rooms.places"
 
 
-def test_training_tells_what_the_model_is_worth_and_keeps_settings(
+def test_training_shows_what_the_model_is_worth_and_keeps_settings(
     wheelsight: Command, drives: tuple[Path, Path], tmp_path: Path
 ) -> None:
     out = tmp_path / "models" / "rooms.places"
@@ -79,11 +79,11 @@ def test_a_trial_is_printed_and_drawn(
     assert "tuesday: 60 frames with a true area" in result.stdout
     assert f"page: {page}" in result.stdout
     assert "plot-confusion" in page.read_text()
-    told = json.loads(wheelsight("places", "test", model, drives[1], "--json").stdout)
-    assert told["areas"] == ["corridor", "hall", "lift"]
-    assert (told["frames"], told["judged_frames"]) == (60, 60)
-    assert np.sum(told["confusion"]) == 60
-    assert np.trace(told["confusion"]) / 60 == told["accuracy"] > 0.9
+    reported = json.loads(wheelsight("places", "test", model, drives[1], "--json").stdout)
+    assert reported["areas"] == ["corridor", "hall", "lift"]
+    assert (reported["frames"], reported["judged_frames"]) == (60, 60)
+    assert np.sum(reported["confusion"]) == 60
+    assert np.trace(reported["confusion"]) / 60 == reported["accuracy"] > 0.9
 
 
 def test_predictions_are_labels_for_a_page(
@@ -116,8 +116,8 @@ def test_areas_and_a_trajectory_of_the_camera_may_come_from_elsewhere(
     lines = [f"{0.5 * i} 3.1 0 0.9 -0.5 0.5 -0.5 0.5\n" for i in range(13)]
     camera.write_text("# frames: T_map_camera\n" + "".join(lines))
     places = ("--areas", drives[0] / "areas.yaml", "--trajectory", camera)
-    told = json.loads(wheelsight("places", "test", model, bare, *places, "--json").stdout)
-    assert [sum(row) for row in told["confusion"]] == [60, 0, 0]
+    reported = json.loads(wheelsight("places", "test", model, bare, *places, "--json").stdout)
+    assert [sum(row) for row in reported["confusion"]] == [60, 0, 0]
 
 
 @pytest.mark.slow
@@ -151,7 +151,7 @@ class TestRefusals:
         text = refusal("places", "train", *drives, "--labels", tmp_path / "l.csv", "--out", tmp_path / "m")
         assert text.startswith("1 --labels for 2 recordings (give --labels once for each recording")
 
-    def test_nothing_tells_the_areas(self, refusal: Refusal, tmp_path: Path) -> None:
+    def test_nothing_shows_the_areas(self, refusal: Refusal, tmp_path: Path) -> None:
         bare = write_drive(tmp_path / "bare", with_areas=False)
         fix = "give --labels FILE; wheelsight places label makes a page to write one"
         text = refusal("places", "train", bare, "--out", tmp_path / "m")
@@ -165,8 +165,8 @@ class TestRefusals:
     ) -> None:
         text = (drives[1] / "areas.yaml").read_text().replace("name: lift", "name: stairs")
         (tmp_path / "other.yaml").write_text(text)
-        told = refusal("places", "test", model, drives[1], "--areas", tmp_path / "other.yaml")
-        assert told == f"{tmp_path / 'other.yaml'}: area 'stairs' is not known here (known: corridor, hall, lift)"
+        reported = refusal("places", "test", model, drives[1], "--areas", tmp_path / "other.yaml")
+        assert reported == f"{tmp_path / 'other.yaml'}: area 'stairs' is not known here (known: corridor, hall, lift)"
 
     def test_what_is_no_model(self, refusal: Refusal, drives: tuple[Path, Path], tmp_path: Path) -> None:
         (tmp_path / "m").write_text("none")

@@ -72,7 +72,7 @@ def test_numbers_are_whole_at_any_width(
     assert status[:3] in line
 
 
-def test_what_has_no_end_tells_no_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_has_no_end_shows_no_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
     with terminal(80, monkeypatch) as screen, FrameProgress("tracking", None) as progress:
         progress.advance("lost")
     line = drawn(screen, 80, "tracking")
@@ -80,17 +80,17 @@ def test_what_has_no_end_tells_no_time_left(monkeypatch: pytest.MonkeyPatch) -> 
     assert re.search(r" 1 +lost", line)
 
 
-def test_a_rate_that_is_told_stands_in_place_of_the_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rate_that_is_reported_stands_in_place_of_the_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     with terminal(60, monkeypatch) as screen, FrameProgress("tracking", 1800, unit="") as progress:
         progress.reach(12_345, 18_000, "joined tracking · 31 ms late, 12 dropped", "29.8 frames/s")
     assert re.search(rf"12345/18000 +29.8 frames/s +({LEFT}|-:-- left)", drawn(screen, 60, "12345"))
 
 
 @pytest.mark.parametrize(
-    ("seconds", "told"), [(None, "-:-- left"), (0.2, "0:00 left"), (71.6, "1:12 left"), (3723, "1:02:03 left")]
+    ("seconds", "reported"), [(None, "-:-- left"), (0.2, "0:00 left"), (71.6, "1:12 left"), (3723, "1:02:03 left")]
 )
-def test_time_left(seconds: float | None, told: str) -> None:
-    assert left_text(seconds) == told
+def test_time_left(seconds: float | None, reported: str) -> None:
+    assert left_text(seconds) == reported
 
 
 @COLUMNS
@@ -144,8 +144,8 @@ def test_an_exploration(columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
             view.show(replace(STILL, stamp_s=10.0 + second, doing=doing), navigator())
     assert drawn(screen, columns, "so far").rstrip().endswith("0:02, 1.0 m, 24 m² seen")
     last = "\n".join(screen.lines()[-24:])
-    for told in ("looking at unseen", "0.3 times real time", "3.4 m, 0:07 left", "lets it drive", "it has a plan"):
-        assert told in last
+    for reported in ("looking at unseen", "0.3 times real time", "3.4 m, 0:07 left", "lets it drive", "it has a plan"):
+        assert reported in last
 
 
 @pytest.mark.slow

@@ -77,9 +77,9 @@ def test_whatever_ends_it_leaves_a_valid_recording(
     out = tmp_path / "out"
     process = recording(controller, out, "--calibration", calibration)
     process.send_signal(by)
-    _, told = process.communicate(timeout=60)
+    _, reported = process.communicate(timeout=60)
     assert process.returncode == (-signal.SIGKILL if by is signal.SIGKILL else 0)
-    assert "Traceback" not in told
+    assert "Traceback" not in reported
     assert check(out) > 5
     assert open_recording(out).calibration.wheels == load_calibration(calibration).wheels
 
@@ -97,8 +97,8 @@ def test_a_port_that_vanishes_keeps_what_was_recorded_and_is_waited_for(
     controller.plug()
     wait(lambda: rows(out) > kept + 10)
     process.send_signal(signal.SIGINT)
-    _, told = process.communicate(timeout=60)
-    assert "the port vanished: waiting for it" in told
+    _, reported = process.communicate(timeout=60)
+    assert "the port vanished: waiting for it" in reported
     assert check(out) > kept + 10
 
 

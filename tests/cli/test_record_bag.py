@@ -62,8 +62,8 @@ def test_whatever_ends_it_leaves_all_but_the_last_second(
             time.sleep(0.05)
         ended_s = time.time()
         process.send_signal(by)
-        _, told = process.communicate(timeout=60)
-    assert "Traceback" not in told
+        _, reported = process.communicate(timeout=60)
+    assert "Traceback" not in reported
     frames, ticks = events_in(bag)
     assert len(frames) > 5
     assert len(ticks) > 20
@@ -79,7 +79,7 @@ def test_whatever_ends_it_leaves_all_but_the_last_second(
     assert not [path.name for path in tmp_path.iterdir() if path.name.startswith(f".{bag.name}")]
     if by is signal.SIGINT:
         assert process.returncode == 0
-        assert f"{len(frames)} frames and " in told
+        assert f"{len(frames)} frames and " in reported
         assert len(on_topic(bag, "/joint_states")) == len(ticks)
 
 
@@ -113,7 +113,7 @@ def test_a_frame_that_is_listed_late_is_received_late_and_comes_in_order(tmp_pat
     assert len(stamps_s) == 21
 
 
-def test_a_cameras_gyroscope_tells_how_the_base_turns_once_it_is_known_how_it_sits(tmp_path: Path) -> None:
+def test_a_cameras_gyroscope_shows_how_the_base_turns_once_it_is_known_how_it_sits(tmp_path: Path) -> None:
     T_base_camera = np.array([[0.0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1]])
     bag = LiveBag(tmp_path / "a.mcap", Calibration(wheels=ROBOT, T_base_camera=T_base_camera), "png", flush_s=10.0)
     bag.add_angular_velocity(AngularVelocity(100.0, 0.1, -0.4, 0.2))
@@ -149,14 +149,14 @@ def test_a_disk_that_fills_up_keeps_what_was_whole(tmp_path: Path, monkeypatch: 
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(writing.BagFile, "flush", full)
-    told: list[OutputError] = []
+    reported: list[OutputError] = []
     for number in range(1, 200):
         try:
             bag.add(WheelTicks(100.0 + 0.02 * number, number, number))
         except OutputError as error:
-            told.append(error)
+            reported.append(error)
         time.sleep(0.005)
-    assert "no space left" in told[-1].problem
+    assert "no space left" in reported[-1].problem
     bag.close()
     assert whole_messages_in(tmp_path / "a.mcap") >= 2
     assert {path.name for path in tmp_path.iterdir()} == {"a.mcap"}

@@ -70,14 +70,14 @@ def test_what_was_recorded_until_a_kill_is_there_and_goes_on(film: Path, tmp_pat
     assert killed_s - frames[-1].stamp_s < 1.0
     process = started(out, "--camera", f"recording:{film}", "--resume")
     process.send_signal(signal.SIGINT)
-    _, told = process.communicate(timeout=60)
-    assert process.returncode == 0, told
-    assert "Traceback" not in told
+    _, reported = process.communicate(timeout=60)
+    assert process.returncode == 0, reported
+    assert "Traceback" not in reported
     after = frames_in(out)
     assert [frame.stamp_s for frame in after[: len(frames)]] == [frame.stamp_s for frame in frames]
     assert len(after) >= len(frames) + 10
     assert all(one.stamp_s < other.stamp_s for one, other in pairwise(after))
-    assert f"{len(after)} frames and 0 wheel readings are in {out}" in told
+    assert f"{len(after)} frames and 0 wheel readings are in {out}" in reported
     assert [clock.stamp_s for clock in read_frame_clocks(out)] == [frame.stamp_s for frame in after]
 
 
@@ -104,13 +104,13 @@ def test_camera_and_wheels_side_by_side_with_the_robots_calibration(
     assert ticks_s[0] - 2 < frames[0].stamp_s < ticks_s[-1] + 0.1  # one clock
 
 
-def test_info_tells_how_the_cameras_clock_was_mapped(wheelsight: Command, film: Path, tmp_path: Path) -> None:
+def test_info_shows_how_the_cameras_clock_was_mapped(wheelsight: Command, film: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert wheelsight("record", "--camera", f"recording:{film}", "--seconds", 2, "--out", out).exit_code == 0
-    told = " ".join(wheelsight("info", out).stdout.split())
-    assert "camera clock host time less" in told
-    assert re.search(r"its mapping σ 0\.00 ms \(median\), 0\.00 ms at most, of \d+ frames", told)
-    assert "numbers missing" in told
+    reported = " ".join(wheelsight("info", out).stdout.split())
+    assert "camera clock host time less" in reported
+    assert re.search(r"its mapping σ 0\.00 ms \(median\), 0\.00 ms at most, of \d+ frames", reported)
+    assert "numbers missing" in reported
     figures = json.loads(wheelsight("info", out, "--json").stdout)["clock"]
     assert figures["frames"] == len(read_frame_clocks(out))
     assert "camera clock" not in wheelsight("info", film).stdout
@@ -136,11 +136,11 @@ def test_the_cameras_gyroscope_is_recorded_for_a_run_that_knows_how_the_camera_s
     assert "imu.csv are not used: T_base_camera" in " ".join(wheelsight("info", tmp_path / "out").stderr.split())
     mount = [[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.2], [0, 0, 0, 1]]
     save_calibration(replace(CALIBRATION, wheels=ROBOT, T_base_camera=np.array(mount)), tmp_path / "robot.yaml")
-    told = wheelsight("info", tmp_path / "out", "--calibration", tmp_path / "robot.yaml").stdout
-    assert re.search(r"yaw rates +20", told)
+    reported = wheelsight("info", tmp_path / "out", "--calibration", tmp_path / "robot.yaml").stdout
+    assert re.search(r"yaw rates +20", reported)
 
 
-def test_it_is_told_what_the_camera_warns_of_and_the_camera_is_given_back(
+def test_it_is_reported_what_the_camera_warns_of_and_the_camera_is_given_back(
     wheelsight: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     camera = HandFedCamera()
@@ -206,8 +206,8 @@ def test_a_folder_that_holds_something_else_or_may_not_be_written_is_refused(
     assert "is a file, not a folder" in refusal(*sensor, "--out", tmp_path / "out" / "letter.txt")
     if os.getuid():
         (tmp_path / "locked").mkdir(mode=0o500)
-        told = refusal(*sensor, "--out", tmp_path / "locked")
-        assert "no permission to write here (choose a folder you own)" in told
+        reported = refusal(*sensor, "--out", tmp_path / "locked")
+        assert "no permission to write here (choose a folder you own)" in reported
     # A root may write anywhere but into the kernel's own folders.
     assert refusal(*sensor, "--out", Path("/proc/wheelsight")).startswith("/proc/wheelsight: ")
 
@@ -220,8 +220,8 @@ def resumed(refusal: Refusal, film: Path, out: Path, *more: object) -> str:
 def test_resuming_goes_by_what_is_there(refusal: Refusal, film: Path, tmp_path: Path, wheelsight: Command) -> None:
     with RecordingWriter(tmp_path / "out", replace(CALIBRATION, source="before")) as writer:
         writer.add(live_frame(0, host_clock.now_s() + 3600).frame)
-    told = resumed(refusal, film, tmp_path / "out", "--calibration", "robot.yaml")
-    assert told == "--resume goes by the recording's own calibration (leave out --calibration)"
+    reported = resumed(refusal, film, tmp_path / "out", "--calibration", "robot.yaml")
+    assert reported == "--resume goes by the recording's own calibration (leave out --calibration)"
     words = ("record", "--camera", f"recording:{film}", "--out", tmp_path / "out", "--resume")
     late = wheelsight(*words)
     assert late.exit_code == 2

@@ -23,7 +23,7 @@ ROBOT = Calibration(wheels=Wheels(0.17, 0.17, 0.52, 3200.0))
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "reported"),
     [
         ((), "no recording is named (wheelsight run RECORDING, or --live --camera NAME)"),
         (("--live",), "there is nothing to listen to (--camera NAME, --wheels PORT, or both)"),
@@ -37,9 +37,9 @@ ROBOT = Calibration(wheels=Wheels(0.17, 0.17, 0.52, 3200.0))
     ],
 )
 def test_what_means_nothing_is_refused_in_a_line(
-    refusal: Refusal, tmp_path: Path, words: tuple[str, ...], told: str
+    refusal: Refusal, tmp_path: Path, words: tuple[str, ...], reported: str
 ) -> None:
-    assert refusal("run", *words, "--out", tmp_path / "out") == told
+    assert refusal("run", *words, "--out", tmp_path / "out") == reported
     assert not (tmp_path / "out").exists()
 
 
@@ -62,7 +62,7 @@ def test_wheels_are_followed_for_so_long_after_ready_and_recorded(wheelsight: Co
     assert open_recording(tmp_path / "kept").wheel_count == metrics["realtime"]["readings"] > 5
 
 
-def test_a_camera_that_ends_at_once_is_told_and_given_back(
+def test_a_camera_that_ends_at_once_is_reported_and_given_back(
     wheelsight: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     camera = HandFedCamera(CALIBRATION)

@@ -56,20 +56,22 @@ def test_counts_are_short(n: int, text: str) -> None:
     assert count(n) == text
 
 
-def test_status_and_size_are_told_and_what_was_given_up() -> None:
-    told = RunStatus()
-    assert told.after({"dense": answer(surfels=411_600)}) == "tracking · 412k surfels"
-    full = told.after({"dense": answer(Status.FAILING, 3_000_000, 12_300)})
+def test_status_and_size_are_reported_and_what_was_given_up() -> None:
+    reported = RunStatus()
+    assert reported.after({"dense": answer(surfels=411_600)}) == "tracking · 412k surfels"
+    full = reported.after({"dense": answer(Status.FAILING, 3_000_000, 12_300)})
     assert full == "failing · 3.00M surfels, 12k given up for want of room"
 
 
-def test_of_several_each_is_told_by_its_name() -> None:
-    told = RunStatus()
-    told.after({"wheels": answer()})
-    assert told.after({"dense": answer(surfels=900)}) == "wheels tracking, dense tracking · 900 surfels"
+def test_of_several_each_is_reported_by_its_name() -> None:
+    reported = RunStatus()
+    reported.after({"wheels": answer()})
+    assert reported.after({"dense": answer(surfels=900)}) == "wheels tracking, dense tracking · 900 surfels"
 
 
-def test_joined_sensors_are_told_first() -> None:
-    told = RunStatus()
-    told.after({"wheels": answer(), "joined": answer(surfels=900)})
-    assert told.after({"dense": answer(Status.LOST)}) == "joined tracking · 900 surfels, wheels tracking, dense lost"
+def test_joined_sensors_are_reported_first() -> None:
+    reported = RunStatus()
+    reported.after({"wheels": answer(), "joined": answer(surfels=900)})
+    assert (
+        reported.after({"dense": answer(Status.LOST)}) == "joined tracking · 900 surfels, wheels tracking, dense lost"
+    )

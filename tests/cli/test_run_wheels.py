@@ -36,8 +36,8 @@ def test_wheels_without_images_are_followed_alone_and_it_is_said(
     assert result.exit_code == 0, result.output
     assert result.stderr == "the wheels alone are followed (--odometry wheels)\n"
     assert yaml.safe_load((tmp_path / "out" / "config.yaml").read_text())["odometry"] == "wheels"
-    told = wheelsight("run", wheels, "--odometry", "wheels", "--out", tmp_path / "named")
-    assert told.stderr == ""
+    reported = wheelsight("run", wheels, "--odometry", "wheels", "--out", tmp_path / "named")
+    assert reported.stderr == ""
     assert (tmp_path / "named" / "trajectory.txt").read_bytes() == (tmp_path / "out" / "trajectory.txt").read_bytes()
 
 
@@ -63,7 +63,7 @@ def test_how_wheels_are_integrated_is_an_option(wheelsight: Command, wheels: Pat
     assert (written["wheels"]["integration"], written["wheels"]["gyro"]) == ("euler", False)
 
 
-def test_info_tells_of_wheels(wheelsight: Command, wheels: Path) -> None:
+def test_info_shows_wheels(wheelsight: Command, wheels: Path) -> None:
     result = wheelsight("info", wheels)
     assert result.exit_code == 0, result.output
     assert "radius 0.17 m left, 0.17 m right, track 0.52 m, 3200 ticks a turn (our robot)" in result.stdout
@@ -98,17 +98,17 @@ def test_a_gyroscope_that_contradicts_the_wheels_is_warned_of(
     wheelsight: Command, tmp_path: Path, factor: float, late_s: float, said: str
 ) -> None:
     recording = turning_folder(tmp_path / "recording", factor, late_s)
-    told = wheelsight("info", recording)
+    reported = wheelsight("info", recording)
     run = wheelsight("run", recording, "--odometry", "wheels", "--out", tmp_path / "out")
     without = wheelsight("run", recording, "--odometry", "wheels", "--no-gyro", "--out", tmp_path / "without")
-    assert (told.exit_code, run.exit_code, without.exit_code) == (0, 0, 0), run.output
-    for result in (told, run):
+    assert (reported.exit_code, run.exit_code, without.exit_code) == (0, 0, 0), run.output
+    for result in (reported, run):
         (warning,) = [line for line in result.stderr.splitlines() if line.startswith("warning:")]
         assert warning.startswith("warning: The gyroscope is left out: ")
         assert (
-            said or ("do not overlap" if result is told else "is 1.600e+09 s ahead of that of the wheels")
+            said or ("do not overlap" if result is reported else "is 1.600e+09 s ahead of that of the wheels")
         ) in warning
-    (warning,) = [line for line in told.stderr.splitlines() if line.startswith("warning:")]
+    (warning,) = [line for line in reported.stderr.splitlines() if line.startswith("warning:")]
     assert json.loads(wheelsight("info", recording, "--json").stdout)["warnings"] == [warning.removeprefix("warning: ")]
     assert "left out" not in without.output
     assert (tmp_path / "out" / "trajectory.txt").read_bytes() == (tmp_path / "without" / "trajectory.txt").read_bytes()

@@ -44,15 +44,15 @@ def test_what_means_nothing_is_refused_in_a_line(refusal: Refusal, options: tupl
 
 def test_where_a_robot_stands_needs_a_heading(refusal: Refusal, tmp_path: Path) -> None:
     write_map(tmp_path / "home", 3)
-    told = refusal("serve", "--sim", "flat", "--map", tmp_path / "home", "--known-start", "1,2")
-    assert told.startswith("--known-start is '1,2' (X,Y,YAW_DEG")
+    reported = refusal("serve", "--sim", "flat", "--map", tmp_path / "home", "--known-start", "1,2")
+    assert reported.startswith("--known-start is '1,2' (X,Y,YAW_DEG")
 
 
 def test_a_file_for_rerun_that_is_there_is_refused_before_a_robot_is_made(refusal: Refusal, tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     (tmp_path / "drive.rrd").write_text("mine")
-    told = refusal("serve", "--sim", "flat", "--out", tmp_path / "maps", "--rerun", tmp_path / "drive.rrd")
-    assert told == f"{tmp_path / 'drive.rrd'}: is there already (choose another --rerun)"
+    reported = refusal("serve", "--sim", "flat", "--out", tmp_path / "maps", "--rerun", tmp_path / "drive.rrd")
+    assert reported == f"{tmp_path / 'drive.rrd'}: is there already (choose another --rerun)"
     assert (tmp_path / "drive.rrd").read_text() == "mine"
 
 
@@ -76,8 +76,8 @@ def test_a_token_is_made_for_all_but_this_computer() -> None:
 def test_the_address_that_is_printed_holds_the_token() -> None:
     assert addresses("127.0.0.1", 8765, "") == ["http://127.0.0.1:8765/"]
     assert addresses("::1", 80, "abc") == ["http://[::1]:80/?token=abc"]
-    (told,) = addresses("0.0.0.0", 80, "abc")
-    assert "0.0.0.0" not in told
+    (reported,) = addresses("0.0.0.0", 80, "abc")
+    assert "0.0.0.0" not in reported
 
 
 def test_a_flood_of_refusals_is_counted_and_not_printed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -37,21 +37,26 @@ def test_a_drive_becomes_a_recording(wheelsight: Command, tmp_path: Path) -> Non
     assert result.exit_code == 0, result.output
     assert result.stdout == ""
     assert result.stderr == f"5 frames and 26 wheel readings are in {out}; plan: {out / 'plan.png'}\n"
-    told = json.loads(wheelsight("info", out, "--json").stdout)
-    assert (told["format"], told["frames"], told["wheel_readings"], told["body"]) == ("wheelsight", 5, 26, "base")
-    assert told["rate_hz"] == pytest.approx(10)
-    assert (told["skipped"], told["gaps"], told["warnings"]) == ([], [], [])
-    assert told["yaw_readings"] > 0
-    assert 0.2 < told["valid_depth_share"] < 1
-    assert told["ground_truth"]["duration_s"] == pytest.approx(0.5, abs=0.01)
+    reported = json.loads(wheelsight("info", out, "--json").stdout)
+    assert (reported["format"], reported["frames"], reported["wheel_readings"], reported["body"]) == (
+        "wheelsight",
+        5,
+        26,
+        "base",
+    )
+    assert reported["rate_hz"] == pytest.approx(10)
+    assert (reported["skipped"], reported["gaps"], reported["warnings"]) == ([], [], [])
+    assert reported["yaw_readings"] > 0
+    assert 0.2 < reported["valid_depth_share"] < 1
+    assert reported["ground_truth"]["duration_s"] == pytest.approx(0.5, abs=0.01)
 
 
-def test_a_drive_is_real_unless_told_otherwise(wheelsight: Command, tmp_path: Path) -> None:
+def test_a_drive_is_real_unless_reported_otherwise(wheelsight: Command, tmp_path: Path) -> None:
     for name, options in (("real", ()), ("ideal", ("--realism", "ideal"))):
         result = wheelsight("simulate", "square", *TINY, *options, "--out", tmp_path / name)
         assert result.exit_code == 0, result.output
-        told = yaml.safe_load((tmp_path / name / "truth" / "settings.yaml").read_text())["settings"]
-        assert told["realism"] == name
+        reported = yaml.safe_load((tmp_path / name / "truth" / "settings.yaml").read_text())["settings"]
+        assert reported["realism"] == name
     real, ideal = (of_type(ImageRecording, open_recording(tmp_path / name)) for name in ("real", "ideal"))
     true = load_calibration(tmp_path / "real" / "truth" / "calibration.yaml")
     assert true.color != real.calibration.color
@@ -78,8 +83,8 @@ def test_a_holonomic_base_has_a_column_for_each_of_its_numbers(
 
 
 def test_an_unknown_realism_is_refused(refusal: Refusal, tmp_path: Path) -> None:
-    told = refusal("simulate", "square", *TINY, "--realism", "reel", "--out", tmp_path / "out")
-    assert told.rstrip() == "--realism is reel (did you mean real? choose from ideal, real)"
+    reported = refusal("simulate", "square", *TINY, "--realism", "reel", "--out", tmp_path / "out")
+    assert reported.rstrip() == "--realism is reel (did you mean real? choose from ideal, real)"
 
 
 def test_options_reach_the_settings(wheelsight: Command, tmp_path: Path) -> None:
@@ -89,12 +94,17 @@ def test_options_reach_the_settings(wheelsight: Command, tmp_path: Path) -> None
     more = (*ways, *robot, *faults, "--lift", "0.1:0.15", "--cover", "0.15:0.25", "--camera", "kinect-v2")
     result = wheelsight("simulate", "square", *SMALL, *more, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    told = yaml.safe_load((tmp_path / "out" / "truth" / "settings.yaml").read_text())["settings"]
-    assert (told["camera"], told["laps"], told["seed"], told["speed_m_s"]) == ("kinect-v2", 2, 5, 0.4)
-    assert (told["is_reverse"], told["stops_to_turn"], told["has_slip"], told["has_motion_blur"]) == (1, 1, 0, 1)
-    robot_told = told["robot"]
-    assert [robot_told[key] for key in ("left_radius_m", "right_radius_m", "track_width_m")] == [0.168, 0.171, 0.53]
-    assert told["faults"] == {
+    reported = yaml.safe_load((tmp_path / "out" / "truth" / "settings.yaml").read_text())["settings"]
+    assert (reported["camera"], reported["laps"], reported["seed"], reported["speed_m_s"]) == ("kinect-v2", 2, 5, 0.4)
+    assert (reported["is_reverse"], reported["stops_to_turn"], reported["has_slip"], reported["has_motion_blur"]) == (
+        1,
+        1,
+        0,
+        1,
+    )
+    robot_reported = reported["robot"]
+    assert [robot_reported[key] for key in ("left_radius_m", "right_radius_m", "track_width_m")] == [0.168, 0.171, 0.53]
+    assert reported["faults"] == {
         "dropouts_s": [[0.1, 0.2], [0.3, 0.4]],
         "unplugged_s": [[0.2, 0.25]],
         "patches": [{"x_m": -1.0, "y_m": 2.0, "radius_m": 0.5, "friction": 0.05}],
@@ -102,7 +112,7 @@ def test_options_reach_the_settings(wheelsight: Command, tmp_path: Path) -> None
     }
     recording = of_type(ImageRecording, open_recording(tmp_path / "out"))
     assert not [tick for tick in recording.wheels if 0.1 < tick.stamp_s < 0.2]
-    assert told["covered_s"] == [[0.15, 0.25]]
+    assert reported["covered_s"] == [[0.15, 0.25]]
     skipped = {event.stamp_s: event.reason for event in recording.events() if isinstance(event, SkippedFrame)}
     assert skipped == {0.2: "depth image measured nothing: no pixel is valid"}
 
@@ -114,8 +124,8 @@ def test_a_floor_plan_becomes_a_recording_with_areas(wheelsight: Command, tmp_pa
     result = wheelsight("simulate", "--plan", plan, *options, *SMALL, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     out = tmp_path / "out"
-    told = yaml.safe_load((out / "truth" / "settings.yaml").read_text())["settings"]
-    assert (told["world"], told["plan"]["path"], told["plan"]["way_m"]) == ("house", "house.yaml", 20)
+    reported = yaml.safe_load((out / "truth" / "settings.yaml").read_text())["settings"]
+    assert (reported["world"], reported["plan"]["path"], reported["plan"]["way_m"]) == ("house", "house.yaml", 20)
     assert len(load_areas(out / "areas.yaml")) == 3
     truth = open_recording(out).ground_truth
     assert truth is not None
@@ -123,7 +133,7 @@ def test_a_floor_plan_becomes_a_recording_with_areas(wheelsight: Command, tmp_pa
     assert (out / "plan.png").is_file()
 
 
-def test_the_list_tells_all_worlds_and_cameras(wheelsight: Command) -> None:
+def test_the_list_shows_all_worlds_and_cameras(wheelsight: Command) -> None:
     result = wheelsight("simulate", "--list")
     assert result.exit_code == 0
     first_words = [line.split()[0] for line in result.stdout.splitlines() if line.strip()]
@@ -257,7 +267,7 @@ def test_ctrl_c_before_the_first_frame_promises_nothing(
 def test_a_real_ctrl_c_keeps_what_is_there(tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = [sys.executable, "-m", "wheelsight", "simulate", "square", "--size", "64x48", "--out", str(out)]
-    # Whoever runs tests in the background has SIGINT ignored, and so would the command.
+    # Anyone who runs tests in the background has SIGINT ignored, and so would the command.
     listening = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # noqa: E731
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=listening) as process:
         lines = out / "rgb.txt"

@@ -63,8 +63,8 @@ class Served:
 
     def end(self, by: signal.Signals) -> str:
         self.process.send_signal(by)
-        _, told = self.process.communicate(timeout=60)
-        return told
+        _, reported = self.process.communicate(timeout=60)
+        return reported
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ def read_lines(pipe: Path, count: int) -> list[dict[str, float]]:
 
 
 @pytest.mark.parametrize("by", [signal.SIGTERM, signal.SIGINT])
-def test_serve_tells_poses_and_ends_cleanly(
+def test_serve_shows_poses_and_ends_cleanly(
     controller: SimulatedController, served: Served, by: signal.Signals
 ) -> None:
     controller.speeds = (60, 60)
@@ -96,11 +96,11 @@ def test_serve_tells_poses_and_ends_cleanly(
         assert after["x_m"] - before["x_m"] == pytest.approx(ticks * M_PER_TICK)
         passed_s = after["stamp_s"] - before["stamp_s"]
         assert after["v_m_s"] == pytest.approx(ticks * M_PER_TICK / passed_s, rel=1e-3)
-    told = served.end(by)
+    reported = served.end(by)
     assert served.process.returncode == 0
     assert not served.pipe.exists()
-    assert "Traceback" not in told
-    assert "lines sent" in told
+    assert "Traceback" not in reported
+    assert "lines sent" in reported
 
 
 @pytest.mark.slow
@@ -193,7 +193,7 @@ def test_a_simulated_controller_is_there_until_it_ends(
     assert "exists, and" in refusal("wheels", "simulate", calibration)
 
 
-def test_monitor_tells_a_wrong_baud_rate(wheelsight: Command, controller: SimulatedController) -> None:
+def test_monitor_shows_a_wrong_baud_rate(wheelsight: Command, controller: SimulatedController) -> None:
     controller.is_muted = True
     controller.is_noisy = True
     result = wheelsight("wheels", "monitor", controller.port, "--seconds", 1.5)
@@ -222,7 +222,7 @@ def test_two_programs_on_one_port(on_port: Refusal, controller: SimulatedControl
 
 
 def test_no_permission(on_port: Refusal, controller: SimulatedController, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever runs the tests may be root, who may open anything; so the system's answer is given for it."""
+    """Anyone who runs the tests may be root, who may open anything; so the system's answer is given for it."""
     open_it = os.open
 
     def denied(path: str, *rest: int) -> int:

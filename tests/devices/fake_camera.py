@@ -22,7 +22,7 @@ QUICK = LiveCameraSettings(stall_s=0.1, reopen_s=0.4, rate_hz=30, kept_frames=10
 def images(
     number: int, device_s: float | None = None, *, period_s: float = 1 / 30, size: tuple[int, int] = (48, 64)
 ) -> DeviceImages:
-    """Frame `number`, whose colour tells its number; by the device's clock at `device_s`, or at its number's time."""
+    """Frame `number`, whose colour shows its number; by the device's clock at `device_s`, or at its number's time."""
     color = np.full((*size, 3), number % 256, np.uint8)
     depth_m = np.full(size, 1.0 + number / 100, np.float32)
     color_s = number * period_s if device_s is None else device_s

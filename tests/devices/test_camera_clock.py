@@ -58,7 +58,7 @@ def test_a_host_that_was_busy_is_no_leap_of_the_clock() -> None:
 
 
 def test_a_clock_that_is_set_back_by_less_than_frames_take_is_found_out() -> None:
-    """Stamps grow, but lag from then on: after two seconds they are mapped anew."""
+    """Stamps grow, but lag from then on: after two seconds they are mapped again."""
     clock = CameraClock(SETTINGS)
     for number in range(300):
         stamp_s, _ = clock.stamp(100 + number / 30, 10 + number / 30)

@@ -22,13 +22,13 @@ needs_fakenect = pytest.mark.skipif(
     FAKENECT is None and MAY_BE_MISSING, reason="needs fakenect, of Debian's libfreenect0.5"
 )
 FRAMES, CLOCK_HZ = 24, 60e6
-# The clock begins anew amid the frames.
+# The clock begins again amid the frames.
 FIRST_TICKS = (1 << 32) - round(0.3 * CLOCK_HZ)
 DEPTH_MM = 1234
 
 
 def record(folder: Path) -> None:
-    """A folder as fakenect-record writes it: colour tells the frame's number, depth is 1.234 m in its lower half."""
+    """A folder as fakenect-record writes it: colour shows the frame's number, depth is 1.234 m in its lower half."""
     folder.mkdir()
     names = []
     for number in range(FRAMES):
@@ -63,36 +63,36 @@ camera = StreamingCamera(FreenectDriver(None, settings), settings, on_status=hea
 frames = [camera.read(3.0) for _ in range(int(sys.argv[2]))]
 is_unplugged = unplugged.wait(20)
 report = camera.report()
-told = {
+reported = {
     "numbers": [int(f.frame.color[0, 0, 0]) for f in frames], "pixel": frames[0].frame.color[9, 9].tolist(),
     "device_s": [f.device_s for f in frames], "late_s": [f.frame.depth_late_s for f in frames],
     "depth_m": np.unique(frames[0].frame.depth_m[240:]).tolist(), "above": float(frames[0].frame.depth_m[:240].max()),
     "is_unplugged": is_unplugged, "jumps": report.clock_jumps, "refused": report.refused,
     "name": camera.name, "is_registered": camera.calibration.is_registered,
 }
-print("TOLD" + json.dumps(told), flush=True)
+print("TOLD" + json.dumps(reported), flush=True)
 os._exit(0)
 """
 
 
 @needs_fakenect
-def test_frames_come_in_metres_and_its_clock_runs_on_where_it_begins_anew(tmp_path: Path) -> None:
+def test_frames_come_in_metres_and_its_clock_runs_on_where_it_begins_again(tmp_path: Path) -> None:
     """In a program of its own: fakenect ends the one it is in where a file is missing."""
     record(tmp_path / "kinect")
     environment = {**os.environ, "FAKENECT_PATH": str(tmp_path / "kinect"), "FAKENECT_LOOP": "0"}
     command = [sys.executable, "-c", PLAYED, str(FAKENECT), str(FRAMES)]
     ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60, env=environment)
-    told = json.loads(ran.stdout[ran.stdout.index("TOLD") + 4 :].splitlines()[0])
-    assert told["numbers"] == list(range(FRAMES))
-    assert told["pixel"] == [0, 7, 9]
-    np.testing.assert_allclose(np.diff(told["device_s"]), 1 / 30, atol=1e-6)
-    np.testing.assert_allclose(told["late_s"], 1e-3, atol=1e-6)
-    assert told["depth_m"] == pytest.approx([1e-3 * DEPTH_MM])
-    assert told["above"] == 0
-    assert (told["jumps"], told["refused"]) == (0, 0)
-    assert told["name"] == "Kinect v1"
-    assert not told["is_registered"]
-    assert told["is_unplugged"]  # what fakenect says at the end of its files
+    reported = json.loads(ran.stdout[ran.stdout.index("TOLD") + 4 :].splitlines()[0])
+    assert reported["numbers"] == list(range(FRAMES))
+    assert reported["pixel"] == [0, 7, 9]
+    np.testing.assert_allclose(np.diff(reported["device_s"]), 1 / 30, atol=1e-6)
+    np.testing.assert_allclose(reported["late_s"], 1e-3, atol=1e-6)
+    assert reported["depth_m"] == pytest.approx([1e-3 * DEPTH_MM])
+    assert reported["above"] == 0
+    assert (reported["jumps"], reported["refused"]) == (0, 0)
+    assert reported["name"] == "Kinect v1"
+    assert not reported["is_registered"]
+    assert reported["is_unplugged"]  # what fakenect says at the end of its files
 
 
 def test_another_size_is_refused() -> None:
@@ -100,7 +100,7 @@ def test_another_size_is_refused() -> None:
         FreenectDriver(None, LiveCameraSettings(width_px=320, height_px=240)).open()
 
 
-def test_a_missing_library_is_told_with_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_is_reported_with_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(freenect, "_NAMES", ("libfreenect-nowhere.so",))
     freenect.library.cache_clear()
     try:
@@ -134,7 +134,7 @@ class Refusing:
     ("error", "said"),
     [(-3, "no permission .*udevadm"), (-6, "in use by another program .*gspca_kinect"), (-4, r"libusb -4")],
 )
-def test_what_libusb_says_is_told_with_the_fix(error: int, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_libusb_says_is_reported_with_the_fix(error: int, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(freenect, "library", lambda: Refusing(error))
     with pytest.raises(DeviceError, match=said):
         FreenectDriver(None, LiveCameraSettings()).open()

@@ -72,7 +72,7 @@ def test_ticks_arrive_complete_in_order_and_by_the_hosts_clock(controller: Simul
     assert gathered[-1].stamp_s == pytest.approx(now_s, abs=3600)  # the controller's begins at zero
 
 
-def test_it_only_listens_until_told(controller: SimulatedController, port: str) -> None:
+def test_it_only_listens_until_reported(controller: SimulatedController, port: str) -> None:
     with WheelLink(port) as link:
         wait(connected(link))
     assert controller.commands == []
@@ -106,8 +106,8 @@ def test_garbage_on_the_line_costs_nothing(controller: SimulatedController, port
 
 def test_unplugged_and_plugged_in_again(controller: SimulatedController, port: str) -> None:
     controller.speeds = (80, 70)
-    told: list[LinkStatus] = []
-    with WheelLink(port, on_status=told.append) as link:
+    reported: list[LinkStatus] = []
+    with WheelLink(port, on_status=reported.append) as link:
         wait(connected(link))
         link.drive(0.5, 0.5)
         wait(lambda: controller.duties == (500, 500))
@@ -125,7 +125,7 @@ def test_unplugged_and_plugged_in_again(controller: SimulatedController, port: s
         assert controller.commands[commands:] == []  # it does not drive on by itself
     assert (report.reconnects, report.restarts) == (1, 0)
     connected_again = [LinkStatus.CONNECTED, LinkStatus.VANISHED, LinkStatus.LISTENING, LinkStatus.CONNECTED]
-    assert told == [*connected_again, LinkStatus.CLOSED]
+    assert reported == [*connected_again, LinkStatus.CLOSED]
 
 
 @pytest.mark.parametrize("is_unplugged", [True, False])
@@ -273,8 +273,8 @@ def test_a_program_that_ends_in_any_way_stops_the_motors(
         wait(lambda: controller.duties == (500, 500))
         process.communicate(b"\n", timeout=30)
     wait(lambda: controller.duties == (0, 0))
-    is_told = controller.commands[-1][0] == LinkCommand.STOP
-    assert is_told != ("kill" in ending)  # only the watchdog is left to stop for a program that was killed
+    is_reported = controller.commands[-1][0] == LinkCommand.STOP
+    assert is_reported != ("kill" in ending)  # only the watchdog is left to stop for a program that was killed
 
 
 def test_impossible_duties_are_refused(controller: SimulatedController, port: str) -> None:
@@ -291,7 +291,7 @@ def test_a_controller_that_does_not_answer(controller: SimulatedController, port
         link.ask_version()
 
 
-def test_silence_is_told_and_ends(controller: SimulatedController, port: str) -> None:
+def test_silence_is_reported_and_ends(controller: SimulatedController, port: str) -> None:
     controller.is_muted = True
     with WheelLink(port) as link:
         wait(lambda: link.status is LinkStatus.NO_DATA)
@@ -299,7 +299,7 @@ def test_silence_is_told_and_ends(controller: SimulatedController, port: str) ->
         wait(connected(link))
 
 
-def test_noise_is_told(controller: SimulatedController, port: str) -> None:
+def test_noise_is_reported(controller: SimulatedController, port: str) -> None:
     """A controller heard at the wrong baud rate."""
     controller.is_muted = True
     time.sleep(0.1)  # for what was on its way
@@ -325,7 +325,7 @@ def test_two_programs_on_one_port(controller: SimulatedController, port: str) ->
 
 
 def test_no_permission(port: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever runs the tests may be root, who may open anything; so the system's answer is given for it."""
+    """Anyone who runs the tests may be root, who may open anything; so the system's answer is given for it."""
 
     def denied(*_: object) -> int:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
@@ -343,7 +343,7 @@ def test_not_a_port(tmp_path: Path) -> None:
         WheelLink(str(tmp_path))
 
 
-def test_ticks_that_nobody_fetches_are_dropped_from_the_oldest(
+def test_ticks_that_no_one_fetches_are_dropped_from_the_oldest(
     controller: SimulatedController, port: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("wheelsight.io.devices.wheel_link._MOST_QUEUED", 5)

@@ -58,19 +58,19 @@ os._exit(0)
 
 
 @needs_openni2
-def test_a_live_device_streams_and_tells_what_it_lacks() -> None:
+def test_a_live_device_streams_and_shows_what_it_lacks() -> None:
     """In a program of its own: the library's dummy camera survives no closing."""
     ran = subprocess.run([sys.executable, "-c", _LIVE], capture_output=True, text=True, check=True, timeout=60)
-    told = json.loads(ran.stdout)
-    assert len(told["stamps_s"]) == 40
-    assert np.all(np.diff(told["stamps_s"]) > 0)
-    assert (told["status"], told["refused"], told["host_drops"]) == ("STREAMING", 0, 0)
-    np.testing.assert_allclose(told["row_m"], 2.0, atol=1e-6)
-    assert told["pixel"] == [0, 0, 255]
-    assert told["shape"] == [240, 320, 3]
-    assert not told["is_registered"]
+    reported = json.loads(ran.stdout)
+    assert len(reported["stamps_s"]) == 40
+    assert np.all(np.diff(reported["stamps_s"]) > 0)
+    assert (reported["status"], reported["refused"], reported["host_drops"]) == ("STREAMING", 0, 0)
+    np.testing.assert_allclose(reported["row_m"], 2.0, atol=1e-6)
+    assert reported["pixel"] == [0, 0, 255]
+    assert reported["shape"] == [240, 320, 3]
+    assert not reported["is_registered"]
     for said in ("no 640×480 at 30 Hz; it gives 320×240 at 30 Hz", "does not register", "states no field of view"):
-        assert any(said in warning for warning in told["warnings"])
+        assert any(said in warning for warning in reported["warnings"])
 
 
 @needs_openni2
@@ -96,7 +96,7 @@ def test_a_file_plays_once_at_its_own_rate_as_it_was_recorded(recorded: Path) ->
 
 
 @needs_openni2
-def test_what_cannot_be_opened_is_told_with_the_fix(tmp_path: Path) -> None:
+def test_what_cannot_be_opened_is_reported_with_the_fix(tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match=r"none\.oni: there is no such file"):
         open_live_camera(f"openni2:{tmp_path / 'none.oni'}")
     (tmp_path / "broken.oni").write_bytes(b"NI10" + bytes(200))
@@ -106,7 +106,7 @@ def test_what_cannot_be_opened_is_told_with_the_fix(tmp_path: Path) -> None:
         open_live_camera("openni2:A0001")
 
 
-def test_a_missing_library_is_told_with_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_is_reported_with_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(openni2_library, "_NAMES", ("libOpenNI2-nowhere.so",))
     openni2_library.library.cache_clear()
     try:
@@ -140,9 +140,9 @@ def test_padded_rows_are_read_without_their_padding() -> None:
 
 def test_nominal_cameras_follow_the_view_and_the_size() -> None:
     view = 2 * math.atan(320 / 570.0)
-    told = structured_light((640, 480), (640, 480), view, view, is_registered=True)
-    assert told.cameras[0].fx == pytest.approx(570.0)
-    assert told.is_registered
+    reported = structured_light((640, 480), (640, 480), view, view, is_registered=True)
+    assert reported.cameras[0].fx == pytest.approx(570.0)
+    assert reported.is_registered
     halved = structured_light((320, 240), (320, 240), None, None, is_registered=False)
     assert halved.cameras[0].fx == pytest.approx(525.0 / 2)
     assert halved.cameras[1].fx == pytest.approx(585.0 / 2)

@@ -41,8 +41,8 @@ def without(pairs: Sent, lost: Sequence[int]) -> Sent:
 
 
 def stamps_of(clock: PairClock, pairs: Sent, early: Sequence[int] = ()) -> np.ndarray:
-    told = zip(pairs.arrival_s, pairs.following, strict=True)
-    stamps_s = np.array([clock.stamp_s(a, int(f), i in early) for i, (a, f) in enumerate(told)])
+    reported = zip(pairs.arrival_s, pairs.following, strict=True)
+    stamps_s = np.array([clock.stamp_s(a, int(f), i in early) for i, (a, f) in enumerate(reported)])
     assert (np.diff(stamps_s) > 0).all()
     assert (stamps_s <= pairs.arrival_s + 1e-6 * (1 + pairs.following.max())).all()
     return stamps_s
@@ -89,7 +89,7 @@ def test_a_controller_that_was_silent_is_not_taken_for_a_stall(rng: np.random.Ge
 
 
 def test_pairs_sent_early_are_stamped_with_their_arrival(rng: np.random.Generator) -> None:
-    """At full speed the pairs come at no period; after it the count begins anew."""
+    """At full speed the pairs come at no period; after it the count begins again."""
     clock, pairs = PairClock(), sent(rng, 1500)
     fast = slice(600, 800)
     pairs.sent_s[fast] -= 0.006 * np.arange(200)
@@ -100,7 +100,7 @@ def test_pairs_sent_early_are_stamped_with_their_arrival(rng: np.random.Generato
     assert clock.lost == 0
 
 
-def test_a_replugged_port_begins_anew_with_the_period_known(rng: np.random.Generator) -> None:
+def test_a_replugged_port_begins_again_with_the_period_known(rng: np.random.Generator) -> None:
     clock, before = PairClock(), sent(rng, 600)
     stamps_of(clock, before)
     clock.restart()

@@ -42,8 +42,8 @@ def framed(decoder: LineDecoder, count: int, start_s: float, first: int = 0) -> 
 
 def pulses_of(got: Got) -> list[list[int]]:
     """Pulses of the left and the right wheel, of answers which are all pulses."""
-    assert all(isinstance(told, Pulses) for told in got)
-    return [[told.left, told.right] for told in got if isinstance(told, Pulses)]
+    assert all(isinstance(reported, Pulses) for reported in got)
+    return [[reported.left, reported.right] for reported in got if isinstance(reported, Pulses)]
 
 
 def format_of(decoder: LineDecoder) -> Format | None:
@@ -92,7 +92,9 @@ def test_the_papers_format_is_recognised_in_half_a_second_and_no_pulse_is_lost(c
     got = paired(decoder, counts[25:], 25 * PERIOD_S)
     assert format_of(decoder) is Format.PAPER
     assert pulses_of(got) == counts.tolist()
-    np.testing.assert_allclose([told.arrival_s for told in got if isinstance(told, Pulses)], PERIOD_S * np.arange(200))
+    np.testing.assert_allclose(
+        [reported.arrival_s for reported in got if isinstance(reported, Pulses)], PERIOD_S * np.arange(200)
+    )
     assert (decoder.statistics.frames, decoder.statistics.malformed) == (200, 0)
 
 
@@ -201,12 +203,12 @@ def test_noise_after_pairs_is_not_taken_for_pulses_for_long(counts: np.ndarray, 
 
 
 @pytest.mark.parametrize("size", [1, 2, 5, 100])
-@pytest.mark.parametrize("is_told", [True, False])
-def test_frames_after_pairs_are_not_misread_as_pulses(counts: np.ndarray, size: int, is_told: bool) -> None:
+@pytest.mark.parametrize("is_reported", [True, False])
+def test_frames_after_pairs_are_not_misread_as_pulses(counts: np.ndarray, size: int, is_reported: bool) -> None:
     """As the firmware changes over: a last pair, a zero, and frames, without a silence, read in pieces of any size."""
     decoder = LineDecoder()
     got = paired(decoder, counts, 0.0)
-    decoder.expect_frames(is_told)
+    decoder.expect_frames(is_reported)
     messages: list[Message] = [Counts(0, 4_000_000, 7833, -3916), Ack(1, 0x85, 9, 0), Counts(2, 4_020_000, 7900, -3900)]
     change = pair(0, 99) + b"\0" + b"".join(encode_message(message) for message in messages)
     start_s = PERIOD_S * len(counts)

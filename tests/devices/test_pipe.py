@@ -92,7 +92,7 @@ def test_readers_come_and_go(pipe: TelemetryPipe) -> None:
 
 def test_a_slow_reader_gets_whole_lines_the_oldest_waiting_dropped_and_counted(pipe: TelemetryPipe) -> None:
     reader, padding = Reader(pipe.path), 400
-    for n in range(5000):  # while nobody reads: a writer that waits would wait for ever
+    for n in range(5000):  # while no one reads: a writer that waits would wait for ever
         pipe.send(f"{n}" + " " * padding)
     got = reader.read()
     for n in (5000, 5001):

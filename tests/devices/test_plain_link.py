@@ -1,4 +1,4 @@
-"""The link on a board that prints plain lines behind a pseudo-terminal, and what it is told that it cannot do."""
+"""The link on a board that prints plain lines behind a pseudo-terminal, and what it is reported that it cannot do."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_a_board_that_prints_takes_no_commands(command: Callable[[WheelLink], ob
         assert board.received() == b""
 
 
-def test_text_that_is_no_counts_is_told_with_what_to_print() -> None:
+def test_text_that_is_no_counts_is_reported_with_what_to_print() -> None:
     with printing(lambda n: f"speed {n} rpm") as board, WheelLink(board.port) as link:
         wait(lambda: link.status is LinkStatus.TEXT)
         assert "print left,right or time,left,right" in link.status
@@ -121,7 +121,7 @@ def test_other_text_between_is_counted_and_shown() -> None:
     assert report.other_line == "battery 12 V"
 
 
-def test_nobody_asks_for_plain_text() -> None:
+def test_no_one_asks_for_plain_text() -> None:
     refused = pytest.raises(DeviceError, match="no controller changes to plain text")
     with printing(lambda n: "") as board, WheelLink(board.port) as link, refused:
         link.set_format(Format.PLAIN)

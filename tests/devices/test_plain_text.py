@@ -42,11 +42,11 @@ class Host:
     ticks: list[WheelTicks] = field(default_factory=list)
 
     def hear(self, data: bytes, arrival_s: float) -> None:
-        for told in self.decoder.feed(data, arrival_s):
-            if isinstance(told, PlainReading):
-                self.ticks += self.tracker.add_line(told)
-            elif isinstance(told, Counts):
-                self.ticks += self.tracker.add_counts(told, arrival_s)
+        for reported in self.decoder.feed(data, arrival_s):
+            if isinstance(reported, PlainReading):
+                self.ticks += self.tracker.add_line(reported)
+            elif isinstance(reported, Counts):
+                self.ticks += self.tracker.add_counts(reported, arrival_s)
 
     def listen(self, lines: Sequence[bytes], start_s: float = 100.0) -> None:
         for n, line in enumerate(lines):
@@ -149,7 +149,7 @@ def test_any_end_of_a_line(ends: bytes) -> None:
     assert host.last == driving(99 * PERIOD_S)
 
 
-def test_a_header_and_other_text_between_are_counted_and_told() -> None:
+def test_a_header_and_other_text_between_are_counted_and_reported() -> None:
     host = Host()
     lines = printed(100)
     for at in range(10, 100, 10):
@@ -266,7 +266,7 @@ def test_the_clock_rolls_over(unit_s: float) -> None:
 
 @pytest.mark.parametrize("unit_s", [None, 1e-3])
 @pytest.mark.parametrize("is_moving", [True, False])
-def test_a_restart_is_told_and_is_no_motion(unit_s: float | None, is_moving: bool) -> None:
+def test_a_restart_is_reported_and_is_no_motion(unit_s: float | None, is_moving: bool) -> None:
     host = Host()
     host.listen(printed(200, unit_s=unit_s), 100.0)
     far = host.last
@@ -283,9 +283,9 @@ def test_a_restart_is_told_and_is_no_motion(unit_s: float | None, is_moving: boo
 
 
 @pytest.mark.parametrize("has_time", [True, False])
-@pytest.mark.parametrize("begins_anew", [True, False])
-def test_a_board_that_was_unplugged(has_time: bool, begins_anew: bool) -> None:
-    """Most boards begin anew when their port is opened; one that is fed by the robot may count on."""
+@pytest.mark.parametrize("begins_again", [True, False])
+def test_a_board_that_was_unplugged(has_time: bool, begins_again: bool) -> None:
+    """Most boards begin again when their port is opened; one that is fed by the robot may count on."""
 
     def line(n: int, left: int, begun_s: float) -> bytes:
         time = f"{int(1e3 * (PERIOD_S * n + begun_s))}," if has_time else ""
@@ -297,10 +297,10 @@ def test_a_board_that_was_unplugged(has_time: bool, begins_anew: bool) -> None:
     host.decoder.restart()
     host.tracker.replugged()
     away_s = 5.0
-    begun_s, left = (1.0, 300) if begins_anew else (3.0 + 100 * PERIOD_S + away_s, 5500)
+    begun_s, left = (1.0, 300) if begins_again else (3.0 + 100 * PERIOD_S + away_s, 5500)
     host.listen([line(n, left + 2 * n, begun_s) for n in range(100)], 100.0 + 100 * PERIOD_S + away_s)
-    assert host.tracker.restarts == begins_anew
-    expected = 4950 + 300 + 198 if begins_anew else 5500 + 198
+    assert host.tracker.restarts == begins_again
+    expected = 4950 + 300 + 198 if begins_again else 5500 + 198
     assert host.last == (expected, -expected)
 
 
@@ -374,14 +374,14 @@ def test_lines_that_come_no_more_are_given_up() -> None:
 
 
 def test_lines_are_no_pairs_of_the_papers_format() -> None:
-    decoder, told = LineDecoder(), list[Decoded]()
+    decoder, reported = LineDecoder(), list[Decoded]()
     for n in range(100):
-        told += decoder.feed(bytes([5, 6]), PERIOD_S * n)
+        reported += decoder.feed(bytes([5, 6]), PERIOD_S * n)
     assert decoder.format is Format.PAPER
-    known = len(told)
+    known = len(reported)
     for n in range(20):
-        told += decoder.feed(b"10,11\n", 2.0 + PERIOD_S * n)
-    assert len(told) - known <= 1  # the last pair of before
+        reported += decoder.feed(b"10,11\n", 2.0 + PERIOD_S * n)
+    assert len(reported) - known <= 1  # the last pair of before
     assert is_plain_line(b"10,11\n3,4\r\n")
     assert not is_plain_line(b"\x05\x06")
 

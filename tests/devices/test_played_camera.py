@@ -1,4 +1,4 @@
-"""A recording as a live camera: each frame once, in its time, and none while nobody asks."""
+"""A recording as a live camera: each frame once, in its time, and none while no one asks."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_it_stands_still_until_it_is_asked() -> None:
         assert len(all_of(camera)) == 3
 
 
-def test_what_nobody_fetches_is_dropped_and_counted() -> None:
+def test_what_no_one_fetches_is_dropped_and_counted() -> None:
     with PlayedCamera("film", CALIBRATION, film(10), LiveCameraSettings(kept_frames=2, oldest_s=60)) as camera:
         first = camera.read(30)
         wait(lambda: camera.report().status is CameraStatus.ENDED)
@@ -78,7 +78,7 @@ def test_an_old_frame_is_not_handed_out_as_new() -> None:
         assert camera.report().stale == 2
 
 
-def test_a_closed_camera_gives_nothing_and_keeps_nobody_waiting() -> None:
+def test_a_closed_camera_gives_nothing_and_keeps_no_one_waiting() -> None:
     camera = PlayedCamera("film", CALIBRATION, film(1000))
     assert camera.read(30) is not None
     camera.close()
@@ -94,17 +94,17 @@ def turned(stamp_s: float) -> AngularVelocity:
     return AngularVelocity(stamp_s, stamp_s, 0.5, -0.25)
 
 
-def test_its_gyroscope_tells_with_the_frames_and_by_their_clock() -> None:
+def test_its_gyroscope_shows_with_the_frames_and_by_their_clock() -> None:
     turns = [turned(k / 200) for k in range(-10, 60)]  # frames are taken from 0 to 0.18 s
     with PlayedCamera("film", CALIBRATION, film(10), LiveCameraSettings(kept_frames=100), turns=turns) as camera:
         assert isinstance(camera, HasGyro)
-        frames, told = all_of(camera), camera.take_angular_velocities()
+        frames, reported = all_of(camera), camera.take_angular_velocities()
         assert camera.take_angular_velocities() == []
-    assert [one.x_rad_s for one in told] == pytest.approx([k / 200 for k in range(37)])
-    stamps_s = [one.stamp_s for one in told]
+    assert [one.x_rad_s for one in reported] == pytest.approx([k / 200 for k in range(37)])
+    stamps_s = [one.stamp_s for one in reported]
     assert stamps_s == sorted(stamps_s)
     by_frame = {round(live.device_s or 0.0, 6): live.frame.stamp_s for live in frames}
-    for one in told:
+    for one in reported:
         if (at_s := round(one.x_rad_s, 6)) in by_frame:
             assert one.stamp_s == pytest.approx(by_frame[at_s], abs=1e-6)
 
@@ -115,9 +115,9 @@ def test_a_recordings_gyroscope_is_played_unless_it_is_not_wanted(tmp_path: Path
             writer.add(frame)
     lines = [f"{k / 200},0.1,0.2,{k / 200}" for k in range(8)]
     (tmp_path / "film" / "imu.csv").write_text("\n".join(["stamp_s,x_rad_s,y_rad_s,z_rad_s", *lines, ""]))
-    told = {}
+    reported = {}
     for gyro in (True, False):
         with PlayedCamera.opened(str(tmp_path / "film"), LiveCameraSettings(gyro=gyro), None) as camera:
             assert len(all_of(camera)) == 3
-            told[gyro] = [one.z_rad_s for one in camera.take_angular_velocities()]
-    assert told == {True: pytest.approx([k / 200 for k in range(8)]), False: []}
+            reported[gyro] = [one.z_rad_s for one in camera.take_angular_velocities()]
+    assert reported == {True: pytest.approx([k / 200 for k in range(8)]), False: []}

@@ -56,7 +56,9 @@ def test_the_kernels_files_are_read(tmp_path: Path) -> None:
     assert usb_devices(tmp_path / "none") == []
 
 
-def test_a_camera_that_lacks_nothing_is_told_with_how_it_is_used(node: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_camera_that_lacks_nothing_is_reported_with_how_it_is_used(
+    node: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(plugged_in, "find_spec", lambda _: object())
     found = only([realsense(node)])
     assert found.is_ready
@@ -146,7 +148,7 @@ def without_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("without_libraries")
-def test_opening_tells_what_the_camera_that_is_there_lacks(node: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_opening_shows_what_the_camera_that_is_there_lacks(node: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plugged_in, "find_spec", lambda _: None)
     monkeypatch.setattr(plugged_in, "usb_devices", lambda: [realsense(node)])
     for which in (None, "realsense"):
@@ -157,7 +159,7 @@ def test_opening_tells_what_the_camera_that_is_there_lacks(node: Path, monkeypat
 
 
 @pytest.mark.usefixtures("without_libraries")
-def test_nothing_plugged_in_is_told_plainly(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_plugged_in_is_reported_plainly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plugged_in, "usb_devices", list)
     with pytest.raises(DeviceError, match="no depth camera is plugged in"):
         open_live_camera()

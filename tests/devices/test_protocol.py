@@ -108,7 +108,7 @@ def test_repeats_are_dropped_and_are_no_loss() -> None:
 
 @pytest.mark.parametrize("more", [0, 1, 40])
 def test_a_new_sequence_is_no_loss_once_a_restart_is_known(more: int) -> None:
-    """However many frames a host that was late is handed with the one that tells of the restart."""
+    """However many frames a host that was late is handed with the one that shows the restart."""
     decoder = FrameDecoder()
     decoder.feed(b"".join(encoded(numbered(3, first=100) + numbered(2, first=105) + numbered(2 + more))))
     assert decoder.statistics.lost == 2 + 149

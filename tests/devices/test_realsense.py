@@ -91,10 +91,17 @@ class SoftCamera:
         stream = rs.video_stream()
         stream.type, stream.index, stream.uid, stream.fps = kind, 0, int(kind), 30
         stream.width, stream.height, stream.bpp, stream.fmt = WIDTH, HEIGHT, bytes_a_pixel, form
-        told = rs.intrinsics()
-        told.width, told.height, told.ppx, told.ppy, told.fx, told.fy = WIDTH, HEIGHT, 321.0, 239.0, focal_px, focal_px
-        told.model, told.coeffs = (model, COEFFICIENTS) if model else (rs.distortion.brown_conrady, [0.0] * 5)
-        stream.intrinsics = told
+        reported = rs.intrinsics()
+        reported.width, reported.height, reported.ppx, reported.ppy, reported.fx, reported.fy = (
+            WIDTH,
+            HEIGHT,
+            321.0,
+            239.0,
+            focal_px,
+            focal_px,
+        )
+        reported.model, reported.coeffs = (model, COEFFICIENTS) if model else (rs.distortion.brown_conrady, [0.0] * 5)
+        stream.intrinsics = reported
         return stream
 
     def _frame(self, sensor: Any, profile: Any, pixels: np.ndarray, number: int, stamp_ms: float) -> None:
@@ -150,7 +157,7 @@ def test_frames_and_readings_of_a_gyroscope_push_each_other_out_of_no_queue() ->
         assert camera.take_angular_velocities()
 
 
-def test_a_gyroscope_that_is_not_wanted_or_not_there_tells_nothing() -> None:
+def test_a_gyroscope_that_is_not_wanted_or_not_there_shows_nothing() -> None:
     soft = SoftCamera()
     with opened(soft) as camera:
         assert camera.take_angular_velocities() == []
@@ -174,7 +181,7 @@ def read(camera: StreamingCamera) -> LiveFrame:
     return frame
 
 
-def test_frames_are_paired_and_told_in_metres() -> None:
+def test_frames_are_paired_and_reported_in_metres() -> None:
     soft = SoftCamera()
     with opened(soft) as camera:
         feeding = soft.stream(range(30))
@@ -191,27 +198,34 @@ def test_frames_are_paired_and_told_in_metres() -> None:
         assert camera.name == "Soft D400 S1"
 
 
-def test_the_device_tells_its_calibration() -> None:
+def test_the_device_shows_its_calibration() -> None:
     with opened(SoftCamera(model=rs.distortion.brown_conrady)) as camera:
-        told = camera.calibration
-    color, depth = told.cameras
+        reported = camera.calibration
+    color, depth = reported.cameras
     assert (color.fx, color.cx, color.cy, depth.fx) == (600.0, 321.0, 239.0, 380.0)
     np.testing.assert_allclose(color.distortion, COEFFICIENTS, atol=1e-7)
     assert not depth.has_distortion
     expected = np.array([[1, 0, 0, 0.015], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
-    np.testing.assert_allclose(told.T_color_camera, expected, atol=1e-7)
-    assert told.depth_noise.quadratic_per_m == pytest.approx(0.08 / (380 * 0.05))
+    np.testing.assert_allclose(reported.T_color_camera, expected, atol=1e-7)
+    assert reported.depth_noise.quadratic_per_m == pytest.approx(0.08 / (380 * 0.05))
 
 
-def test_an_inverse_lens_model_is_told_by_ours() -> None:
+def test_an_inverse_lens_model_is_reported_by_ours() -> None:
     """By the library's own projection: it undistorts pixels by the polynomial that Brown's distorts them with."""
     with opened(SoftCamera(model=rs.distortion.inverse_brown_conrady)) as camera:
         color = camera.calibration.cameras[0]
-    told = rs.intrinsics()
-    told.width, told.height, told.ppx, told.ppy, told.fx, told.fy = WIDTH, HEIGHT, 321.0, 239.0, 600.0, 600.0
-    told.model, told.coeffs = rs.distortion.inverse_brown_conrady, COEFFICIENTS
+    reported = rs.intrinsics()
+    reported.width, reported.height, reported.ppx, reported.ppy, reported.fx, reported.fy = (
+        WIDTH,
+        HEIGHT,
+        321.0,
+        239.0,
+        600.0,
+        600.0,
+    )
+    reported.model, reported.coeffs = rs.distortion.inverse_brown_conrady, COEFFICIENTS
     for pixel in ([5.0, 5.0], [320.0, 10.0], [600.0, 450.0]):
-        point = rs.rs2_deproject_pixel_to_point(told, pixel, 2.0)
+        point = rs.rs2_deproject_pixel_to_point(reported, pixel, 2.0)
         np.testing.assert_allclose(color.project(point)[0], pixel, atol=0.05)
 
 
@@ -224,7 +238,7 @@ def test_a_camera_is_chosen_by_its_serial_number() -> None:
         opened()
 
 
-def test_a_size_that_is_not_there_is_told_with_those_that_are() -> None:
+def test_a_size_that_is_not_there_is_reported_with_those_that_are() -> None:
     driver = RealSenseDriver(None, SETTINGS.model_copy(update={"width_px": 848}), lambda: [SoftCamera().device])
     with pytest.raises(DeviceError, match=r"no color images of 848×480 at 30 Hz .* of: 640×480 at 30"):
         driver.open()
@@ -287,7 +301,7 @@ def record(soft: SoftCamera, path: Path, count: int) -> None:
     recorder.pause()
 
 
-def test_what_the_library_says_is_told_with_the_fix(tmp_path: Path) -> None:
+def test_what_the_library_says_is_reported_with_the_fix(tmp_path: Path) -> None:
     for said, problem in (
         ("xioctl(VIDIOC_S_FMT) failed, errno=16 Last Error: Device or resource busy", "in use by another program"),
         ("failed to open usb interface: 0, error: RS2_USB_STATUS_ACCESS", "no permission .*udevadm"),

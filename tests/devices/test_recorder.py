@@ -1,4 +1,4 @@
-"""The recorder: what it is given is on the disk in order; a slow or full disk is told, and holds nobody up."""
+"""The recorder: what it is given is on the disk in order; a slow or full disk is reported, and holds no one up."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class SlowDisk:
         monkeypatch.setattr("wheelsight.io.recordings.native.write_color", slowly)
 
 
-def test_a_slow_disk_drops_frames_counts_them_and_holds_nobody_up(
+def test_a_slow_disk_drops_frames_counts_them_and_holds_no_one_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     disk = SlowDisk(monkeypatch)
@@ -146,7 +146,7 @@ def test_a_full_disk_ends_the_writing_and_leaves_what_was_written(
     assert len(frames_in(tmp_path / "r")) == 1
 
 
-def test_a_fault_that_nobody_thought_of_is_told_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fault_that_no_one_thought_of_is_reported_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> int:
         raise MemoryError("no memory")
 

@@ -1,4 +1,4 @@
-"""A camera and wheels recorded side by side: what ends it, what does not, and what is told."""
+"""A camera and wheels recorded side by side: what ends it, what does not, and what is reported."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def wait(is_so: Callable[[], bool]) -> None:
         time.sleep(0.005)
 
 
-def test_a_camera_that_goes_away_is_told_and_the_wheels_go_on(tmp_path: Path) -> None:
+def test_a_camera_that_goes_away_is_reported_and_the_wheels_go_on(tmp_path: Path) -> None:
     with SimulatedController(tmp_path) as controller, WheelLink(str(controller.port)) as link:
         controller.speeds = (6, 5)
         with recording(tmp_path / "r", link) as session:
@@ -94,7 +94,7 @@ def test_a_camera_that_goes_away_is_told_and_the_wheels_go_on(tmp_path: Path) ->
     assert (recorded.frame_count, recorded.wheel_count) == (2, session.recorder.report().readings)
 
 
-def test_a_clock_that_leaps_is_told(tmp_path: Path) -> None:
+def test_a_clock_that_leaps_is_reported(tmp_path: Path) -> None:
     with recording(tmp_path / "r") as session:
         wait(lambda: bool(session.looks))
         session.camera.tell(clock_jumps=1)
@@ -102,7 +102,7 @@ def test_a_clock_that_leaps_is_told(tmp_path: Path) -> None:
     assert session.notes == ["fake 1: its clock jumped; the mapping of its stamps restarts"]
 
 
-def test_a_stamp_that_goes_back_is_left_out_and_told_once(tmp_path: Path) -> None:
+def test_a_stamp_that_goes_back_is_left_out_and_reported_once(tmp_path: Path) -> None:
     with recording(tmp_path / "r") as session:
         begin_s = host_clock.now_s()
         for number, after_s in enumerate((0.0, 1.0, 0.5, 0.6, 2.0)):
@@ -146,7 +146,7 @@ def test_it_ends_where_nothing_more_can_be_written(tmp_path: Path, monkeypatch: 
     assert "no space left on the disk" in str(session.problem)
 
 
-def test_a_look_tells_rates_drops_and_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_look_shows_rates_drops_and_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     used = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: used._replace(free=1_200_000_000))
     with recording(tmp_path / "r") as session:

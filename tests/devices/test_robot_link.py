@@ -88,7 +88,7 @@ def run(robot: LinkRobot, command: VelocityCommand, seconds: float) -> list[Even
     return events
 
 
-def test_it_is_a_robot_that_listens_until_told_to_move(robot: LinkRobot, controller: SimulatedController) -> None:
+def test_it_is_a_robot_that_listens_until_reported_to_move(robot: LinkRobot, controller: SimulatedController) -> None:
     assert isinstance(robot, Robot)
     assert robot.calibration is CALIBRATION
     run(robot, STOP, 0.5)
@@ -96,7 +96,7 @@ def test_it_is_a_robot_that_listens_until_told_to_move(robot: LinkRobot, control
 
 
 @pytest.mark.slow
-def test_weak_motors_reach_the_speed_told(robot: LinkRobot, motors: Motors) -> None:
+def test_weak_motors_reach_the_speed_reported(robot: LinkRobot, motors: Motors) -> None:
     """By feed-forward alone they would stay at 85 % of it."""
     began_s = time.monotonic()
     events = run(robot, AHEAD, 4.0)
@@ -111,13 +111,15 @@ def test_weak_motors_reach_the_speed_told(robot: LinkRobot, motors: Motors) -> N
     assert np.abs(motors.speeds_m_s).max() < 0.02
 
 
-def test_motors_that_are_too_weak_are_told(robot: LinkRobot, motors: Motors, controller: SimulatedController) -> None:
+def test_motors_that_are_too_weak_are_reported(
+    robot: LinkRobot, motors: Motors, controller: SimulatedController
+) -> None:
     motors.strength = 0.3
     wait(robot, lambda: "is blocked" in robot.stop_reason, VelocityCommand(1.0))
     duties = [body for kind, body in controller.commands if kind == LinkCommand.DRIVE]
-    told = np.array([np.frombuffer(body, "<i2") for body in duties])
-    assert 100 < told.max() <= 585  # a metre a second takes 385; 200 more may be corrected
-    assert told.min() >= 0
+    reported = np.array([np.frombuffer(body, "<i2") for body in duties])
+    assert 100 < reported.max() <= 585  # a metre a second takes 385; 200 more may be corrected
+    assert reported.min() >= 0
 
 
 def test_a_blocked_wheel_stops_both(robot: LinkRobot, motors: Motors, controller: SimulatedController) -> None:
@@ -189,7 +191,7 @@ def test_a_vanished_port_stops(robot: LinkRobot, controller: SimulatedController
     wait(robot, lambda: not robot.stop_reason)
 
 
-def test_a_controller_that_begins_anew_stops(robot: LinkRobot, controller: SimulatedController) -> None:
+def test_a_controller_that_begins_again_stops(robot: LinkRobot, controller: SimulatedController) -> None:
     run(robot, AHEAD, 1.0)
     controller.restart()
     wait(robot, lambda: bool(robot.stop_reason), AHEAD)
@@ -273,20 +275,20 @@ def test_frames_are_sorted_in(controller: SimulatedController) -> None:
 
 
 class TurningCamera(Camera):
-    """Has a gyroscope, which tells of one turn about the camera's y, down."""
+    """Has a gyroscope, which shows one turn about the camera's y, down."""
 
     def take_angular_velocities(self) -> list[AngularVelocity]:
         return [AngularVelocity(time.time() - 0.02, 0.0, -0.5, 0.0)]
 
 
-def test_the_cameras_gyroscope_tells_turns_of_the_base(controller: SimulatedController) -> None:
+def test_the_cameras_gyroscope_shows_turns_of_the_base(controller: SimulatedController) -> None:
     ahead = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1]])
-    for mount, told in ((ahead, [0.5]), (None, [])):
+    for mount, reported in ((ahead, [0.5]), (None, [])):
         link = WheelLink(str(controller.port))
         known = Calibration(wheels=WHEELS, T_base_camera=mount)
         with LinkRobot(link, known, frames=TurningCamera()) as robot:
             events = robot.step(STOP)
-        assert [event.yaw_rate_rad_s for event in events if isinstance(event, YawRate)] == told
+        assert [event.yaw_rate_rad_s for event in events if isinstance(event, YawRate)] == reported
         assert [event.stamp_s for event in events] == sorted(event.stamp_s for event in events)
 
 
@@ -312,7 +314,7 @@ def test_a_controller_that_answers_nothing_is_not_driven(robot: LinkRobot, contr
     assert LinkCommand.DRIVE not in {kind for kind, _ in controller.commands}
 
 
-def test_in_the_papers_format_nobody_is_asked(controller: SimulatedController) -> None:
+def test_in_the_papers_format_no_one_is_asked(controller: SimulatedController) -> None:
     controller.is_paper, controller.version = True, (1, 1, 0, 0)
     link = WheelLink(str(controller.port))
     with LinkRobot(link, CALIBRATION) as robot:

@@ -74,15 +74,15 @@ def test_a_pipe_gives_the_very_ticks_and_ends_with_the_daemon(tmp_path: Path) ->
 def test_a_pipe_is_waited_for_and_can_be_left(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "wheels")
     source = open_wheels(tmp_path / "wheels")
-    told: list[str] = []
+    reported: list[str] = []
 
     def leave() -> None:
-        told.append("left")
+        reported.append("left")
         source.close()
 
     threading.Timer(0.2, leave).start()
     assert list(source.ticks()) == []
-    assert told == ["left"]  # not before
+    assert reported == ["left"]  # not before
 
 
 def test_a_line_without_end_is_refused(tmp_path: Path) -> None:

@@ -125,7 +125,7 @@ def test_a_stalled_camera_yields_nothing_and_says_since_when(driver: FakeDriver)
         assert camera.report().status is CameraStatus.STREAMING
 
 
-def test_a_library_that_hangs_is_told_as_stalled_and_closing_does_not_wait_for_it(
+def test_a_library_that_hangs_is_reported_as_stalled_and_closing_does_not_wait_for_it(
     driver: FakeDriver, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("wheelsight.io.devices.live_camera._CLOSING_S", 0.1)
@@ -148,8 +148,8 @@ def test_a_camera_that_stays_silent_is_opened_again(driver: FakeDriver, camera: 
 
 
 def test_it_reconnects_by_itself_and_says_so(driver: FakeDriver) -> None:
-    told: list[CameraStatus] = []
-    with StreamingCamera(driver, QUICK, on_status=told.append) as camera:
+    reported: list[CameraStatus] = []
+    with StreamingCamera(driver, QUICK, on_status=reported.append) as camera:
         driver.give(images(500))
         before = read(camera)
         driver.is_there.clear()
@@ -157,7 +157,7 @@ def test_it_reconnects_by_itself_and_says_so(driver: FakeDriver) -> None:
         assert camera.take() == []
         eventually(lambda: camera.report().detail == "no camera is plugged in (plug it in)")
         driver.is_there.set()
-        driver.give(images(0))  # the device begins anew, clock and numbers too
+        driver.give(images(0))  # the device begins again, clock and numbers too
         assert eventually(lambda: camera.report().frames == 2) < 2.0
         after = read(camera)
         assert after.sequence == 0
@@ -166,7 +166,7 @@ def test_it_reconnects_by_itself_and_says_so(driver: FakeDriver) -> None:
         report = camera.report()
         assert (report.reconnects, report.device_drops, report.clock_jumps, report.refused) == (1, 0, 0, 0)
     expected = [CameraStatus.STREAMING, CameraStatus.UNPLUGGED, CameraStatus.STARTING, CameraStatus.STREAMING]
-    assert told == [*expected, CameraStatus.CLOSED]
+    assert reported == [*expected, CameraStatus.CLOSED]
 
 
 def test_another_camera_does_not_take_its_place(driver: FakeDriver, camera: StreamingCamera) -> None:
@@ -226,7 +226,7 @@ def test_a_played_file_that_ends_hands_out_its_last_frames(driver: FakeDriver, c
     assert driver.closed == 1
 
 
-def test_a_fault_of_a_driver_is_told_to_whoever_asks(driver: FakeDriver, camera: StreamingCamera) -> None:
+def test_a_fault_of_a_driver_is_reported_to_anyone_who_asks(driver: FakeDriver, camera: StreamingCamera) -> None:
     driver.give(ValueError("a bug"))
     eventually(lambda: camera.report().status is CameraStatus.CLOSED)
     with pytest.raises(DeviceError, match="driver failed: a bug"):
@@ -259,7 +259,7 @@ def test_a_given_calibration_must_be_of_the_images(driver: FakeDriver) -> None:
 
 
 class TurningDriver(FakeDriver):
-    """Has a gyroscope, which tells what a test puts into `turns`."""
+    """Has a gyroscope, which shows what a test puts into `turns`."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -269,9 +269,9 @@ class TurningDriver(FakeDriver):
         return [self.turns.popleft() for _ in range(len(self.turns))]
 
 
-def test_a_gyroscope_is_stamped_by_the_clock_that_frames_have_told_of() -> None:
+def test_a_gyroscope_is_stamped_by_the_clock_that_frames_have_reported_of() -> None:
     driver = TurningDriver()
-    driver.turns.append(DeviceAngularVelocity(0.0, 9.0, 9.0, 9.0))  # no frame has told of the clock yet
+    driver.turns.append(DeviceAngularVelocity(0.0, 9.0, 9.0, 9.0))  # no frame has reported the clock yet
     with StreamingCamera(driver, QUICK) as camera:
         assert isinstance(camera, HasGyro)
         eventually(lambda: not driver.turns)
@@ -291,7 +291,7 @@ def test_a_gyroscope_is_stamped_by_the_clock_that_frames_have_told_of() -> None:
         assert take_angular_velocities(camera) == []
 
 
-def test_a_camera_without_a_gyroscope_tells_no_turns(driver: FakeDriver, camera: StreamingCamera) -> None:
+def test_a_camera_without_a_gyroscope_shows_no_turns(driver: FakeDriver, camera: StreamingCamera) -> None:
     driver.give(images(0))
     read(camera)
     assert camera.take_angular_velocities() == []

@@ -47,7 +47,7 @@ def test_covariances_turn_with_their_world() -> None:
     np.testing.assert_allclose(turned, R @ position_covariances_m2(estimate) @ R.T, atol=1e-12)
 
 
-def test_an_error_of_known_size_is_told_along_the_way_and_aside() -> None:
+def test_an_error_of_known_size_is_reported_along_the_way_and_aside() -> None:
     true = driving(covariances=np.tile(1e-4 * np.eye(6), (400, 1, 1)))
     ahead = np.zeros((400, 6))
     ahead[:, 0], ahead[:, 1] = np.linspace(0, 0.3, 400), np.linspace(0, -0.1, 400)

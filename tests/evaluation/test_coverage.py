@@ -44,7 +44,7 @@ def test_truth_that_covers_nothing_is_refused() -> None:
             time_coverage(standing(0.0, 0.1), truth)
 
 
-def test_few_pairs_are_told_with_the_setting_that_pairs_the_rest() -> None:
+def test_few_pairs_are_reported_with_the_setting_that_pairs_the_rest() -> None:
     estimate, truth = standing(*np.arange(0, 60, 0.1)), standing(*np.arange(10.04, 50, 0.2))
     warning = pairing_warning(estimate, truth, 3, 0.02)
     assert warning is not None

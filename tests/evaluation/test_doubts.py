@@ -57,21 +57,21 @@ def test_units_are_named_and_whose_they_are(per_second: float, name: str, start_
     sound = restamped(sound, sound.stamps_s + start_s)
     wrong = restamped(fast, np.rint(per_second * (fast.stamps_s + start_s)))
     for pair, whose in (((sound, wrong), "The ground truth's stamps"), ((wrong, sound), "The estimate's stamps")):
-        told = doubts_of(*pair, GAP_S)
-        assert told[0].startswith(whose)
-        assert f"look like {name}, not seconds: divide them by {per_second:.0f}." in told[0]
+        reported = doubts_of(*pair, GAP_S)
+        assert reported[0].startswith(whose)
+        assert f"look like {name}, not seconds: divide them by {per_second:.0f}." in reported[0]
 
 
 def test_few_pairs_of_other_units_are_counted() -> None:
     truth, estimate = drive(rate_hz=200.0), drive()
     in_ms = restamped(truth, 1e3 * truth.stamps_s)
-    told = doubts_of(estimate, in_ms, GAP_S)
-    assert told[1] == "Only 5 of 250 poses have a true one within 0.02 s, and errors are of these."
+    reported = doubts_of(estimate, in_ms, GAP_S)
+    assert reported[1] == "Only 5 of 250 poses have a true one within 0.02 s, and errors are of these."
     with pytest.raises(EvaluationError, match="look like milliseconds"):
         evaluate(restamped(estimate, estimate.stamps_s + 1e6), in_ms)
 
 
-def test_numbers_of_poses_are_told() -> None:
+def test_numbers_of_poses_are_reported() -> None:
     truth = drive()
     numbered = restamped(truth, np.arange(250.0))
     assert "The estimate's stamps (0 to 249) look like numbers of poses" in doubts_of(numbered, truth, GAP_S)[0]
@@ -80,7 +80,7 @@ def test_numbers_of_poses_are_told() -> None:
 
 
 @pytest.mark.parametrize("body", ["base", "camera"])
-def test_quaternions_that_begin_with_w_are_told_and_in_which_file(body: str) -> None:
+def test_quaternions_that_begin_with_w_are_reported_and_in_which_file(body: str) -> None:
     truth = drive(body)
     (of_estimate,) = doubts_of(with_w_first(truth), truth, GAP_S)
     (of_truth,) = doubts_of(truth, with_w_first(truth), GAP_S)

@@ -106,7 +106,7 @@ def test_one_of_several_odometries_goes_by_the_settings_beside_its_folder(way: T
 
 def test_what_cannot_be_exported_is_said_in_one_line(export: Command, way: Trajectory, tmp_path: Path) -> None:
     run = leave_run(tmp_path / "run", way)
-    for words, told in (
+    for words, reported in (
         (("--format", "svo"), "--format is 'svo' (one of colmap, euroc, kitti, nerfstudio, octomap, tum)"),
         (("--format", "tum", "--body", "wheel"), "--body is 'wheel' (one of base, camera)"),
         (("--format", "tum", "--body", "camera"), "is of the base, and no calibration is there"),
@@ -117,7 +117,7 @@ def test_what_cannot_be_exported_is_said_in_one_line(export: Command, way: Traje
     ):
         answer = export(run, *words)
         assert answer.exit_code == 2
-        assert told in answer.stderr
+        assert reported in answer.stderr
         assert len(answer.stderr.splitlines()) == 1
     assert {path.name for path in run.iterdir()} == {"trajectory.txt", "status.csv", "metrics.json", "config.yaml"}
 

@@ -65,11 +65,11 @@ def test_no_count_is_lost_at_6000_pulses_a_second(uno: Chip) -> None:
 def test_a_line_comes_every_20_ms_with_its_time(uno: Chip) -> None:
     uno.turn("left", 4 * 4000, 2000)
     uno.run(1.9)
-    told = readings(uno)
-    assert len(told) == pytest.approx(94, abs=2)
-    assert np.abs(np.diff(told[:, 0]) - 20_000).max() < 100
-    steps = np.diff(told[5:, 1])
-    assert np.abs(steps - COUNTS_A_PULSE * 2000 * np.diff(told[5:, 0]) * 1e-6).max() <= 2
+    reported = readings(uno)
+    assert len(reported) == pytest.approx(94, abs=2)
+    assert np.abs(np.diff(reported[:, 0]) - 20_000).max() < 100
+    steps = np.diff(reported[5:, 1])
+    assert np.abs(steps - COUNTS_A_PULSE * 2000 * np.diff(reported[5:, 0]) * 1e-6).max() <= 2
 
 
 class Host:
@@ -81,9 +81,9 @@ class Host:
 
     def hear(self, uno: Chip) -> None:
         for cycle, byte in uno.sent():
-            for told in self.decoder.feed(bytes([byte]), cycle / UNO_HZ + BYTE_S):
-                assert isinstance(told, PlainReading)
-                self.ticks += self.tracker.add_line(told)
+            for reported in self.decoder.feed(bytes([byte]), cycle / UNO_HZ + BYTE_S):
+                assert isinstance(reported, PlainReading)
+                self.ticks += self.tracker.add_line(reported)
 
 
 def test_the_link_reads_what_the_sketch_prints(uno: Chip) -> None:

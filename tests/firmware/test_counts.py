@@ -79,7 +79,7 @@ def test_rising_edges_alone_count_each_tremble(built: Path, rising_edges: Path) 
             chip.turn("left", 1, 1000)
             chip.turn("left", -1, 1000)
         chip.rest()
-        assert last(chip)[0] == chip.pulses()[0] + 500  # why the program counts both edges unless told otherwise
+        assert last(chip)[0] == chip.pulses()[0] + 500  # why the program counts both edges unless reported otherwise
 
 
 @pytest.mark.parametrize("cycles", [3, 10, 20])
@@ -92,7 +92,7 @@ def test_spikes_are_no_pulses(chip: Chip, cycles: int) -> None:
     assert last(chip) == (0, 0)
 
 
-def test_reset_begins_anew_in_the_middle_of_a_turn(chip: Chip) -> None:
+def test_reset_begins_again_in_the_middle_of_a_turn(chip: Chip) -> None:
     chip.turn("left", 4000, 4000)
     chip.turn("right", -4000, 4000)
     chip.run(0.1)

@@ -100,7 +100,7 @@ def test_the_watch_is_kept_at_full_speed_and_in_the_papers_format(chip: Chip) ->
     assert silent_until_neutral(chip) == pytest.approx(0.25, abs=0.02)
 
 
-def test_a_program_that_hangs_is_started_anew_with_motors_at_rest(chip: Chip) -> None:
+def test_a_program_that_hangs_is_started_again_with_motors_at_rest(chip: Chip) -> None:
     chip.command(LinkCommand.DRIVE, drive_body(0.9, 0.9))
     chip.run(0.01)
     chip.ask("hang")

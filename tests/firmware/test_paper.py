@@ -9,7 +9,7 @@ from wheelsight.io.devices.wire_formats import Ack, Counts, FrameDecoder, LinkCo
 
 @pytest.fixture
 def paper_chip(chip: Chip) -> Chip:
-    """A chip told to use the paper's format; its answer, the last frame, has been read."""
+    """A chip reported to use the paper's format; its answer, the last frame, has been read."""
     chip.command(LinkCommand.SET_FORMAT, b"\1")
     chip.run(0.005)
     answer = chip.messages()[-1]
@@ -55,7 +55,7 @@ def test_a_full_frame_is_sent_early_and_no_pulse_is_lost(paper_chip: Chip, left:
     assert tuple(pulses.sum(axis=0)) == paper_chip.pulses()
     assert np.abs(pulses).max() in (100, 101)
     assert np.abs(np.diff(seconds) * FASTEST_PULSES_PER_S - 100).min() < 2
-    assert np.diff(seconds).min() > 0.01  # a silence, by which pairs are told apart
+    assert np.diff(seconds).min() > 0.01  # a silence, by which pairs are distinguished
 
 
 def test_speeds_beyond_the_papers_lose_nothing_either(paper_chip: Chip) -> None:
@@ -87,7 +87,7 @@ def test_back_to_frames(paper_chip: Chip) -> None:
     assert first[2:] == counts[2:]
     assert isinstance(answer, Ack)
     assert (answer.command, answer.status) == (LinkCommand.SET_FORMAT, 0)
-    assert counts[2:] == (100, 0)  # the whole count: pulses told in pairs are not forgotten
+    assert counts[2:] == (100, 0)  # the whole count: pulses reported in pairs are not forgotten
     assert len(messages) == pytest.approx(7, abs=1)
 
 
@@ -114,11 +114,11 @@ def test_pulses_since_the_last_frame_are_in_the_first_pairs(chip: Chip) -> None:
     sent = bytes(byte for _, byte in chip.sent())
     decoder = FrameDecoder()
     messages = decoder.feed(sent)
-    told = [message for message in messages if isinstance(message, Counts)][-1].left
+    reported = [message for message in messages if isinstance(message, Counts)][-1].left
     pulses = np.frombuffer(sent[-decoder.ended :], np.int8)[1::2]
     assert isinstance(messages[-1], Ack)
-    assert told > 0
-    assert told + pulses.sum() == FASTEST_PULSES_PER_S
+    assert reported > 0
+    assert reported + pulses.sum() == FASTEST_PULSES_PER_S
 
 
 def test_asked_for_again_it_goes_on(paper_chip: Chip) -> None:
@@ -132,7 +132,7 @@ def test_asked_for_again_it_goes_on(paper_chip: Chip) -> None:
     assert np.diff(seconds).max() < 0.021
 
 
-def test_what_was_counted_before_the_change_is_not_told_again(chip: Chip) -> None:
+def test_what_was_counted_before_the_change_is_not_reported_again(chip: Chip) -> None:
     chip.turn("left", 4000, 5000)
     chip.rest()
     chip.command(LinkCommand.SET_FORMAT, b"\1")

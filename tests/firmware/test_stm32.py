@@ -33,14 +33,16 @@ def last(board: Stm32) -> tuple[int, int]:
 
 def address_of(folder: Path, symbol: str) -> int:
     """Where the program keeps a variable."""
-    told = subprocess.run(["arm-none-eabi-nm", folder / "controller.elf"], capture_output=True, text=True, check=True)
-    (line,) = (line for line in told.stdout.splitlines() if line.split()[-1].split(".")[0] == symbol)
+    reported = subprocess.run(
+        ["arm-none-eabi-nm", folder / "controller.elf"], capture_output=True, text=True, check=True
+    )
+    (line,) = (line for line in reported.stdout.splitlines() if line.split()[-1].split(".")[0] == symbol)
     return int(line.split()[0], 16)
 
 
 def test_the_build_prints_a_size_that_leaves_room(built_stm32: Path, board: Stm32) -> None:
-    told = re.findall(r"^ *(\d+)\t *(\d+)\t *(\d+)\t", (built_stm32 / "size.txt").read_text(), re.MULTILINE)
-    text, data, bss = map(int, told[-1])
+    reported = re.findall(r"^ *(\d+)\t *(\d+)\t *(\d+)\t", (built_stm32 / "size.txt").read_text(), re.MULTILINE)
+    text, data, bss = map(int, reported[-1])
     assert 0 < text < 32 << 10
     assert 0 < data + bss < DATA_SIZE
     board.command(LinkCommand.DRIVE, drive_body(0.1, 0.1))
@@ -114,7 +116,7 @@ def test_counts_and_clock_roll_over_and_the_host_goes_on(built_stm32: Path, boar
     assert all(before.stamp_s < after.stamp_s for before, after in pairwise(ticks))
 
 
-def test_a_reset_is_told_and_is_no_motion(board: Stm32) -> None:
+def test_a_reset_is_reported_and_is_no_motion(board: Stm32) -> None:
     tracker, ticks = TickTracker(), list[WheelTicks]()
 
     def hear() -> None:
@@ -276,7 +278,7 @@ def test_ten_commands_a_second_keep_them_turning_and_others_do_not(board: Stm32)
     assert board.duties() == NEUTRAL
 
 
-def test_a_program_that_hangs_is_started_anew_with_motors_at_rest(board: Stm32) -> None:
+def test_a_program_that_hangs_is_started_again_with_motors_at_rest(board: Stm32) -> None:
     board.command(LinkCommand.DRIVE, drive_body(0.9, 0.9))
     board.run(0.01)
     assert board.duties() != NEUTRAL

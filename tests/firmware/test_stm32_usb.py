@@ -101,7 +101,7 @@ def test_no_count_is_lost_over_usb_at_twice_400_khz(board: Stm32, host: UsbHost,
     host.open_port()
     board.turn("left", 200_000, 400_000)
     board.turn("right", -200_000, 399_000)
-    counts = [told for told in heard(board, host, decoder, 0.7) if isinstance(told, Counts)]
+    counts = [reported for reported in heard(board, host, decoder, 0.7) if isinstance(reported, Counts)]
     assert (counts[-1].left, counts[-1].right) == board.positions() == (200_000, -200_000)
     assert (decoder.statistics.lost, decoder.statistics.crc_errors, decoder.statistics.malformed) == (0, 0, 0)
 
@@ -109,8 +109,10 @@ def test_no_count_is_lost_over_usb_at_twice_400_khz(board: Stm32, host: UsbHost,
 def test_commands_are_obeyed_and_answered_on_both_lines(board: Stm32, host: UsbHost, decoder: FrameDecoder) -> None:
     host.open_port()
     host.write(encode_command(LinkCommand.DRIVE, 77, drive_body(0.5, -0.25)))
-    told = heard(board, host, decoder, 0.04)
-    assert [(ack.command, ack.command_sequence) for ack in told if isinstance(ack, Ack)] == [(LinkCommand.DRIVE, 77)]
+    reported = heard(board, host, decoder, 0.04)
+    assert [(ack.command, ack.command_sequence) for ack in reported if isinstance(ack, Ack)] == [
+        (LinkCommand.DRIVE, 77)
+    ]
     assert board.duties() == pytest.approx((500, -250), abs=0.1)
     assert [ack.command_sequence for ack in board.acks()] == [77]
     # Halves of commands that come over both lines at once are not mixed.
@@ -130,8 +132,8 @@ def test_a_host_that_writes_without_end_waits_and_loses_nothing(
     acks: list[Ack] = []
     for n in range(0, 180, 30):  # 390 bytes at a time, of which the board keeps 255
         host.write(b"".join(encode_command(LinkCommand.DRIVE, n + k, drive_body(0.1, 0.1)) for k in range(30)))
-        acks += [told for told in heard(board, host, decoder, 0.02) if isinstance(told, Ack)]
-    acks += [told for told in heard(board, host, decoder, 0.1) if isinstance(told, Ack)]
+        acks += [reported for reported in heard(board, host, decoder, 0.02) if isinstance(reported, Ack)]
+    acks += [reported for reported in heard(board, host, decoder, 0.1) if isinstance(reported, Ack)]
     assert [ack.command_sequence for ack in acks] == list(range(180))
 
 
@@ -144,7 +146,7 @@ def test_noise_on_usb_does_nothing(
         board.run(0.005)
     assert board.duties() == pytest.approx((0, 0), abs=0.1)
     host.write(encode_command(LinkCommand.STOP, 5))
-    acks = [told.command_sequence for told in heard(board, host, decoder, 0.1) if isinstance(told, Ack)]
+    acks = [reported.command_sequence for reported in heard(board, host, decoder, 0.1) if isinstance(reported, Ack)]
     assert acks == [5]
 
 
@@ -177,7 +179,7 @@ def test_any_request_is_answered_or_refused(
 def test_plugged_in_again(board: Stm32, host: UsbHost, decoder: FrameDecoder) -> None:
     host.open_port()
     heard(board, host, decoder, 0.1)
-    board.run(0.5)  # nobody takes what is said
+    board.run(0.5)  # no one takes what is said
     host.plug()
     assert host.read() == b""
     host.open_port()
@@ -186,7 +188,7 @@ def test_plugged_in_again(board: Stm32, host: UsbHost, decoder: FrameDecoder) ->
     assert first.clock_us > 600_000
 
 
-def test_a_board_that_begins_anew_is_seen_to_go_and_come(board: Stm32, host: UsbHost, decoder: FrameDecoder) -> None:
+def test_a_board_that_begins_again_is_seen_to_go_and_come(board: Stm32, host: UsbHost, decoder: FrameDecoder) -> None:
     board.hang()
     board.run(0.06)
     assert board.resets == 1

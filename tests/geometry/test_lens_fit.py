@@ -18,7 +18,7 @@ def test_brown_is_found_again(rng: np.random.Generator) -> None:
     assert found.worst == pytest.approx(0, abs=1e-12)
 
 
-def test_what_it_cannot_bend_is_told(rng: np.random.Generator) -> None:
+def test_what_it_cannot_bend_is_reported(rng: np.random.Generator) -> None:
     xy = rng.uniform(-0.6, 0.6, (200, 2))
     moved = fitted_lens(xy, xy + (0.01, 0.0))
     assert 0.001 < moved.worst < 0.02

@@ -23,8 +23,8 @@ def packed(**arrays: np.ndarray) -> bytes:
 def with_header(content: bytes, shape: tuple[int, ...], descr: Any = "<f8", is_fortran: bool = False) -> bytes:
     """A file of one array with a header of its own."""
     buffer, file = io.BytesIO(), io.BytesIO()
-    told = {"descr": descr, "fortran_order": is_fortran, "shape": shape}
-    np.lib.format.write_array_header_1_0(buffer, told)
+    reported = {"descr": descr, "fortran_order": is_fortran, "shape": shape}
+    np.lib.format.write_array_header_1_0(buffer, reported)
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("a.npy", buffer.getvalue() + content)
     return file.getvalue()

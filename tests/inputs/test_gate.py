@@ -1,4 +1,4 @@
-"""What is no ordinary file, or larger than its kind, is told in one line and never opened."""
+"""What is no ordinary file, or larger than its kind, is reported in one line and never opened."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_an_ordinary_file_and_a_link_to_one_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.timeout(60)
-def test_a_pipe_that_nobody_writes_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_pipe_that_no_one_writes_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to("pipe")
     for name in ("pipe", "link"):
@@ -53,13 +53,13 @@ def test_devices_and_what_the_kernel_makes_up_are_no_files(name: str, tmp_path: 
     refused(tmp_path / "list.txt", "is a device" if name.startswith("/dev") else "is no file on a disk")
 
 
-def test_a_file_of_ten_gigabytes_is_told_by_its_size(tmp_path: Path) -> None:
+def test_a_file_of_ten_gigabytes_is_reported_by_its_size(tmp_path: Path) -> None:
     with (tmp_path / "sparse").open("wb") as stream:
         stream.truncate(10 << 30)
     refused(tmp_path / "sparse", "holds 10240 MB, more than a list may: 1 MB (is it the right file?)")
 
 
-def test_what_is_not_there_is_told_as_its_kind_says(tmp_path: Path) -> None:
+def test_what_is_not_there_is_reported_as_its_kind_says(tmp_path: Path) -> None:
     refused(tmp_path / "none", "is missing (each recording needs it)")
     (tmp_path / "nowhere").symlink_to("none")
     refused(tmp_path / "nowhere", "is missing")
@@ -91,7 +91,7 @@ def test_text_is_read_with_its_byte_order_mark(tmp_path: Path, encoding: str) ->
         (b"\r" * 11, ": has more lines than a list may have: 10 (split it)"),
     ],
 )
-def test_what_is_no_text_is_told(tmp_path: Path, data: bytes, problem: str) -> None:
+def test_what_is_no_text_is_reported(tmp_path: Path, data: bytes, problem: str) -> None:
     (tmp_path / "a").write_bytes(data)
     with pytest.raises(RecordingError) as caught:
         read_text(tmp_path / "a", KIND, RecordingError)

@@ -1,4 +1,4 @@
-"""Sizes are those that OpenCV decodes, and told without decoding."""
+"""Sizes are those that OpenCV decodes, and reported without decoding."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ def test_sound_settings_are_made() -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "told"),
+    ("values", "reported"),
     [
         ({"lamp": {"watts": -1}}, "settings: lamp.watts is -1, which should be greater than 0"),
         ({"lamp": {"colour": "green"}}, "settings: lamp.colour is 'green' (known: 'red' or 'blue')"),
@@ -50,10 +50,10 @@ def test_sound_settings_are_made() -> None:
         (7, "settings: should be a valid dictionary or instance of Room"),
     ],
 )
-def test_the_first_wrong_setting_is_told(values: Any, told: str) -> None:
+def test_the_first_wrong_setting_is_reported(values: Any, reported: str) -> None:
     with pytest.raises(MapError) as caught:
         checked_settings(Room, values, MapError, "settings: ")
-    assert str(caught.value) == told
+    assert str(caught.value) == reported
 
 
 def test_a_fix_for_all_of_them_stands() -> None:

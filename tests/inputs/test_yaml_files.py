@@ -36,7 +36,7 @@ def test_what_opencv_writes_is_read() -> None:
 
 @pytest.mark.timeout(60)
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         (LAUGHS, ":6: holds more than 100000 values, aliases counted as what they stand for"),
         ("a: &a [1, *a]", ":1: alias 'a' stands for what it lies in"),
@@ -60,11 +60,11 @@ def test_what_opencv_writes_is_read() -> None:
         ("a: 1\nb: \x07", ":2: holds the character '\\x07', which YAML does not allow"),
     ],
 )
-def test_hostile_text_is_refused_in_one_short_line(text: str, told: str) -> None:
+def test_hostile_text_is_refused_in_one_short_line(text: str, reported: str) -> None:
     with pytest.raises(CalibrationError) as caught:
         parsed(text)
     message = str(caught.value)
-    assert message.startswith(f"{PATH}{told}")
+    assert message.startswith(f"{PATH}{reported}")
     assert message.endswith(" (correct the line, or put the text in quotes)")
     assert len(message) < 300
 

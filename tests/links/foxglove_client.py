@@ -84,7 +84,7 @@ class FoxgloveClient:
             self.read(0.05)
         raise AssertionError(f"it did not come to be: {self.statuses[-3:]}, {[*self.messages]}")
 
-    def until_told(self) -> None:
+    def until_reported(self) -> None:
         """Until it knows the server and its channels."""
         self.until(lambda: self.about and self.channels)
 

@@ -31,7 +31,7 @@ _CLIENT = """
 import sys
 from links.foxglove_client import FoxgloveClient
 with FoxgloveClient(sys.argv[1]) as client:
-    client.until_told()
+    client.until_reported()
     client.subscribe(*client.channels)
     while True:
         client.read(1.0)

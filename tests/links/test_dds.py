@@ -154,7 +154,7 @@ def test_a_flood_that_ends_by_a_kill_leaves_the_robot_standing() -> None:
             other.process.kill()
             other.process.wait()
         served.until_stands()
-        served.until(lambda told: told["state"] == "idle")
+        served.until(lambda reported: reported["state"] == "idle")
 
 
 @pytest.mark.slow

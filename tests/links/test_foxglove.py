@@ -65,7 +65,7 @@ def test_channels_schemas_and_messages_are_read_and_a_goal_is_driven_to(served: 
 
 
 def test_who_comes_late_gets_maps_and_mounts(served: Linked) -> None:
-    served.until(lambda told: told["pose"] is not None)
+    served.until(lambda reported: reported["pose"] is not None)
     with FoxgloveClient(served.address) as client:
         client.subscribe("/tf_static", "/map", "/wheelsight/calibration")
         frames = {one.child_frame_id for one in client.last("/tf_static").transforms}
@@ -95,7 +95,7 @@ def test_a_stick_drives_and_the_robot_stops_when_its_program_vanishes(served: Li
         client.until(lambda: state(client)["doing"] == "by hand")
         client.connection.socket.shutdown(socket.SHUT_RDWR)  # as a program that is killed
     served.until_stands()
-    served.until(lambda told: told["state"] == "idle")
+    served.until(lambda reported: reported["state"] == "idle")
 
 
 @pytest.mark.slow
@@ -282,7 +282,7 @@ def test_without_the_token_nothing_is_shown(served: Linked, query: str) -> None:
 def test_there_is_room_for_eight(served: Linked) -> None:
     clients = [FoxgloveClient(served.address) for _ in range(8)]
     for client in clients:
-        client.until_told()
+        client.until_reported()
     with pytest.raises(InvalidStatus) as refused:
         FoxgloveClient(served.address)
     assert refused.value.response.status_code == 503
@@ -329,7 +329,7 @@ def test_the_sdks_own_server_speaks_alike_and_lets_strangers_in(served: Linked) 
         address = f"ws://127.0.0.1:{server.port}/?token=wrong"
         with FoxgloveClient(address, origin="https://evil.example") as theirs, FoxgloveClient(served.address) as ours:
             for client in (theirs, ours):
-                client.until_told()
+                client.until_reported()
             assert ours.about.keys() <= theirs.about.keys() | {"metadata"}
             assert ours.about["capabilities"] == theirs.about["capabilities"]
             assert set(ours.about["supportedEncodings"]) == set(theirs.about["supportedEncodings"])

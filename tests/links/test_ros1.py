@@ -89,8 +89,8 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 @pytest.mark.slow
 def test_rosbag_reads_each_bag_that_is_written(ros1: dict[str, str], bags: dict[str, Path]) -> None:
     for form, bag in bags.items():
-        told = rosbag(ros1, "info", str(bag))
-        listed = dict(re.findall(r"^(?:topics:)?\s+(/\S+)\s+(\d+) msgs?", told, re.MULTILINE))
+        reported = rosbag(ros1, "info", str(bag))
+        listed = dict(re.findall(r"^(?:topics:)?\s+(/\S+)\s+(\d+) msgs?", reported, re.MULTILINE))
         if form != "run":  # its odometry is ours, and is no input
             assert {name: int(count) for name, count in listed.items()} == {
                 topic.name: topic.count

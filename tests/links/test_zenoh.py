@@ -130,7 +130,7 @@ def test_a_flood_that_ends_leaves_the_robot_standing() -> None:
 
 def test_a_router_that_is_not_there_holds_nothing_up() -> None:
     with linked(LinkSettings(ros2="zenoh", domain=DOMAIN, interface="127.0.0.1:9")) as served:
-        served.until(lambda told: told["pose"] is not None)
+        served.until(lambda reported: reported["pose"] is not None)
 
 
 @pytest.mark.parametrize("address", ["udp/here", "here:port", "a:99999", ""])

@@ -49,10 +49,10 @@ class BrowserPage:
         self._count += 1
         self._debugger.send(json.dumps({"id": self._count, "method": method, "params": parameters}))
         while True:
-            told = json.loads(self._debugger.recv(timeout=_ANSWER_S))
-            if told.get("id") == self._count:
-                return dict(told.get("result", {}))
-            self._note(told.get("method"), told.get("params", {}))
+            reported = json.loads(self._debugger.recv(timeout=_ANSWER_S))
+            if reported.get("id") == self._count:
+                return dict(reported.get("result", {}))
+            self._note(reported.get("method"), reported.get("params", {}))
 
     def open(self, address: str, width: int = 1280, height: int = 900) -> None:
         """Go there, with a window of a size."""
@@ -100,13 +100,13 @@ class BrowserPage:
     def _mouse(self, kind: str, x: float, y: float, buttons: int) -> None:
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=buttons, clickCount=1)
 
-    def _note(self, method: str | None, told: dict[str, Any]) -> None:
+    def _note(self, method: str | None, reported: dict[str, Any]) -> None:
         if method == "Runtime.exceptionThrown":
-            self.problems.append(json.dumps(told["exceptionDetails"])[:500])
-        elif method == "Log.entryAdded" and told["entry"]["level"] == "error":
-            self.problems.append(f"{told['entry']['text']} {told['entry'].get('url', '')}")
+            self.problems.append(json.dumps(reported["exceptionDetails"])[:500])
+        elif method == "Log.entryAdded" and reported["entry"]["level"] == "error":
+            self.problems.append(f"{reported['entry']['text']} {reported['entry'].get('url', '')}")
         elif method == "Network.requestWillBeSent":
-            self.asked.append(told["request"]["url"])
+            self.asked.append(reported["request"]["url"])
 
 
 @contextmanager

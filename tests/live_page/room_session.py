@@ -115,14 +115,14 @@ class Served:
     maps: RoomMaps
 
     def until(self, what: Callable[[dict[str, Any]], bool], seconds: float = LONGEST_S) -> dict[str, Any]:
-        """What is told once something is so; fails where it does not come to be."""
+        """What is reported once something is so; fails where it does not come to be."""
         ends_s = time.monotonic() + seconds
         while time.monotonic() < ends_s:
-            told = json.loads(self.session.latest.text)
-            if what(told):
-                return told
+            reported = json.loads(self.session.latest.text)
+            if what(reported):
+                return reported
             time.sleep(0.01)
-        raise AssertionError(f"it did not come to be: {told}")
+        raise AssertionError(f"it did not come to be: {reported}")
 
     def until_stopped(self) -> None:
         """Waits for the thread that stops the robot."""
@@ -156,7 +156,7 @@ def room_session(
     with Session(robot, maps, replaced(settings), paces=paces, on_problem=on_problem, watch=watch) as session:
         session.silent_s = BUSY_S
         served = Served(session, robot, maps)
-        served.until(lambda told: told["phase"] in ("driving", "choose"))
+        served.until(lambda reported: reported["phase"] in ("driving", "choose"))
         try:
             yield served
         finally:
@@ -167,5 +167,5 @@ def replaced(settings: dict[str, Any]) -> LivePageSettings:
     return SETTINGS.model_copy(update=settings)
 
 
-def is_near(told: dict[str, Any], x_m: float, y_m: float) -> bool:
-    return told["pose"] is not None and bool(np.hypot(told["pose"][0] - x_m, told["pose"][1] - y_m) < 0.2)
+def is_near(reported: dict[str, Any], x_m: float, y_m: float) -> bool:
+    return reported["pose"] is not None and bool(np.hypot(reported["pose"][0] - x_m, reported["pose"][1] - y_m) < 0.2)

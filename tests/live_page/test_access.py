@@ -26,7 +26,7 @@ def page(access: Access, refusals: list[str] | None = None) -> Iterator[tuple[Te
     """A client of it, once there are images, and when its robot was stopped."""
     kept = [] if refusals is None else refusals
     with room_session() as served, TestClient(page_app(served.session, SETTINGS, access, kept.append), HOME) as client:
-        served.until(lambda told: "camera" in told["pictures"])
+        served.until(lambda reported: "camera" in reported["pictures"])
         yield client, served.robot.stops_s
 
 
@@ -75,7 +75,7 @@ def behind_a_token(shared_behind_a_token: Asked) -> Asked:
 
 
 @pytest.mark.parametrize(
-    ("host", "told"),
+    ("host", "reported"),
     [
         ("127.0.0.1", True),
         ("127.8.8.8", True),
@@ -89,8 +89,8 @@ def behind_a_token(shared_behind_a_token: Asked) -> Asked:
         ("robot", False),
     ],
 )
-def test_this_computer_is_told_from_others(host: str, told: bool) -> None:
-    assert is_loopback(host) is told
+def test_this_computer_is_reported_from_others(host: str, reported: bool) -> None:
+    assert is_loopback(host) is reported
 
 
 def test_the_page_and_its_images_come_and_nothing_may_lead_out() -> None:

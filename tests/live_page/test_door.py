@@ -90,11 +90,11 @@ def test_a_door_that_dies_or_hangs_stops_the_robot_and_another_is_made(sign: sig
         app = page_app(served.session, replaced({}), Access(True))
         with PageServer(app, "127.0.0.1", 0, replaced({})) as running, opened(running.port) as page:
             page.send(str(GOAL).replace("'", '"'))
-            served.until(lambda told: told["speed_m_s"] > 0.2)
+            served.until(lambda reported: reported["speed_m_s"] > 0.2)
             first = running.door_id
             os.kill(first, sign)
-            told = served.until(lambda told: "door" in told["stopped"])
-            assert any("give it its task again" in one["text"] for one in told["said"])
+            reported = served.until(lambda reported: "door" in reported["stopped"])
+            assert any("give it its task again" in one["text"] for one in reported["said"])
             served.until_stopped()
             ends_s = time.monotonic() + 30
             while running.door_id in (0, first):
@@ -110,11 +110,11 @@ def test_a_page_that_hangs_stops_the_robot() -> None:
         app = page_app(served.session, replaced({}), Access(True))
         with PageServer(app, "127.0.0.1", 0, replaced({})) as running, opened(running.port) as page:
             page.send(str(GOAL).replace("'", '"'))
-            served.until(lambda told: told["speed_m_s"] > 0.2)
+            served.until(lambda reported: reported["speed_m_s"] > 0.2)
             goes_on = threading.Event()
             assert running.loop is not None
             running.loop.call_soon_threadsafe(goes_on.wait, 30)
-            served.until(lambda told: told["stopped"] == "the page does not answer")
+            served.until(lambda reported: reported["stopped"] == "the page does not answer")
             assert asked(running.port, "POST", "/stop")[0] == 200, "STOP takes another way"
             goes_on.set()
 
@@ -124,10 +124,10 @@ def test_a_page_that_ends_by_an_error_stops_the_robot() -> None:
         app = page_app(served.session, replaced({}), Access(True))
         with PageServer(app, "127.0.0.1", 0, replaced({})) as running:
             served.session.ask(GoToPose(type="goal", x_m=5.0, y_m=3.0))
-            served.until(lambda told: told["speed_m_s"] > 0.2)
+            served.until(lambda reported: reported["speed_m_s"] > 0.2)
             assert running.loop is not None
             running.loop.call_soon_threadsafe(running.loop.stop)
-            served.until(lambda told: told["stopped"].startswith("the page has ended (RuntimeError: "))
+            served.until(lambda reported: reported["stopped"].startswith("the page has ended (RuntimeError: "))
 
 
 # ---- the door itself, in this process

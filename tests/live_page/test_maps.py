@@ -25,7 +25,7 @@ def maps(known: Path | None, out: Path | None) -> DriveMaps:
     return DriveMaps(CONFIG, known, None, out, in_step=True)
 
 
-def test_maps_are_told_by_their_folders_the_newest_first(tmp_path: Path) -> None:
+def test_maps_are_reported_by_their_folders_the_newest_first(tmp_path: Path) -> None:
     for name in ("2026-11-24 09.00.00", "2026-11-25 09.00.00"):
         (tmp_path / "out" / name).mkdir(parents=True)
         write_map(tmp_path / "out" / name / "map", 3)

@@ -70,5 +70,5 @@ def test_what_makes_no_sense_is_refused_in_a_line(text: str) -> None:
         ('{"a":' * 5000 + '"stop"', False),
     ],
 )
-def test_stop_is_told_from_all_else(text: str, stops: bool) -> None:
+def test_stop_is_reported_from_all_else(text: str, stops: bool) -> None:
     assert says_stop(text) is stops

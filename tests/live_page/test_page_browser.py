@@ -1,4 +1,4 @@
-"""The page in a browser: a person clicks, the robot goes there; all is large, by keys too, and told when it is lost."""
+"""The page in a browser: the robot goes to a click; all is large, works by keys too, and says when it is lost."""
 
 from __future__ import annotations
 
@@ -59,31 +59,31 @@ def opened(chromium: str, width: int = 1280, height: int = 900, **settings: Any)
 def test_a_click_drives_there_and_a_drag_says_where_to_look(chromium: str) -> None:
     with opened(chromium) as one:
         one.page.click(*one.pixel(3.5, 3.0))
-        told = one.served.until(lambda told: told["state"] == "driving" and told["goal"])
-        assert told["goal"][:2] == pytest.approx([3.5, 3.0], abs=0.05)
+        reported = one.served.until(lambda reported: reported["state"] == "driving" and reported["goal"])
+        assert reported["goal"][:2] == pytest.approx([3.5, 3.0], abs=0.05)
         one.page.until("document.getElementById('state').textContent === 'has arrived'")
         one.page.click(*one.pixel(5.0, 3.0), to=one.pixel(5.0, 4.5))
-        told = one.served.until(lambda told: told["state"] == "driving" and told["goal"][0] > 4.5)
-        assert told["goal"] == pytest.approx([5.0, 3.0, 1.571], abs=0.05)
+        reported = one.served.until(lambda reported: reported["state"] == "driving" and reported["goal"][0] > 4.5)
+        assert reported["goal"] == pytest.approx([5.0, 3.0, 1.571], abs=0.05)
         assert one.page.value("at('who').textContent") == "you drive"
 
 
 def test_stop_is_there_for_fingers_and_keys_and_works_under_a_question(chromium: str) -> None:
     with opened(chromium) as one:
         one.page.click(*one.pixel(6.0, 3.0))
-        one.served.until(lambda told: told["speed_m_s"] > 0.2)
+        one.served.until(lambda reported: reported["speed_m_s"] > 0.2)
         one.page.key("Escape")
         one.page.until("at('state').textContent.startsWith('stopped: somebody pressed STOP')")
-        one.served.until(lambda told: told["speed_m_s"] == 0)
+        one.served.until(lambda reported: reported["speed_m_s"] == 0)
         one.page.click(*one.pixel(6.0, 3.0))
-        one.served.until(lambda told: told["speed_m_s"] > 0.2)
+        one.served.until(lambda reported: reported["speed_m_s"] > 0.2)
         one.page.value("[...document.querySelectorAll('#maps button')][0].click()")
         assert one.page.value("at('ask').open")
         stop = one.page.value(
             "(() => { const b = at('stop').getBoundingClientRect(); return [b.left + b.width / 2, b.top + 40]; })()"
         )
         one.page.click(*stop)
-        one.served.until(lambda told: told["stopped"])
+        one.served.until(lambda reported: reported["stopped"])
 
 
 def test_all_can_be_done_by_keys(chromium: str) -> None:
@@ -91,8 +91,8 @@ def test_all_can_be_done_by_keys(chromium: str) -> None:
         one.page.value("canvas.focus()")
         for key in [*8 * ["ArrowRight"], "ArrowUp", "q", "Enter"]:
             one.page.key(key)
-        told = one.served.until(lambda told: told["state"] == "driving" and told["goal"])
-        assert told["goal"] == pytest.approx([3.5, 3.25, 0.262], abs=0.05)
+        reported = one.served.until(lambda reported: reported["state"] == "driving" and reported["goal"])
+        assert reported["goal"] == pytest.approx([3.5, 3.25, 0.262], abs=0.05)
 
 
 def test_a_place_is_named_and_has_a_button(chromium: str) -> None:
@@ -102,7 +102,7 @@ def test_a_place_is_named_and_has_a_button(chromium: str) -> None:
         one.page.click(*one.pixel(3.0, 3.0))
         one.page.until("at('state').textContent === 'has arrived'")
         one.page.value("document.querySelector('#places button').click()")
-        one.served.until(lambda told: told["state"] == "driving" and told["goal"][0] < 2)
+        one.served.until(lambda reported: reported["state"] == "driving" and reported["goal"][0] < 2)
 
 
 SIZES = """[...document.querySelectorAll('button, input')]
@@ -134,7 +134,7 @@ def test_a_phone_shows_why_it_stands_the_plan_and_its_signs_without_scrolling(ch
         one.page.until("at('state').textContent === 'has arrived'")
         one.page.until("at('why').textContent === 'arrived: (3.50, 3.00) m'")
         one.page.click(*one.pixel(6.0, 3.0))
-        one.served.until(lambda told: told["speed_m_s"] > 0.2)
+        one.served.until(lambda reported: reported["speed_m_s"] > 0.2)
         assert one.page.value("at('why').textContent") == ""
         one.page.key("Escape")
         one.page.until("at('why').textContent === 'not arrived: somebody pressed STOP'")
@@ -162,7 +162,7 @@ def test_the_first_place_that_is_asked_for_brings_a_hint(chromium: str) -> None:
         one.page.value("hintMs -= HINT_MS + 1; show()")
         assert one.page.value("at('hint').hidden")
         one.page.click(*one.pixel(4.5, 3.0))
-        one.served.until(lambda told: told["goal"] and told["goal"][0] > 4.4)
+        one.served.until(lambda reported: reported["goal"] and reported["goal"][0] > 4.4)
         assert one.page.value("at('hint').hidden")
 
 

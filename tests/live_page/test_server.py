@@ -59,7 +59,7 @@ def test_each_bad_request_is_refused_and_the_page_goes_on() -> None:
         assert not served.robot.stops_s
         with opened(port) as socket_:
             socket_.send(json.dumps(GOAL))
-            served.until(lambda told: told["state"] == "driving")
+            served.until(lambda reported: reported["state"] == "driving")
 
 
 def test_nothing_is_answered_without_the_token() -> None:
@@ -75,7 +75,7 @@ def test_nothing_is_answered_without_the_token() -> None:
 def test_stop_works_while_the_robots_program_hangs(way: str) -> None:
     with server() as (served, port), opened(port) as socket_:
         socket_.send(json.dumps(GOAL))
-        served.until(lambda told: told["speed_m_s"] > 0.2)
+        served.until(lambda reported: reported["speed_m_s"] > 0.2)
         served.robot.goes_on.clear()
         time.sleep(0.1)
         asked_s = time.monotonic()
@@ -91,8 +91,8 @@ def test_stop_works_while_the_robots_program_hangs(way: str) -> None:
             time.sleep(0.001)
         # Many times what it takes, as others may keep the computer busy; benchmarks.live_page measures.
         assert served.robot.stops_s[0] - asked_s < 1.0
-        told = (json.loads(socket_.recv(timeout=10)) for _ in range(200))
-        assert any(one.get("age_s", 0) > 1.0 for one in told), "pages are told that it does not answer"
+        reported = (json.loads(socket_.recv(timeout=10)) for _ in range(200))
+        assert any(one.get("age_s", 0) > 1.0 for one in reported), "pages are reported that it does not answer"
 
 
 def test_a_page_that_never_reads_is_sent_away_and_others_are_not_kept_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -139,12 +139,12 @@ def test_a_page_that_vanishes_without_a_word_is_no_driver_for_long() -> None:
         text = json.dumps(GOAL).encode()
         mask = b"\x00\x00\x00\x00"
         raw.sendall(bytes([0x81, 0x80 | len(text)]) + mask + text)
-        served.until(lambda told: told["state"] == "driving")
-        served.until(lambda told: told["stopped"] == "the page of the driver is gone")
+        served.until(lambda reported: reported["state"] == "driving")
+        served.until(lambda reported: reported["stopped"] == "the page of the driver is gone")
         raw.close()
 
 
-def test_a_port_that_is_taken_is_told_in_a_line() -> None:
+def test_a_port_that_is_taken_is_reported_in_a_line() -> None:
     with server() as (served, port):
         app = page_app(served.session, replaced({}), Access(True))
         with pytest.raises(ConfigError, match=f"port {port}") as refused:
@@ -152,7 +152,7 @@ def test_a_port_that_is_taken_is_told_in_a_line() -> None:
         assert "\n" not in str(refused.value)
 
 
-def test_whoever_was_connected_learns_that_it_ends() -> None:
+def test_anyone_who_was_connected_learns_that_it_ends() -> None:
     with ExitStack() as held:
         with server() as (_, port):
             socket_ = held.enter_context(opened(port))

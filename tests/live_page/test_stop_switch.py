@@ -41,7 +41,7 @@ def test_a_robot_is_stopped_while_its_step_hangs() -> None:
     switch.close()
 
 
-def test_what_it_holds_stands_whatever_it_is_told_until_it_is_released() -> None:
+def test_what_it_holds_stands_whatever_it_is_reported_until_it_is_released() -> None:
     robot = ObedientRobot()
     switch = StopSwitch(robot)
     stoppable = WatchedRobot(robot, lambda: switch.reason)
@@ -63,7 +63,7 @@ def test_what_it_holds_stands_whatever_it_is_told_until_it_is_released() -> None
     switch.close()
 
 
-def test_a_robot_that_does_not_confirm_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_robot_that_does_not_confirm_is_reported_of(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = ObedientRobot()
     switch = StopSwitch(robot)
 

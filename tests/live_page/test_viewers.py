@@ -32,50 +32,50 @@ def page(refusals: list[str] | None = None, **settings: Any) -> Iterator[tuple[S
 def heard(socket: WebSocketTestSession, what: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
     """The first of what is sent for which something is so; a page that lives on says so meanwhile."""
     for _ in range(400):
-        told = socket.receive_json()
-        if what(told):
-            return dict(told)
+        reported = socket.receive_json()
+        if what(reported):
+            return dict(reported)
         socket.send_text(ALIVE)
-    raise AssertionError(f"it did not come: {told}")
+    raise AssertionError(f"it did not come: {reported}")
 
 
 def refused(words: str) -> Callable[[dict[str, Any]], bool]:
-    return lambda told: words in told.get("refused", "")
+    return lambda reported: words in reported.get("refused", "")
 
 
 def robot(what: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]], Any]:
-    return lambda told: "robot" in told and what(told["robot"])
+    return lambda reported: "robot" in reported and what(reported["robot"])
 
 
 def test_a_goal_clicked_on_a_page_is_driven_to() -> None:
     with page() as (_, open_page), open_page() as socket:
         welcome = socket.receive_json()["welcome"]
         assert welcome == {"you": 1, "old_s": 1.0}
-        told = heard(socket, lambda told: "robot" in told)
-        assert told["driver"] is None
-        assert told["viewers"] == 1
-        assert told["age_s"] < 1
+        reported = heard(socket, lambda reported: "robot" in reported)
+        assert reported["driver"] is None
+        assert reported["viewers"] == 1
+        assert reported["age_s"] < 1
         socket.send_json(GOAL)
-        told = heard(socket, robot(lambda told: told["state"] == "driving"))
-        assert told["driver"] == 1
-        assert is_near(heard(socket, robot(lambda told: told["state"] == "arrived"))["robot"], 5.0, 3.0)
+        reported = heard(socket, robot(lambda reported: reported["state"] == "driving"))
+        assert reported["driver"] == 1
+        assert is_near(heard(socket, robot(lambda reported: reported["state"] == "arrived"))["robot"], 5.0, 3.0)
 
 
 def test_one_drives_and_everybody_stops() -> None:
     with page() as (served, open_page), open_page() as first, open_page() as second:
         assert second.receive_json()["welcome"]["you"] == 2
         first.send_json(GOAL)
-        heard(first, robot(lambda told: told["speed_m_s"] > 0.2))
+        heard(first, robot(lambda reported: reported["speed_m_s"] > 0.2))
         second.send_json(GOAL)
         heard(second, refused("another page drives"))
         second.send_json({"type": "take"})
-        heard(second, lambda told: told.get("driver") == 2)
+        heard(second, lambda reported: reported.get("driver") == 2)
         assert not served.robot.stops_s, "who takes control changes nothing of the drive"
         first.send_json({"type": "explore"})
         heard(first, refused("another page drives"))
         first.send_json({"type": "stop"})
-        told = heard(second, robot(lambda told: told["stopped"]))["robot"]
-        assert told["stopped"] == "somebody pressed STOP"
+        reported = heard(second, robot(lambda reported: reported["stopped"]))["robot"]
+        assert reported["stopped"] == "somebody pressed STOP"
         assert len(served.robot.stops_s) == 1
 
 
@@ -84,37 +84,37 @@ def test_a_robot_whose_driver_is_gone_stops(leaves: str) -> None:
     with page() as (served, open_page):
         with open_page() as socket:
             socket.send_json(GOAL)
-            heard(socket, robot(lambda told: told["speed_m_s"] > 0.2))
+            heard(socket, robot(lambda reported: reported["speed_m_s"] > 0.2))
             if leaves == "gives up":
                 socket.send_json({"type": "leave"})
-                heard(socket, robot(lambda told: told["stopped"]))
-        served.until(lambda told: told["stopped"] == GONE)
-        served.until(lambda told: told["speed_m_s"] == 0)
+                heard(socket, robot(lambda reported: reported["stopped"]))
+        served.until(lambda reported: reported["stopped"] == GONE)
+        served.until(lambda reported: reported["speed_m_s"] == 0)
 
 
 def test_a_driver_who_falls_silent_is_gone() -> None:
     with page(driver_silent_s=0.6) as (served, open_page), open_page() as socket:
         socket.send_json(GOAL)
-        heard(socket, robot(lambda told: told["speed_m_s"] > 0.1))
-        served.until(lambda told: told["stopped"] == GONE)
+        heard(socket, robot(lambda reported: reported["speed_m_s"] > 0.1))
+        served.until(lambda reported: reported["stopped"] == GONE)
 
 
 def test_it_may_drive_on_without_a_driver_where_settings_say_so() -> None:
     with page(stops_without_driver=False) as (served, open_page):
         with open_page() as socket:
             socket.send_json(GOAL)
-            heard(socket, robot(lambda told: told["speed_m_s"] > 0.2))
-        assert is_near(served.until(lambda told: told["state"] == "arrived"), 5.0, 3.0)
+            heard(socket, robot(lambda reported: reported["speed_m_s"] > 0.2))
+        assert is_near(served.until(lambda reported: reported["state"] == "arrived"), 5.0, 3.0)
         assert not served.robot.stops_s
 
 
 def test_a_viewer_who_leaves_stops_nothing() -> None:
     with page() as (served, open_page), open_page() as driver:
         driver.send_json(GOAL)
-        heard(driver, robot(lambda told: told["speed_m_s"] > 0.2))
+        heard(driver, robot(lambda reported: reported["speed_m_s"] > 0.2))
         with open_page() as other:
-            heard(other, lambda told: told.get("viewers") == 2)
-        heard(driver, lambda told: told.get("viewers") == 1)
+            heard(other, lambda reported: reported.get("viewers") == 2)
+        heard(driver, lambda reported: reported.get("viewers") == 1)
         assert not served.robot.stops_s
 
 
@@ -122,43 +122,43 @@ def steered(socket: WebSocketTestSession, what: Callable[[dict[str, Any]], Any],
     """Hold the stick forward until something is so, and return what was sent then."""
     for _ in range(400):
         socket.send_json({"type": "stick", "forward": 0.4, "left": left})
-        told = socket.receive_json()
-        if robot(what)(told):
-            return dict(told["robot"])
-    raise AssertionError(f"it did not come: {told}")
+        reported = socket.receive_json()
+        if robot(what)(reported):
+            return dict(reported["robot"])
+    raise AssertionError(f"it did not come: {reported}")
 
 
 def test_the_stick_of_a_page_drives_and_a_silent_one_stands() -> None:
     with page() as (served, open_page), open_page() as socket:
-        steered(socket, lambda told: told["speed_m_s"] > 0.25)
+        steered(socket, lambda reported: reported["speed_m_s"] > 0.25)
         # Nothing more comes from the stick; the page itself is alive.
-        told = heard(socket, robot(lambda told: told["speed_m_s"] == 0))
-        assert told["robot"]["stopped"] == ""
+        reported = heard(socket, robot(lambda reported: reported["speed_m_s"] == 0))
+        assert reported["robot"]["stopped"] == ""
         at_m = served.robot.base.pose[0]
         assert BEGIN[0] + 0.1 < at_m < 6.0
-        heard(socket, robot(lambda told: told["state"] == "idle"))
+        heard(socket, robot(lambda reported: reported["state"] == "idle"))
         assert served.robot.base.pose[0] == pytest.approx(at_m, abs=0.02)
 
 
 def test_a_page_that_is_gone_while_its_stick_is_held_stops_the_robot() -> None:
     with page() as (served, open_page):
         with open_page() as socket:
-            steered(socket, lambda told: told["speed_m_s"] > 0.25)
-        served.until(lambda told: told["stopped"] == GONE)
-        served.until(lambda told: told["speed_m_s"] == 0)
+            steered(socket, lambda reported: reported["speed_m_s"] > 0.25)
+        served.until(lambda reported: reported["stopped"] == GONE)
+        served.until(lambda reported: reported["speed_m_s"] == 0)
 
 
 def test_the_stick_of_a_page_is_helped_along_a_wall_and_says_so() -> None:
     with page() as (served, open_page), open_page() as socket:
         served.robot.base.pose[:] = 4.0, 0.9, -0.35
-        told = steered(socket, lambda told: told["doing"].startswith("steers"))
-        assert told["doing"] == "steers to the left"
-        assert told["state"] == "driving"
+        reported = steered(socket, lambda reported: reported["doing"].startswith("steers"))
+        assert reported["doing"] == "steers to the left"
+        assert reported["state"] == "driving"
 
 
 def test_a_stick_of_another_page_and_one_beyond_its_way_are_refused() -> None:
     with page() as (_, open_page), open_page() as one, open_page() as other:
-        steered(one, lambda told: told["speed_m_s"] > 0.1)
+        steered(one, lambda reported: reported["speed_m_s"] > 0.1)
         other.send_json({"type": "stick", "forward": 0.5, "left": 0.0})
         heard(other, refused("another page drives"))
         for wrong in ("2.0", "NaN", '"1"'):
@@ -168,10 +168,10 @@ def test_a_stick_of_another_page_and_one_beyond_its_way_are_refused() -> None:
 
 def test_the_costmap_is_made_while_somebody_looks_at_it() -> None:
     with page(images_hz=20.0) as (served, open_page), open_page() as socket:
-        assert "costmap" not in heard(socket, lambda told: "robot" in told)["robot"]["pictures"]
+        assert "costmap" not in heard(socket, lambda reported: "robot" in reported)["robot"]["pictures"]
         socket.send_json({"type": "costmap", "shown": True})
-        told = heard(socket, robot(lambda told: "costmap" in told["pictures"]))
-        assert len(told["robot"]["pictures"]["costmap"]["place"]) == 4
+        reported = heard(socket, robot(lambda reported: "costmap" in reported["pictures"]))
+        assert len(reported["robot"]["pictures"]["costmap"]["place"]) == 4
         assert served.session.latest.pictures["costmap"].body.startswith(b"\x89PNG")
 
 
@@ -239,7 +239,7 @@ def test_too_many_pages_are_refused() -> None:
         assert (gone.code, gone.reason) == (1013, "too many pages are open: 2")
 
 
-def test_what_is_asked_in_vain_is_told() -> None:
+def test_what_is_asked_in_vain_is_reported() -> None:
     with page() as (served, open_page), open_page() as socket:
         served.robot.goes_on.clear()
         for _ in range(30):
@@ -247,7 +247,7 @@ def test_what_is_asked_in_vain_is_told() -> None:
         heard(socket, refused("too much was asked at once"))
 
 
-def test_what_is_told_is_json_for_browsers() -> None:
+def test_what_is_reported_is_json_for_browsers() -> None:
     with page() as (_, open_page), open_page() as socket:
         socket.receive_text()
         for _ in range(5):

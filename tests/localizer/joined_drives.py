@@ -48,7 +48,7 @@ class Sight:
         blind: why nothing, or None.
         wrong: velocity (vx, vy, ωz) of the base that is seen besides the true one.
         place: number of the place; a camera knows the one where it began.
-        hidden: (K, 6) directions (v, ω · 2 m) in the keyframe that are not shown; there the prior is told.
+        hidden: (K, 6) directions (v, ω · 2 m) in the keyframe that are not shown; there the prior is reported.
     """
 
     blind: Reason | None = None
@@ -58,12 +58,12 @@ class Sight:
 
 
 class Eye:
-    """Camera odometry by keyframes that is told the truth, T_odom_base, and what each stamp's frame shows.
+    """Camera odometry by keyframes that is reported the truth, T_odom_base, and what each stamp's frame shows.
 
     Attributes:
         taken_s: when frames were taken, by their index, where their stamps do not tell it.
         priors: by stamps, that of the frame tracked before, and the motion since then that was to be expected.
-        restarts: by stamps, the poses T_odom_camera that it was told to go on at.
+        restarts: by stamps, the poses T_odom_camera that it was reported to go on at.
     """
 
     def __init__(
@@ -142,8 +142,8 @@ class Eye:
 
     def _tracking(self, stamp_s: float, motion: MotionEstimate) -> Estimate:
         assert self._last is not None
-        told = (Status.TRACKING, self._last[1], 1e-6 * np.eye(6))
-        return DenseEstimate(stamp_s, *told, matches=200, inliers=160, motion=motion)
+        reported = (Status.TRACKING, self._last[1], 1e-6 * np.eye(6))
+        return DenseEstimate(stamp_s, *reported, matches=200, inliers=160, motion=motion)
 
     def _fail(self, reason: Reason, stamp_s: float) -> Estimate:
         status = Status.INITIALIZING if self._last is None else Status.FAILING
@@ -151,7 +151,7 @@ class Eye:
 
 
 def _judged(T: FloatArray, T_prior: FloatArray | None, hidden: FloatArray | None) -> MotionEstimate:
-    """The motion as dense odometry tells it: in hidden directions, the prior's."""
+    """The motion as dense odometry shows it: in hidden directions, the prior's."""
     covariance = np.diag(_SIGMAS**2)
     if hidden is None:
         return MotionEstimate(T, covariance, None, 200, 160)
@@ -205,7 +205,7 @@ class Drive:
         return given
 
     def eye(self) -> Eye:
-        """What sees it; faults are told by seconds since the begin."""
+        """What sees it; faults are reported by seconds since the begin."""
         return Eye(self.truth, lambda stamp_s: self.faults(stamp_s - self.begin_s))
 
 
@@ -232,7 +232,7 @@ def spinning(made: Drive, begin_s: float, end_s: float, speed_m_s: float) -> Dri
 
 
 def pushed(made: Drive, at_s: float, left_m: float) -> Drive:
-    """The same drive, but somebody moves the robot aside within a sixth of a second, of which no wheel tells."""
+    """The same drive, but somebody moves the robot aside within a sixth of a second, of which no wheel shows."""
     truth = made.truth
     aside = np.zeros((len(truth), 6))
     aside[:, 1] = left_m * np.clip((truth.stamps_s - made.begin_s - at_s) / 0.16, 0, 1)
@@ -243,7 +243,7 @@ def pushed(made: Drive, at_s: float, left_m: float) -> Drive:
 
 
 def yaw_rates(made: Drive, bias_rad_s: float = 0.0) -> list[YawRate]:
-    """What a gyroscope tells at each reading but the first, a little before it."""
+    """What a gyroscope shows at each reading but the first, a little before it."""
     T, stamps_s = made.truth.T_frame_body, made.truth.stamps_s
     turned = se3.invert(T[:-1]) @ T[1:]
     rates = np.arctan2(turned[:, 1, 0], turned[:, 0, 0]) / np.diff(stamps_s) + bias_rad_s

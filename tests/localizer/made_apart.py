@@ -1,4 +1,4 @@
-"""What the process of a `LocalizerApart` makes in tests: a localizer whose answers say what it was told."""
+"""What the process of a `LocalizerApart` makes in tests: a localizer whose answers say what it was reported."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ RAISES, CANNOT_BE_SENT, DIES, MOVES, IS_ENDED = 13.0, 14.0, 15.0, 16.0, 17.0
 
 
 class StrangeError(Exception):
-    """One that no other process can be told of."""
+    """One that no other process can be reported."""
 
     def __init__(self) -> None:
         super().__init__(lambda: None)

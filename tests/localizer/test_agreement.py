@@ -21,7 +21,7 @@ Piece = tuple[float, float]
 def seen(
     T_base: FloatArray, T_true: FloatArray = T_BASE_CAMERA, depth: float = 1.0, flip: int | None = None
 ) -> FloatArray:
-    """The base's motion (4, 4) as a camera tells it that truly sits at `T_true`, whose depth and images are wrong."""
+    """The base's motion (4, 4) as a camera shows it that truly sits at `T_true`, whose depth and images are wrong."""
     T = se3.invert(se3.nearest(T_true)) @ T_base @ se3.nearest(T_true)
     if flip is not None:
         S = np.eye(4)
@@ -33,27 +33,27 @@ def seen(
 
 def compared(
     pieces: list[Piece],
-    told: Callable[[float, float], Piece] = lambda way, turn: (way, turn),
+    reported: Callable[[float, float], Piece] = lambda way, turn: (way, turn),
     by_camera: Callable[[FloatArray], FloatArray] = seen,
     gyro: Callable[[float, float], float] | None = None,
 ) -> MotionComparison:
     agreement = MotionComparison(WHEELS, T_BASE_CAMERA)
     for way, turn in pieces:
-        T_by_wheels, T_true = (se3.exp([w, 0, 0, 0, 0, t]) for w, t in (told(way, turn), (way, turn)))
+        T_by_wheels, T_true = (se3.exp([w, 0, 0, 0, 0, t]) for w, t in (reported(way, turn), (way, turn)))
         assert agreement.add(T_by_wheels, by_camera(T_true), None if gyro is None else gyro(way, turn))
     return agreement
 
 
 def wheels_with(left: float, right: float, *, swaps: bool = False) -> Callable[[float, float], Piece]:
-    """Way and turn that are told where the true ones are given and each wheel counts a factor more."""
+    """Way and turn that are reported where the true ones are given and each wheel counts a factor more."""
 
-    def told(way: float, turn: float) -> Piece:
+    def reported(way: float, turn: float) -> Piece:
         half = WHEELS.track_width_m / 2
         ways = [(way - turn * half) * left, (way + turn * half) * right]
         first, second = ways[::-1] if swaps else ways
         return (first + second) / 2, (second - first) / 2 / half
 
-    return told
+    return reported
 
 
 def turned(axis: int, degrees: float) -> Callable[[FloatArray], FloatArray]:
@@ -81,11 +81,11 @@ def test_nor_do_radii_that_filters_allow_for(factor: float) -> None:
 
 
 def test_nor_do_wheels_that_slip_now_and_then() -> None:
-    def told(way: float, turn: float) -> Piece:
+    def reported(way: float, turn: float) -> Piece:
         return (way * (3.0 if next(count) % 4 == 0 else 1.0), turn)
 
     count = iter(range(100))
-    assert found(compared(STRAIGHT * 2, told), 1.0) == {}
+    assert found(compared(STRAIGHT * 2, reported), 1.0) == {}
 
 
 def test_nor_does_a_wheel_that_turns_in_the_air() -> None:
@@ -103,7 +103,7 @@ def test_nor_do_turns_on_the_spot_whose_ways_are_millimetres(off_m: tuple[float,
 
 
 def test_nor_does_a_leap_of_the_camera_in_turns_on_the_spot_turn_its_mount(rng: np.random.Generator) -> None:
-    """It looks like the swing of a camera that sits elsewhere, but which way that looks nobody has seen."""
+    """It looks like the swing of a camera that sits elsewhere, but which way that looks no one has seen."""
     for leap_m in 0.15 * rng.standard_normal((20, 2)):
         astray = np.eye(4)
         astray[:2, 3] = leap_m
@@ -114,7 +114,7 @@ def test_nor_does_a_leap_of_the_camera_in_turns_on_the_spot_turn_its_mount(rng: 
         assert found(agreement, 1.0) == {}
 
 
-def test_turns_on_the_spot_the_other_way_are_told_all_the_same() -> None:
+def test_turns_on_the_spot_the_other_way_are_reported_all_the_same() -> None:
     mirrored = compared([(0.0, 0.08)] * 12, by_camera=lambda T: seen(T, flip=0))
     assert "mirrored left to right" in found(mirrored)[RobotSensor.CAMERA]
 
@@ -147,7 +147,7 @@ def test_a_track_width_is_wrong_where_turns_alone_are() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "cause"),
+    ("reported", "cause"),
     [
         (wheels_with(-1, 1), "the left wheel counts backwards"),
         (wheels_with(1, -1), "the right wheel counts backwards"),
@@ -155,8 +155,8 @@ def test_a_track_width_is_wrong_where_turns_alone_are() -> None:
         (wheels_with(-1, 1, swaps=True), "left and right wheel are swapped, and one counts backwards"),
     ],
 )
-def test_signs_of_wheels(told: Callable[[float, float], Piece], cause: str) -> None:
-    causes = found(compared(BENDS, told), 1.0)
+def test_signs_of_wheels(reported: Callable[[float, float], Piece], cause: str) -> None:
+    causes = found(compared(BENDS, reported), 1.0)
     assert list(causes) == [RobotSensor.WHEELS]
     assert causes[RobotSensor.WHEELS].startswith(cause)
 
@@ -171,7 +171,7 @@ def test_a_mount_is_wrong_where_directions_are(axis: int, degrees: float) -> Non
         assert stated == pytest.approx(abs(degrees), abs=3)
 
 
-def test_mirrored_images_and_swapped_wheels_are_alike_until_a_gyroscope_tells() -> None:
+def test_mirrored_images_and_swapped_wheels_are_alike_until_a_gyroscope_shows() -> None:
     swapped = wheels_with(1, 1, swaps=True)
 
     def mirrored(T: FloatArray) -> FloatArray:
@@ -229,12 +229,13 @@ ASKEW = [(0.1, 0.0, 0.0)] * 4 + [(0.0, 0.1, 0.05)] * 6 + [(-0.07, 0.07, 0.0)] * 
 
 
 def of_holonomic(
-    told: Callable[[FloatArray], FloatArray] = lambda twist: twist, by_camera: Callable[[FloatArray], FloatArray] = seen
+    reported: Callable[[FloatArray], FloatArray] = lambda twist: twist,
+    by_camera: Callable[[FloatArray], FloatArray] = seen,
 ) -> MotionComparison:
     agreement = MotionComparison(HOLONOMIC, T_BASE_CAMERA)
     for way_m, left_m, turn_rad in ASKEW:
         twist = np.array([way_m, left_m, 0.0, 0.0, 0.0, turn_rad])
-        assert agreement.add(se3.exp(told(twist)), by_camera(se3.exp(twist)), None)
+        assert agreement.add(se3.exp(reported(twist)), by_camera(se3.exp(twist)), None)
     return agreement
 
 

@@ -47,7 +47,7 @@ def closed(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def subject(closed: Path) -> Iterator[LocalizerApart]:
-    made = LocalizerApart(telling, closed, tells_keyframes=True)
+    made = LocalizerApart(telling, closed, keeps_keyframes=True)
     yield made
     made.close()
     assert not multiprocessing.active_children()
@@ -69,7 +69,7 @@ def test_what_is_kept_and_moved_there_is_kept_and_moved_here(subject: LocalizerA
     store = not_none(subject.keyframes)
     for stamp_s in (1.0, 2.0, 3.0):
         assert not_none(subject.process(frame(stamp_s))).stamp_s == stamp_s
-    # That of the newest frame is told with the next one.
+    # That of the newest frame is reported with the next one.
     assert (len(store), subject.recognised, store.revision) == (2, 3, 0)
     assert subject.warnings == ("3 keyframes",)
     subject.process(frame(MOVES))
@@ -81,7 +81,7 @@ def test_what_is_kept_and_moved_there_is_kept_and_moved_here(subject: LocalizerA
         np.testing.assert_allclose(store.pose(KeyframeId(number)), se3.from_plane(MOVES + stamp_s, 0.0, 0.0))
 
 
-def test_between_frames_nothing_is_told_of_keyframes(subject: LocalizerApart) -> None:
+def test_between_frames_nothing_is_reported_of_keyframes(subject: LocalizerApart) -> None:
     subject.process(frame(1.0))
     subject.process(ticks(2.0))
     assert len(not_none(subject.keyframes)) == 0
@@ -103,7 +103,7 @@ def test_what_is_raised_there_is_raised_here_and_it_is_closed(subject: Localizer
         subject.process(ticks(1.0))
 
 
-def test_what_cannot_be_told_is_told_in_words(subject: LocalizerApart, closed: Path) -> None:
+def test_what_cannot_be_reported_is_reported_in_words(subject: LocalizerApart, closed: Path) -> None:
     with pytest.raises(WheelsightError, match="StrangeError"):
         subject.process(ticks(CANNOT_BE_SENT))
     assert closed.exists()
@@ -115,7 +115,7 @@ def test_where_it_cannot_be_made_that_is_said() -> None:
     assert not multiprocessing.active_children()
 
 
-def test_a_process_that_is_killed_is_told_to_who_leads_the_robot(closed: Path) -> None:
+def test_a_process_that_is_killed_is_reported_to_who_leads_the_robot(closed: Path) -> None:
     subject = LocalizerApart(telling, closed)
     beside, until_s = LocalizerBeside(subject), time.monotonic() + ENDING_S
 

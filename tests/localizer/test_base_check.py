@@ -1,4 +1,4 @@
-"""Joined runs whose calibration or inputs are wrong: told by a warning, and answered by who is right."""
+"""Joined runs whose calibration or inputs are wrong: reported by a warning, and answered by who is right."""
 
 from __future__ import annotations
 
@@ -65,13 +65,13 @@ def with_floor(events: Sequence[Event], depth: float = 1.0) -> list[Event]:
 
 
 def wheels_that(change: Callable[[int, int], tuple[int, int]], events: Sequence[Event]) -> list[Event]:
-    told = []
+    reported = []
     for event in events:
         if isinstance(event, WheelTicks):
             left, right = change(event.left, event.right)
             event = replace(event, left=left, right=right)
-        told.append(event)
-    return told
+        reported.append(event)
+    return reported
 
 
 def sized(**factors: float) -> Calibration:
@@ -130,8 +130,8 @@ def test_ticks_a_turn_that_are_wrong_leave_the_camera_alone(run: Run, factor: fl
     made = drive(LEGS)
     subject, frames = run(eye_of(made), with_floor(made.events()), calibration=sized(ticks_per_turn=factor))
     assert "times the true ones: check ticks_per_turn" in subject.warnings[0]
-    told = float(subject.warnings[0].split(" are ")[1].split(" times")[0])
-    assert told == pytest.approx(1 / factor, rel=0.05)
+    reported = float(subject.warnings[0].split(" are ")[1].split(" times")[0])
+    assert reported == pytest.approx(1 / factor, rel=0.05)
     assert frames[-1].status is Status.TRACKING
     assert off_m(frames[-1], made.truth) < 0.05
     assert all(nearby(answer, made) for answer in frames if answer.status is Status.TRACKING)
@@ -169,7 +169,7 @@ def test_what_swapped_wheels_and_mirrored_images_have_alike_is_covered(run: Run)
 
 
 @pytest.mark.slow
-def test_a_gyroscope_tells_which_it_is(run: Run) -> None:
+def test_a_gyroscope_shows_which_it_is(run: Run) -> None:
     made = drive(LEGS)
     swapped = wheels_that(lambda left, right: (right, left), made.events())
     turns = yaw_rates(made, 0.01)
@@ -255,7 +255,7 @@ def test_a_camera_some_centimetres_elsewhere_is_not_left_out_for_turns_on_the_sp
 
 
 @pytest.mark.parametrize("hides", [False, True])
-def test_a_leap_while_the_view_hid_directions_is_held_against_nobody(*, hides: bool) -> None:
+def test_a_leap_while_the_view_hid_directions_is_held_against_no_one(*, hides: bool) -> None:
     """A camera goes a metre astray, as along a bare wall, and right on from there."""
     made, odometry = drive(((4.0, 0.6, 0.3),)), WheelOdometry(WHEELS)
     check = BaseCheck(CALIBRATION, T_BASE_CAMERA, ErrorStateFilter(T_BASE_CAMERA))
@@ -280,14 +280,14 @@ def carried(made: Drive, begin_s: float, end_s: float) -> list[Event]:
     readings = (event for event in events if isinstance(event, WheelTicks))
     later = next(event for event in readings if event.stamp_s >= made.begin_s + end_s)
 
-    def told(event: Event) -> Event:
+    def reported(event: Event) -> Event:
         if not isinstance(event, WheelTicks) or event.stamp_s < then.stamp_s:
             return event
         if event.stamp_s < later.stamp_s:
             return replace(event, left=then.left, right=then.right)
         return replace(event, left=event.left - later.left + then.left, right=event.right - later.right + then.right)
 
-    return [told(event) for event in events]
+    return [reported(event) for event in events]
 
 
 def test_a_robot_carried_in_the_dark_does_not_know_where_it_is(run: Run) -> None:

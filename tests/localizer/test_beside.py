@@ -41,27 +41,27 @@ def frame(stamp_s: float) -> RgbdFrame:
 
 
 def answers_of(subject: LocalizerBeside, count: int) -> list[float]:
-    told: list[float] = []
+    reported: list[float] = []
     waiting = threading.Event()
     for _ in range(1000):
-        told += [event.stamp_s for event, _ in subject.process([])]
-        if len(told) >= count:
-            return told
+        reported += [event.stamp_s for event, _ in subject.process([])]
+        if len(reported) >= count:
+            return reported
         waiting.wait(0.01)
-    raise AssertionError(f"only {told}")
+    raise AssertionError(f"only {reported}")
 
 
-def test_a_frame_that_takes_long_keeps_nobody_waiting_and_older_frames_give_way() -> None:
+def test_a_frame_that_takes_long_keeps_no_one_waiting_and_older_frames_give_way() -> None:
     slow = Slow()
     subject = LocalizerBeside(slow)
-    told = [event.stamp_s for event, _ in subject.process([WheelTicks(0.0, 0, 0), frame(0.1)])]
+    reported = [event.stamp_s for event, _ in subject.process([WheelTicks(0.0, 0, 0), frame(0.1)])]
     assert slow.begun.wait(10)
-    told += [
+    reported += [
         event.stamp_s
         for event, _ in subject.process([WheelTicks(0.2, 0, 0), frame(0.3), WheelTicks(0.4, 0, 0), frame(0.5)])
     ]
     slow.may_go.set()
-    assert told + answers_of(subject, 5 - len(told)) == [0.0, 0.1, 0.2, 0.4, 0.5]
+    assert reported + answers_of(subject, 5 - len(reported)) == [0.0, 0.1, 0.2, 0.4, 0.5]
     assert subject.dropped == 1
     subject.close()
     subject.close()
@@ -80,8 +80,8 @@ def test_in_step_each_event_has_its_answer_at_once() -> None:
     slow = Slow()
     slow.may_go.set()
     subject = LocalizerInStep(slow)
-    told = subject.process([WheelTicks(0.0, 0, 0), frame(0.1)])
-    assert [event.stamp_s for event, _ in told] == [0.0, 0.1]
-    assert all(estimate is not None for _, estimate in told)
+    reported = subject.process([WheelTicks(0.0, 0, 0), frame(0.1)])
+    assert [event.stamp_s for event, _ in reported] == [0.0, 0.1]
+    assert all(estimate is not None for _, estimate in reported)
     subject.close()
     assert slow.closed == 1

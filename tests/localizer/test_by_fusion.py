@@ -71,10 +71,10 @@ def test_readings_and_frames_are_answered_with_the_bases_pose(ran: Callable[...,
     made, _, answers, _ = run
     assert [type(event) for event, _ in answers] == [type(event) for event in made.events()]
     assert all(answer.body == "base" for _, answer in answers)
-    told = [answer for event, answer in answers[1:] if answer.stamp_s == event.stamp_s]
-    assert len(told) == len(answers) - 1
-    assert max(off_m(answer, made.truth) for answer in told) < 0.03
-    assert all(off_m(answer, made.truth) < 3 * spread_m(answer) + 1e-3 for answer in told)
+    reported = [answer for event, answer in answers[1:] if answer.stamp_s == event.stamp_s]
+    assert len(reported) == len(answers) - 1
+    assert max(off_m(answer, made.truth) for answer in reported) < 0.03
+    assert all(off_m(answer, made.truth) < 3 * spread_m(answer) + 1e-3 for answer in reported)
     assert {a.status for a in between(run, 0.1, 99)} == {Status.TRACKING}
     assert not any(a.slip or a.doubtful or a.degenerate or a.reason for a in between(run, 0.1, 99))
     assert {(a.matches, a.inliers) for a in between(run, 0.1, 99)} == {(200, 160)}
@@ -89,9 +89,9 @@ def test_there_is_no_pose_before_wheels_begin_the_clock(monkeypatch: pytest.Monk
     waiting = subject.process(first_frame)
     assert waiting is not None
     assert (waiting.status, waiting.body, waiting.T_odom_body) == (Status.INITIALIZING, "base", None)
-    (_, told), *_ = answers_to(subject, [begin])
-    assert (told.status, told.stamp_s) == (Status.COASTING, begin.stamp_s)
-    np.testing.assert_allclose(not_none(told.T_odom_body), np.eye(4), atol=1e-12)
+    (_, reported), *_ = answers_to(subject, [begin])
+    assert (reported.status, reported.stamp_s) == (Status.COASTING, begin.stamp_s)
+    np.testing.assert_allclose(not_none(reported.T_odom_body), np.eye(4), atol=1e-12)
     assert not kept.fused
     assert of_frames(answers_to(subject, rest))[-1].status is Status.TRACKING
 
@@ -211,11 +211,11 @@ def test_blind_frames_alone_never_start_the_camera_again(ran: Callable[..., Run]
 @pytest.mark.parametrize("kind", ["dense", pytest.param("features", marks=pytest.mark.slow)])
 def test_a_camera_that_leaps_away_is_not_believed_nor_mapped(ran: Callable[..., Run], kind: str) -> None:
     run = ran(drive(faults=only((2.0, 3.5), Sight(wrong=(0.0, 0.5, 0.3)))), kind)
-    told = between(run, 2.0, 3.5)
-    assert {a.reason for a in told} == {Reason.CONTRADICTION}
-    assert max(off_m(a, run[0].truth) for a in told if not a.doubtful) < 0.03  # the camera's would be 0.75 m
-    assert all(off_m(a, run[0].truth) < 3 * spread_m(a) for a in told)
-    assert not any(a.slip for a in told)
+    reported = between(run, 2.0, 3.5)
+    assert {a.reason for a in reported} == {Reason.CONTRADICTION}
+    assert max(off_m(a, run[0].truth) for a in reported if not a.doubtful) < 0.03  # the camera's would be 0.75 m
+    assert all(off_m(a, run[0].truth) < 3 * spread_m(a) for a in reported)
+    assert not any(a.slip for a in reported)
     assert {a.status for a in between(run, 2.4, 3.5)} == {Status.COASTING}
     assert not fused_between(run, 2.0, 3.5)
     assert {a.status for a in between(run, 5.4, 99)} == {Status.TRACKING}
@@ -232,20 +232,20 @@ def test_a_camera_that_creeps_away_with_the_wheels_is_doubted_first(ran: Callabl
 
 
 @pytest.mark.parametrize("kind", ["dense", "features"])
-def test_wheels_that_spin_are_told_and_the_camera_leads(ran: Callable[..., Run], kind: str) -> None:
+def test_wheels_that_spin_are_reported_and_the_camera_leads(ran: Callable[..., Run], kind: str) -> None:
     run = ran(spinning(drive(), 2.0, 3.5, 0.6), kind)
-    told = between(run, 2.04, 3.5)
-    assert all(a.slip or a.doubtful for a in told)
-    assert sum(a.slip for a in told) > 0.8 * len(told)
-    assert max(off_m(a, run[0].truth) for a in told if not a.doubtful) < 0.02  # the wheels are 0.9 m ahead
-    assert all(off_m(a, run[0].truth) < 3 * spread_m(a) for a in told)
+    reported = between(run, 2.04, 3.5)
+    assert all(a.slip or a.doubtful for a in reported)
+    assert sum(a.slip for a in reported) > 0.8 * len(reported)
+    assert max(off_m(a, run[0].truth) for a in reported if not a.doubtful) < 0.02  # the wheels are 0.9 m ahead
+    assert all(off_m(a, run[0].truth) < 3 * spread_m(a) for a in reported)
     after = between(run, 4.0, 99)
     assert not any(a.slip or a.doubtful for a in after)
     assert off_m(after[-1], run[0].truth) < 0.03
 
 
-def test_while_wheels_slip_the_camera_is_told_that_it_goes_on_as_it_went(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And told what the wheels say second; both only until these are believed again."""
+def test_while_wheels_slip_the_camera_is_reported_that_it_goes_on_as_it_went(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And reported what the wheels say second; both only until these are believed again."""
     made = spinning(drive(), 2.0, 3.5, 0.6)
     eye = made.eye()
     subject, _ = joined(monkeypatch, eye)
@@ -267,7 +267,7 @@ def test_while_wheels_slip_the_camera_is_told_that_it_goes_on_as_it_went(monkeyp
 
 @pytest.mark.parametrize("kind", ["dense", "features"])
 def test_a_robot_that_is_pushed_aside_soon_believes_its_camera_again(ran: Callable[..., Run], kind: str) -> None:
-    """Who was right then nobody tells, and both are covered; a camera that goes on well is not left out for it."""
+    """Who was right then no one shows, and both are covered; a camera that goes on well is not left out for it."""
     run = ran(pushed(drive(), 2.0, 0.25), kind)
     assert all(off_m(a, run[0].truth) < 3 * spread_m(a) for a in between(run, 2.2, 99))
     after = between(run, 2.7, 99)
@@ -280,16 +280,16 @@ def test_a_robot_that_is_pushed_aside_soon_believes_its_camera_again(ran: Callab
 def test_directions_that_the_camera_does_not_show_are_the_wheels(ran: Callable[..., Run]) -> None:
     """Wheels that are a tenth too quick for a while are followed where the view does not tell, and only there."""
     hidden, seen = (ran(spinning(drive(faults=f), 2.0, 3.5, 0.05)) for f in (HIDING, only((0, 0), Sight())))
-    told = between(hidden, 2.02, 3.5)
-    assert all(a.degenerate and a.status is Status.TRACKING and a.reason is None for a in told)
+    reported = between(hidden, 2.02, 3.5)
+    assert all(a.degenerate and a.status is Status.TRACKING and a.reason is None for a in reported)
     assert not any(a.degenerate for a in [*between(hidden, 3.5, 99), *between(seen, 0.0, 99)])
-    T_truth = hidden[0].truth.at([told[-1].stamp_s])[0]
-    assert told[-1].T_filter_body is not None
-    off = se3.invert(T_truth) @ told[-1].T_filter_body
+    T_truth = hidden[0].truth.at([reported[-1].stamp_s])[0]
+    assert reported[-1].T_filter_body is not None
+    off = se3.invert(T_truth) @ reported[-1].T_filter_body
     assert 0.05 < np.linalg.norm(off[:2, 3]) < 0.08
     assert so3.angle(off[:3, :3]) < 0.01
     assert off_m(between(seen, 2.02, 3.5)[-1], seen[0].truth) < 0.015
-    assert len(fused_between(hidden, 2.02, 3.5)) == len(told)  # filled by the wheels, it is a pose as any other
+    assert len(fused_between(hidden, 2.02, 3.5)) == len(reported)  # filled by the wheels, it is a pose as any other
 
 
 def test_a_pause_of_all_sensors_is_bridged_by_a_view_that_is_known(monkeypatch: pytest.MonkeyPatch) -> None:

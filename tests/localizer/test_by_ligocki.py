@@ -123,7 +123,7 @@ def test_a_skipped_frame_coasts_and_says_why(paper: Callable[..., Localizer]) ->
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.03])
 def test_wheels_are_carried_on_to_the_frames_stamp(paper: Callable[..., Localizer], delay_s: float) -> None:
-    """Readings that are told of late tell of an earlier moment; until the frame's their speed goes on."""
+    """Readings that are reported late tell of an earlier moment; until the frame's their speed goes on."""
     made = drive(((6.0, 0.8, 0.0),), faults=lambda seconds: DARK if seconds > 3.0 else Sight())
     late = replace(CALIBRATION, wheels=replace(WHEELS, delay_s=delay_s))
     events = [replace(e, stamp_s=e.stamp_s + delay_s) if isinstance(e, WheelTicks) else e for e in made.events()]

@@ -40,7 +40,7 @@ def driven(subject: Localizer, until: int = 60) -> Estimate:
     return answers[-1]
 
 
-def test_it_tells_of_the_base_in_the_world_of_the_areas() -> None:
+def test_it_shows_the_base_in_the_world_of_the_areas() -> None:
     subject = localizer()
     assert (subject.body, subject.frame) == ("base", "map")
     first = subject.process(area_drive().events[0])

@@ -60,9 +60,9 @@ def answers_to(events: Sequence[Event], **settings: Any) -> tuple[Localizer, lis
 
 def rmse_m(answers: Sequence[Estimate], drive: Drive) -> float:
     """Of the positions, from the true start."""
-    told = [answer for answer in answers if answer.stamp_s >= 0]
-    T_true = drive.truth.at([answer.stamp_s for answer in told])
-    T = np.array([answer.T_filter_body for answer in told])
+    reported = [answer for answer in answers if answer.stamp_s >= 0]
+    T_true = drive.truth.at([answer.stamp_s for answer in reported])
+    T = np.array([answer.T_filter_body for answer in reported])
     start = se3.invert(T_true[0]) @ T_true
     return float(np.sqrt(np.mean(np.sum((T[:, :2, 3] - start[:, :2, 3]) ** 2, axis=1))))
 
@@ -86,7 +86,7 @@ def test_wheels_with_a_gyroscope_are_hardly_worse_than_wheels_alone(seed: int, r
 
 
 @pytest.mark.parametrize("seed", mostly_slow([1, 2, 3], quick=[1]))
-def test_what_wheels_have_wrong_the_gyroscope_tells(seed: int) -> None:
+def test_what_wheels_have_wrong_the_gyroscope_shows(seed: int) -> None:
     """Radii a percent apart and a track 2 % wrong, of a robot that never rests."""
     drive = driven(seed, right_radius_m=0.1717, track_width_m=0.53)
     both, alone = (answers_to(events_of(drive), **{"wheels.gyro": gyro})[1] for gyro in (True, False))
@@ -107,7 +107,7 @@ FAULTS: dict[str, tuple[Change, str]] = {
 }
 
 
-def test_what_the_gyroscope_tells_of_the_way_so_far_is_no_motion_in_odom() -> None:
+def test_what_the_gyroscope_shows_the_way_so_far_is_no_motion_in_odom() -> None:
     drive = driven(1, right_radius_m=0.1717, track_width_m=0.53)
     both, alone = (answers_to(events_of(drive), **{"wheels.gyro": gyro})[1] for gyro in (True, False))
 
@@ -149,7 +149,7 @@ def test_a_gyroscope_that_contradicts_the_wheels_is_named_and_moves_nothing(faul
 
 @pytest.mark.parametrize("rate_rad_s", [0.0, 0.4, -3.0])
 def test_where_it_fails_on_the_way_the_wheels_go_on_from_where_both_agreed(rate_rad_s: float) -> None:
-    """Unplugged after 12 s of 25: what it told until then stays, what it told since is as if it had never been told."""
+    """Unplugged after 12 s of 25: what it reported until then stays, what came since counts as never reported."""
     broken = events_of(driven(4), lambda rate: rate if rate.stamp_s < 12 else YawRate(rate.stamp_s, rate_rad_s))
     ended = events_of(driven(4), lambda rate: rate if rate.stamp_s < 12 else None)
     subject, both, (note,) = answers_to(broken)

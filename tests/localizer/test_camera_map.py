@@ -35,22 +35,22 @@ def numeric(moved: object, about: FloatArray) -> FloatArray:
 
 @settings(max_examples=30)
 @given(tangents, tangents, tangents, seeds)
-def test_a_motion_is_told_from_the_anchor_with_what_its_alignment_left_uncertain(
+def test_a_motion_is_reported_from_the_anchor_with_what_its_alignment_left_uncertain(
     anchor: FloatArray, reference: FloatArray, by: FloatArray, seed: int
 ) -> None:
     T_odom_anchor, T_map_reference, T_reference_now = se3.exp(anchor), se3.exp(reference), se3.exp(by)
     covariance = some_covariance(np.random.default_rng(seed))
-    told = Anchor(T_odom_anchor, np.zeros((6, 6))).motion_to(
+    reported = Anchor(T_odom_anchor, np.zeros((6, 6))).motion_to(
         T_map_reference @ T_reference_now, motion(T_reference_now, covariance)
     )
 
     def moved(xi: FloatArray) -> FloatArray:
         return np.asarray(se3.invert(T_odom_anchor) @ T_map_reference @ se3.exp(xi) @ T_reference_now)
 
-    np.testing.assert_allclose(not_none(told.T_reference_current), moved(np.zeros(6)), atol=1e-12)
+    np.testing.assert_allclose(not_none(reported.T_reference_current), moved(np.zeros(6)), atol=1e-12)
     J = numeric(moved, moved(np.zeros(6)))
-    np.testing.assert_allclose(not_none(told.covariance), J @ covariance @ J.T, atol=1e-8)
-    assert (told.reason, told.matches, told.inliers, told.degenerate) == (None, 90, 70, None)
+    np.testing.assert_allclose(not_none(reported.covariance), J @ covariance @ J.T, atol=1e-8)
+    assert (reported.reason, reported.matches, reported.inliers, reported.degenerate) == (None, 90, 70, None)
 
 
 @settings(max_examples=30)
@@ -78,15 +78,15 @@ def test_hidden_directions_span_the_same_motions_from_the_anchor(
     T_odom_anchor, T_map_reference, T_reference_now = se3.exp(anchor), se3.exp(reference), se3.exp(by)
     T_odom_now = T_map_reference @ T_reference_now
     at = Anchor(T_odom_anchor, np.zeros((6, 6)))
-    told = at.motion_to(T_odom_now, motion(T_reference_now, 1e-6 * np.eye(6), hidden))
-    assert told.degenerate is not None
-    np.testing.assert_allclose(told.degenerate @ told.degenerate.T, np.eye(count), atol=1e-9)
+    reported = at.motion_to(T_odom_now, motion(T_reference_now, 1e-6 * np.eye(6), hidden))
+    assert reported.degenerate is not None
+    np.testing.assert_allclose(reported.degenerate @ reported.degenerate.T, np.eye(count), atol=1e-9)
     # The camera moved a little along each hidden direction of its reference, as the anchor sees it.
     for direction in hidden:
         moved = T_map_reference @ se3.exp(1e-6 * direction / _SCALE) @ T_reference_now
         xi = se3.log(se3.invert(T_odom_anchor) @ moved @ se3.invert(se3.invert(T_odom_anchor) @ T_odom_now))
         xi = _SCALE * xi / 1e-6
-        outside = xi - told.degenerate.T @ (told.degenerate @ xi)
+        outside = xi - reported.degenerate.T @ (reported.degenerate @ xi)
         assert np.linalg.norm(outside) < 1e-4 * np.linalg.norm(xi)
 
 
@@ -99,11 +99,11 @@ def test_a_pose_that_rounding_made_no_motion_becomes_one(rng: np.random.Generato
     T = se3.exp(rng.standard_normal(6))
     rough = T.copy()
     rough[:3, :3] *= 1 + 1e-5
-    told = Anchor(np.eye(4), np.zeros((6, 6))).motion_to(rough, motion(np.eye(4), np.eye(6)))
-    assert told.T_reference_current is not None
+    reported = Anchor(np.eye(4), np.zeros((6, 6))).motion_to(rough, motion(np.eye(4), np.eye(6)))
+    assert reported.T_reference_current is not None
     assert not se3.is_valid(rough)
-    assert se3.is_valid(told.T_reference_current, tolerance=1e-12)
-    np.testing.assert_allclose(told.T_reference_current, T, atol=1e-12)
+    assert se3.is_valid(reported.T_reference_current, tolerance=1e-12)
+    np.testing.assert_allclose(reported.T_reference_current, T, atol=1e-12)
 
 
 def test_errors_of_views_add_up_along_the_way_in_the_frames_own_axes() -> None:

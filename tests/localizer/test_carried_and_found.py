@@ -39,7 +39,7 @@ def carried() -> Drive:
 
 
 class Loops:
-    """Stand in for the thread: from a time on they have the newest piece laid where it is, and are as sure as told."""
+    """Stand in for the thread: from a time on they lay the newest piece where it is, and are as sure as reported."""
 
     def __init__(self, eye: Eye, laid_s: float, sigma: float) -> None:
         self.eye, self.laid_s, self.C = eye, laid_s, sigma**2 * np.eye(6)

@@ -59,7 +59,7 @@ def test_stamps_that_are_off_by_half_a_period_cost_little(monkeypatch: pytest.Mo
 @FEW_SEEDS
 @pytest.mark.parametrize("sensors", ["both", "wheels", "camera"])
 @pytest.mark.parametrize("by_s", [60.0, *(pytest.param(by_s, marks=pytest.mark.slow) for by_s in (-60.0, 1.6e9, 0.5))])
-def test_a_clock_that_leaps_is_mapped_and_told(
+def test_a_clock_that_leaps_is_mapped_and_reported(
     monkeypatch: pytest.MonkeyPatch, by_s: float, sensors: Sensors, seed: int
 ) -> None:
     made = drive(seed=seed)

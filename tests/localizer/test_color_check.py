@@ -67,7 +67,7 @@ def checked(late: int, wheels_late_s: float = 0.0, seconds: float = 25.0) -> Col
 
 
 @pytest.mark.parametrize("late", [1, 2])
-def test_colour_that_is_late_is_told_by_its_frames(late: int) -> None:
+def test_colour_that_is_late_is_reported_by_its_frames(late: int) -> None:
     check = checked(late)
     assert (check.late, check.is_sure, check.is_sound) == (late, True, False)
 
@@ -82,7 +82,7 @@ def test_wheels_whose_clock_is_late_are_no_late_colour() -> None:
     assert (check.late, check.is_sure) == (0, False)
 
 
-def test_without_turns_nothing_is_told() -> None:
+def test_without_turns_nothing_is_reported() -> None:
     check, view = ColorCheck(), Panorama()
     for index in range(100):
         check.add_heading(index * PERIOD_S, 0.0)

@@ -76,7 +76,7 @@ def with_clock(made: Drive, ahead_s: float, *, frames_first: bool) -> list[Event
 
 
 class EyeOfAnotherClock(Eye):
-    """Told stamps that are ahead of the truth's by so much."""
+    """Reported stamps that are ahead of the truth's by so much."""
 
     def __init__(self, truth: Trajectory, ahead_s: float) -> None:
         super().__init__(truth)
@@ -96,10 +96,10 @@ def test_a_camera_whose_clock_is_in_another_epoch_is_never_called_tracking(
     subject, kept = joined(monkeypatch, eye, kind)
     answers = answers_to(subject, with_clock(made, ahead_s, frames_first=False))[1:]
     assert not any(answer.status is Status.TRACKING for _, answer in answers)
-    told = of_frames(answers)
-    assert {answer.reason for answer in told[1:]} == {Reason.CLOCKS_APART}
+    reported = of_frames(answers)
+    assert {answer.reason for answer in reported[1:]} == {Reason.CLOCKS_APART}
     assert "clock of the camera" in subject.warnings[0]
-    moving = [answer for answer in told if answer.T_odom_body is not None]
+    moving = [answer for answer in reported if answer.T_odom_body is not None]
     assert len(moving) > 40
     assert max(off_m(answer, made.truth) for answer in moving) < 0.05
     assert spread_m(moving[-1]) > 1.8 * spread_m(moving[len(moving) // 2])
@@ -211,9 +211,9 @@ def test_wheels_that_tell_no_number_are_left_out_and_the_camera_leads(monkeypatc
         return WheelSpeeds(event.stamp_s, *(of_reading[event.stamp_s].tolist() if not is_odd else (np.nan, 1.0)))
 
     answers = answers_to(joined(monkeypatch, made.eye())[0], map(odd, made.events()[:-1]))
-    told = of_frames(answers)[1:]
-    assert {answer.status for answer in told} == {Status.TRACKING}
-    assert max(off_m(answer, made.truth) for answer in told) < 0.01
+    reported = of_frames(answers)[1:]
+    assert {answer.status for answer in reported} == {Status.TRACKING}
+    assert max(off_m(answer, made.truth) for answer in reported) < 0.01
     assert all(off_m(answer, made.truth) < 3 * spread_m(answer) + 1e-3 for _, answer in answers[1:])
 
 
@@ -224,6 +224,6 @@ def test_a_yaw_rate_that_is_no_number_changes_nothing(monkeypatch: pytest.Monkey
     np.testing.assert_array_equal(with_odd.covariance, without.covariance)
 
 
-def test_a_camera_alone_tells_no_wheels_to_join() -> None:
+def test_a_camera_alone_shows_no_wheels_to_join() -> None:
     with pytest.raises(CalibrationError):
         joined_by("default", Calibration.registered_camera(CAMERA))

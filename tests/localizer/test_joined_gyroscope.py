@@ -35,8 +35,8 @@ def test_the_gyroscope_is_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
     made = drive(SHORT)
     monkeypatch.setattr("wheelsight.estimation.wheel_localizer.ByWheels.trusts_gyro", True)
     readings = [event for event in made.events() if isinstance(event, WheelTicks)]
-    told: list[Event] = [*readings, *yaw_rates(made, 0.01)]
-    events = sorted(told, key=lambda event: event.stamp_s)
+    reported: list[Event] = [*readings, *yaw_rates(made, 0.01)]
+    events = sorted(reported, key=lambda event: event.stamp_s)
     answers = answers_to(joined(monkeypatch, made.eye())[0], events)
     assert len(answers) == len(readings)
     wheels, by_hand = WheelOdometry(WHEELS), ErrorStateFilter(CALIBRATION.T_base_camera)

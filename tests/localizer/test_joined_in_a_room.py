@@ -105,8 +105,8 @@ def test_wheels_that_spin_before_a_room(room: Room) -> None:
 
     settings = load_config(overrides={"odometry": "wheels,dense"})
     answers = answers_of(Localizer(calibration, settings), [spun(event) for event in events])
-    told = [a for frame, a, _ in answers if 1.5 < frame.stamp_s - begin_s < 2.2]
-    assert all(a.slip or a.doubtful for a in told)
+    reported = [a for frame, a, _ in answers if 1.5 < frame.stamp_s - begin_s < 2.2]
+    assert all(a.slip or a.doubtful for a in reported)
     assert off_m(answers[-1][1], way, answers[-1][0].stamp_s) < 0.05  # the wheels are 0.8 m off
     assert not answers[-1][1].slip
 

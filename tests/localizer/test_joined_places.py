@@ -138,7 +138,7 @@ def test_a_forest_that_is_worth_nothing_harms_little(
     assert misled < 1.2 * alone_m(seeing_s).mean()
 
 
-def test_it_tells_what_the_model_said_and_how_long_it_took(made: Callable[..., Localizer]) -> None:
+def test_it_shows_what_the_model_said_and_how_long_it_took(made: Callable[..., Localizer]) -> None:
     subject, events = made(Forest()), area_drive().events
     assert subject.frame == "map"
     answers_to(subject, events[:60])

@@ -1,4 +1,4 @@
-"""A drive in a map of before: nobody says where it begins, until the place is recognised from two views."""
+"""A drive in a map of before: no one says where it begins, until the place is recognised from two views."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def before() -> tuple[Localizer, KnownMap]:
 
 
 def known(before: tuple[Localizer, KnownMap], *, extends: bool = False) -> KnownMap:
-    """The same map anew: what one drive adds, another does not know."""
+    """The same map again: what one drive adds, another does not know."""
     store, given = KeyframeStore(), before[1]
     for number in map(KeyframeId, range(len(given.recognizer))):
         store.add(given.store[number], given.store.T_map_keyframe[number])

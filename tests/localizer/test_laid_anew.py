@@ -35,10 +35,10 @@ def lived(store: KeyframeStore, number: int, motion: FloatArray | None, *, begin
     T_before_now = None
     if number:
         T_before_now = se3.invert(store.pose(KeyframeId(number - 1))) @ store.pose(KeyframeId(number))
-    told = None if motion is None else (motion, C)
+    reported = None if motion is None else (motion, C)
     edge = RelativePose(KeyframeId(0), KeyframeId(number), np.eye(4), C, is_loop=True)
     where = (KeyframeId(number), float(number), np.eye(4), C, begins)
-    return OdometryKeyframe(*where, T_before_now=T_before_now, motion=told, seen_from=edge)
+    return OdometryKeyframe(*where, T_before_now=T_before_now, motion=reported, seen_from=edge)
 
 
 def test_those_that_were_led_astray_lie_one_after_the_other_as_the_motions_say() -> None:
@@ -76,7 +76,7 @@ def test_height_and_tilt_stay_and_a_motion_may_be_sure_of_them() -> None:
     assert np.abs(T[2, :2]).max() > 0.01
 
 
-def test_where_nobody_knows_the_way_they_stay() -> None:
+def test_where_no_one_knows_the_way_they_stay() -> None:
     store = kept_at(np.eye(4), ASTRAY, ASTRAY @ ASTRAY)
     assert corrected_keyframes(store, [], PROBABILITY) is None
     assert corrected_keyframes(store, [[lived(store, 0, STEP)], [lived(store, 1, STEP)]], PROBABILITY) is None

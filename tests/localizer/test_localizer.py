@@ -42,12 +42,12 @@ def test_events_that_are_not_used_are_warned_of_once(caplog: pytest.LogCaptureFi
     for stamp_s in (0.0, 0.1, 0.2):
         assert subject.process(WheelTicks(stamp_s, 1, 2)) is None
         assert subject.process(YawRate(stamp_s, 0.0)) is None
-    told = (
+    reported = (
         "Wheel readings are not used: the calibration has no wheels (give them by --calibration).",
         "Readings of the gyroscope are not used: they go with wheels.",
     )
-    assert subject.warnings == told
-    assert tuple(record.message for record in caplog.records if record.levelname == "WARNING") == told
+    assert subject.warnings == reported
+    assert tuple(record.message for record in caplog.records if record.levelname == "WARNING") == reported
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_without_a_name_all_sensors_that_go_together_are_joined(
     assert isinstance(subject.odometry, DenseOdometry)
     assert (WheelTicks in subject.answers) == (unused is None)
     subject.process(WheelTicks(0.0, 1, 2))
-    assert [told.startswith(f"Wheel readings are not used: {unused}") for told in subject.warnings] == (
+    assert [reported.startswith(f"Wheel readings are not used: {unused}") for reported in subject.warnings] == (
         [] if unused is None else [True]
     )
 

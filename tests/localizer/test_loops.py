@@ -60,8 +60,8 @@ def answers(subject: Localizer, events: list[Event]) -> list[Estimate]:
     return [answer for event, answer in found if isinstance(event, RgbdFrame) and answer is not None]
 
 
-class Told:
-    """Stands in for the thread: tells once that the keyframes known by a time are FAR off."""
+class Reported:
+    """Stands in for the thread: shows once that the keyframes known by a time are FAR off."""
 
     def __init__(self, store: KeyframeStore, from_s: float) -> None:
         self.store, self.from_s, self.known = store, from_s, 0
@@ -83,12 +83,12 @@ def test_odom_does_not_jump_where_the_map_does(
     expected = answers(still, events)
     subject = Localizer(room.calibration, settings, waits=True)
     middle_s = events[0].stamp_s + 1.9  # it drives from 1.0 to 2.6 s
-    told = Told(not_none(subject.keyframes), middle_s)
-    monkeypatch.setattr(LiveLoops, "due", lambda live, stamp_s: told.due(stamp_s))
+    reported = Reported(not_none(subject.keyframes), middle_s)
+    monkeypatch.setattr(LiveLoops, "due", lambda live, stamp_s: reported.due(stamp_s))
     found = answers(subject, events)
     subject.close()
     still.close()
-    assert told.known
+    assert reported.known
     for answer, as_before in list(zip(found, expected, strict=True))[1:]:  # beside wheels the first one begins nothing
         assert answer.status is as_before.status is Status.TRACKING
         T, T_before = not_none(answer.T_odom_body), not_none(as_before.T_odom_body)
@@ -131,8 +131,8 @@ def test_loops_tie_keyframes_to_older_ones_where_they_are_seen_from_apart(
         store.add(Keyframe.of_images(x_m, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), se3.from_plane(x_m, 0, 0))
     beside = LoopClosureClient(store, Calibration.registered_camera(synthetic.CAMERA), settings, waits=True)
     loops = np.array(ends, np.int64).reshape(-1, 2)
-    told = PoseUpdate(np.array(store.T_map_keyframe), np.zeros(len(store), np.int64), loops)
-    monkeypatch.setattr(LiveLoops, "due", lambda live, stamp_s: told)
+    reported = PoseUpdate(np.array(store.T_map_keyframe), np.zeros(len(store), np.int64), loops)
+    monkeypatch.setattr(LiveLoops, "due", lambda live, stamp_s: reported)
     assert not beside.has_loop_across(3)
     beside.move_keyframes(10.0, None)
     assert beside.has_loop_across(3) == ties
@@ -235,7 +235,7 @@ def test_in_a_map_that_stays_a_pose_is_tracked_while_it_is_sure(monkeypatch: pyt
     beside.close()
 
 
-def test_a_keyframe_that_odometry_comes_back_to_is_told_and_so_is_what_it_sees_from_there(
+def test_a_keyframe_that_odometry_comes_back_to_is_reported_and_so_is_what_it_sees_from_there(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     store, settings = KeyframeStore(), load_config(overrides={"loops.source": "keyframes"})
@@ -262,7 +262,7 @@ def test_a_keyframe_that_odometry_comes_back_to_is_told_and_so_is_what_it_sees_f
     for number in range(3):
         see(float(number), number, is_new=True)
     see(3.0, 2)
-    assert not again  # it is the newest, of which the thread is told as that
+    assert not again  # it is the newest, of which the thread is reported as that
     see(4.0, 0, 0.5)
     see(5.0, 0, 0.1)
     see(5.5, 0, 0.3)

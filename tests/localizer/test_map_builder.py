@@ -101,7 +101,7 @@ def test_light_gives_colour_to_what_was_found_in_the_dark(frames: list[RgbdFrame
 
 
 def test_what_shows_only_part_of_the_motion_teaches_the_map_nothing() -> None:
-    """Along a plain wall nobody knows the way; where the pose is partly a guess, frames would smear the map."""
+    """Along a plain wall no one knows the way; where the pose is partly a guess, frames would smear the map."""
     subject = Mapped(Calibration.registered_camera(SMALL))
     fused, unseen = [], []
     for k in range(12):
@@ -117,18 +117,18 @@ def test_what_shows_only_part_of_the_motion_teaches_the_map_nothing() -> None:
 
 
 def test_a_frame_goes_to_where_others_have_it(frames: list[RgbdFrame]) -> None:
-    """Odometry tells what the frame shows; where that is, who joins it with wheels may know better."""
-    calibration, T_told = Calibration.registered_camera(synthetic.CAMERA), se3.exp([3.0, -2.0, 1.0, 0.2, -0.3, 0.4])
+    """Odometry shows what the frame shows; where that is, who joins it with wheels may know better."""
+    calibration, T_reported = Calibration.registered_camera(synthetic.CAMERA), se3.exp([3.0, -2.0, 1.0, 0.2, -0.3, 0.4])
     odometry = DenseOdometry(calibration)
     subject = MapBuilder(odometry, calibration)
-    told = replace(odometry.process(frames[0]), T_odom_body=T_told)
+    reported = replace(odometry.process(frames[0]), T_odom_body=T_reported)
     assert len(subject.map) == 0
-    fused = subject.fuse_tracked(frames[0], told)
+    fused = subject.fuse_tracked(frames[0], reported)
     assert fused is not None
     assert fused.added == len(subject.map) > 10_000
     assert odometry.stage_seconds["fuse"] > 0
     surfels = subject.map.surfels()
-    seen = se3.apply(se3.invert(T_told), surfels.position)
+    seen = se3.apply(se3.invert(T_reported), surfels.position)
     u, v = (odometry.intrinsics[:2] * seen[:, :2] / seen[:, 2:] + odometry.intrinsics[2:]).T
     inside = (u > 2) & (u < 317) & (v > 2) & (v < 237)
     there = frames[0].depth_m[np.rint(v[inside]).astype(int), np.rint(u[inside]).astype(int)]

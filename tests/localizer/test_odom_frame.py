@@ -16,7 +16,7 @@ from wheelsight.estimation import FusedEstimate
 from wheelsight.estimation.fusion_localizer import FusedOdom
 
 LEGS = (*BEND, (4.0, 0.6, 0.1))
-# What a camera that fails, or a slip that is told once a frame, may be off in one frame of 0.04 s, at these speeds.
+# What a camera that fails, or a slip that is reported once a frame, may be off in one frame of 0.04 s, at these speeds.
 POSSIBLE_M = 0.05
 
 
@@ -25,7 +25,7 @@ def only(when: tuple[float, float], sight: Sight) -> Callable[[float], Sight]:
     return lambda seconds: sight if when[0] < seconds < when[1] else Sight()
 
 
-# The filter leaps where slip is over and nobody says which was right, and where a camera that went astray is believed
+# The filter leaps where slip is over and no one says which was right, and where a camera that went astray is believed
 # after all; and where the camera comes back after a slip in the dark.
 LEAPING = {
     "slow slip": lambda: spinning(drive(LEGS), 2.0, 4.5, 0.15),
@@ -120,7 +120,7 @@ def test_an_answer_in_odom_is_the_same_pose_in_the_map() -> None:
     np.testing.assert_allclose(not_none(framed.T_odom_body)[2], T[2], atol=1e-12)
 
 
-def test_a_wheel_answer_in_odom_tells_the_same_step() -> None:
+def test_a_wheel_answer_in_odom_shows_the_same_step() -> None:
     frame, T = OdomFrame(), se3.from_plane(2.0, 1.0, 0.4)
     before = (0.9, se3.from_plane(1.9, 1.0, 0.38), 0.5 * np.eye(6))
     answer = WheelEstimate(1.0, Status.TRACKING, T, np.eye(6), body="base", before=before)

@@ -41,7 +41,7 @@ def replace_frame(truth: Trajectory) -> Trajectory:
     return Trajectory(truth.stamps_s, se3.invert(truth.T_frame_body[0]) @ truth.T_frame_body, body="base")
 
 
-class Told:
+class Reported:
     """Knows the true motion of the camera, and errs by noise; `change` makes something else of an answer."""
 
     def __init__(
@@ -79,7 +79,7 @@ def off_m(answer: Estimate, truth: Trajectory) -> float:
 @pytest.mark.parametrize("config", [Config(), ALONE], ids=["joined", "alone"])
 def test_it_follows_the_camera_with_an_honest_covariance(room: Room, config: Config) -> None:
     recording, events, truth = room
-    part = Told(room)
+    part = Reported(room)
     with Localizer(recording.calibration, config, visual_odometry=part) as subject:
         found = answers(subject, events)
         assert isinstance(subject.odometry, OwnOdometry)
@@ -124,7 +124,7 @@ def test_what_is_no_motion_is_a_lost_frame_and_wheels_carry_the_pose_on(
         return change(found) if 1.2 < stamp_s < 2.2 else found
 
     settings = load_config(overrides={"features.lost_after": 5, "odometry": "own"})
-    with Localizer(recording.calibration, settings, visual_odometry=Told(room, changed)) as subject:
+    with Localizer(recording.calibration, settings, visual_odometry=Reported(room, changed)) as subject:
         alone = [answer for _, answer in answers(subject, events)]
     begin_s = events[0].stamp_s
     dark = [answer for answer in alone if 1.2 < answer.stamp_s - begin_s < 2.2]
@@ -134,7 +134,7 @@ def test_what_is_no_motion_is_a_lost_frame_and_wheels_carry_the_pose_on(
     after = alone[alone.index(dark[-1]) + 1 :]
     assert {answer.status for answer in after} == {Status.TRACKING}
     assert off_m(alone[-1], truth) < 0.02
-    with Localizer(recording.calibration, visual_odometry=Told(room, changed)) as subject:
+    with Localizer(recording.calibration, visual_odometry=Reported(room, changed)) as subject:
         joined = [answer for _, answer in answers(subject, events)]
     dark = [answer for answer in joined if 1.2 < answer.stamp_s - begin_s < 2.2]
     assert Status.COASTING in {answer.status for answer in dark}
@@ -144,9 +144,9 @@ def test_what_is_no_motion_is_a_lost_frame_and_wheels_carry_the_pose_on(
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        (lambda found: 1 / 0, "Told.align raised ZeroDivisionError: division by zero"),
-        (lambda found: None, "Told.align returned NoneType, not a MotionEstimate"),
-        (lambda found: found.T_reference_current, "Told.align returned ndarray, not a MotionEstimate"),
+        (lambda found: 1 / 0, "Reported.align raised ZeroDivisionError: division by zero"),
+        (lambda found: None, "Reported.align returned NoneType, not a MotionEstimate"),
+        (lambda found: found.T_reference_current, "Reported.align returned ndarray, not a MotionEstimate"),
         (lambda found: replace(found, T_reference_current=np.eye(3)), r"T_reference_current is of shape \(3, 3\)"),
         (lambda found: replace(found, T_reference_current=2 * np.eye(4)), "T_reference_current is not a rigid motion"),
         (lambda found: replace(found, covariance=None), "a motion without a covariance"),
@@ -161,27 +161,27 @@ def test_a_mistake_of_the_part_is_one_typed_error(
     room: Room, change: Callable[[MotionEstimate], Any], why: str
 ) -> None:
     recording, events, _ = room
-    part = Told(room, lambda stamp_s, found: change(found))
+    part = Reported(room, lambda stamp_s, found: change(found))
     with (
         Localizer(recording.calibration, ALONE, visual_odometry=part) as subject,
-        pytest.raises(PartError, match=why) as told,
+        pytest.raises(PartError, match=why) as reported,
     ):
         answers(subject, events[:20])
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(reported.value)
 
 
 def test_the_cause_of_an_error_of_the_part_is_kept(room: Room) -> None:
     recording, events, _ = room
-    part = Told(room, lambda stamp_s, found: 1 / 0)
-    with Localizer(recording.calibration, visual_odometry=part) as subject, pytest.raises(PartError) as told:
+    part = Reported(room, lambda stamp_s, found: 1 / 0)
+    with Localizer(recording.calibration, visual_odometry=part) as subject, pytest.raises(PartError) as reported:
         answers(subject, events)
-    assert isinstance(told.value.__cause__, ZeroDivisionError)
+    assert isinstance(reported.value.__cause__, ZeroDivisionError)
 
 
 @pytest.mark.slow
 def test_a_run_follows_it_and_writes_what_was_tracked_before_an_error(room: Room, tmp_path: Path) -> None:
     recording = room[0]
-    record = run(recording, Config(), tmp_path / "whole", visual_odometry=Told(room))
+    record = run(recording, Config(), tmp_path / "whole", visual_odometry=Reported(room))
     assert record.odometry == "joined"
     assert not_none(record.evaluation).ate.translation.rmse < 0.005
     assert {path.name for path in (tmp_path / "whole").iterdir()} >= {"joined", "own", "wheels", "report.html"}
@@ -191,7 +191,7 @@ def test_a_run_follows_it_and_writes_what_was_tracked_before_an_error(room: Room
         return found if stamp_s < 2.0 else 1 / 0
 
     with pytest.raises(PartError, match="ZeroDivisionError"):
-        run(recording, ALONE, tmp_path / "half", visual_odometry=Told(room, breaks))
+        run(recording, ALONE, tmp_path / "half", visual_odometry=Reported(room, breaks))
     lines = (tmp_path / "half" / "trajectory.txt").read_text().splitlines()
     assert 20 < len([line for line in lines if not line.startswith("#")]) < len(record.frames)
 
@@ -199,7 +199,7 @@ def test_a_run_follows_it_and_writes_what_was_tracked_before_an_error(room: Room
 def test_it_is_joined_by_the_filter_of_ligocki_too(room: Room) -> None:
     recording, events, truth = room
     settings = load_config(overrides={"odometry": "wheels,own", "fusion.filter": "ligocki"})
-    with Localizer(recording.calibration, settings, visual_odometry=Told(room)) as subject:
+    with Localizer(recording.calibration, settings, visual_odometry=Reported(room)) as subject:
         found = answers(subject, events)
     assert found[-1][1].status is Status.TRACKING
     assert off_m(found[-1][1], truth) < 0.05
@@ -222,7 +222,7 @@ def test_it_is_joined_by_the_filter_of_ligocki_too(room: Room) -> None:
 def test_parts_without_a_use_are_refused(
     room: Room, overrides: dict[str, Any], parts: dict[str, Any], why: str
 ) -> None:
-    class Both(Told):
+    class Both(Reported):
         def candidates(self, number: Any, keyframe: Any) -> list[int]:
             return []
 
@@ -232,10 +232,10 @@ def test_parts_without_a_use_are_refused(
 
 
 def test_what_is_no_part_is_refused(room: Room) -> None:
-    with pytest.raises(ArgumentError, match="visual_odometry is the class Told, not an object with a method align"):
-        Localizer(room[0].calibration, visual_odometry=Told)  # type: ignore[arg-type]
-    with pytest.raises(ArgumentError, match="loop_detector is a Told, not an object with a method candidates"):
-        Localizer(room[0].calibration, loop_detector=Told(room))  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="visual_odometry is the class Reported, not an object with a method align"):
+        Localizer(room[0].calibration, visual_odometry=Reported)  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="loop_detector is a Reported, not an object with a method candidates"):
+        Localizer(room[0].calibration, loop_detector=Reported(room))  # type: ignore[arg-type]
 
 
 class Earlier:
@@ -254,7 +254,7 @@ def test_it_finds_itself_in_a_known_map_by_a_detector_of_a_users_own(room: Room,
     recording, events, truth = room
     run(recording, load_config(overrides={"map": "surfels", "loops.source": "keyframes"}), tmp_path / "one")
     known = {"known_map.path": str(tmp_path / "one"), "loops.apart_s": 0.5, "loops.latency_s": 0.1}
-    part, detector = Told(room), Earlier()
+    part, detector = Reported(room), Earlier()
     record = run(
         recording, load_config(overrides=known), tmp_path / "two", visual_odometry=part, loop_detector=detector
     )
@@ -268,7 +268,7 @@ def test_it_finds_itself_in_a_known_map_by_a_detector_of_a_users_own(room: Room,
 @pytest.mark.slow
 def test_it_is_played_in_real_time_and_is_not_shown_the_frames_of_the_rehearsal(room: Room, tmp_path: Path) -> None:
     recording, events, _ = room
-    part = Told(room)
+    part = Reported(room)
     record = run(RealTimeRecording(recording), Config(), tmp_path / "out", visual_odometry=part)
     assert record.odometry == "joined"
     frames = sum(isinstance(event, RgbdFrame) for event in events)

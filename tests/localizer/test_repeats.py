@@ -44,7 +44,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 
 def twice(events: Iterable[Event], later_s: float) -> Iterator[Event]:
-    """Each image under a stamp of its own once more, from which no reading is told away."""
+    """Each image under a stamp of its own once more, from which no reading is reported away."""
     waiting: RgbdFrame | None = None
     for event in events:
         if waiting is not None and waiting.stamp_s <= event.stamp_s:
@@ -113,21 +113,21 @@ def test_a_mount_is_found_by_images_listed_twice_as_by_images_listed_once(drive:
 
 
 @pytest.mark.parametrize("settings", CAMERAS, ids=["features", "dense", "map"])
-def test_of_a_camera_that_hangs_no_pose_is_told_and_soon_that_it_hangs(
+def test_of_a_camera_that_hangs_no_pose_is_reported_and_soon_that_it_hangs(
     room: Recording, settings: dict[str, Any]
 ) -> None:
     localizer = Localizer(room.calibration, load_config(overrides=settings))
     first = next(event for event in room.events() if isinstance(event, RgbdFrame))
-    told = []
+    reported = []
     for number in range(45):
         answer = localizer.process(replace(first, stamp_s=first.stamp_s + number / 30))
         assert answer is not None
-        told.append((answer.status, answer.reason, localizer.note))
-    assert told[0] == (Status.TRACKING, None, "")
-    assert set(told[1:31]) == {(Status.FAILING, Reason.REPEATED, "the same image as before")}
-    assert {reason for _, reason, _ in told[32:]} == {Reason.FRAME_UNUSABLE}
-    assert {note for *_, note in told[32:]} == {"the camera hangs: the same image for over 1 s"}
-    assert told[-1][0] is Status.LOST
+        reported.append((answer.status, answer.reason, localizer.note))
+    assert reported[0] == (Status.TRACKING, None, "")
+    assert set(reported[1:31]) == {(Status.FAILING, Reason.REPEATED, "the same image as before")}
+    assert {reason for _, reason, _ in reported[32:]} == {Reason.FRAME_UNUSABLE}
+    assert {note for *_, note in reported[32:]} == {"the camera hangs: the same image for over 1 s"}
+    assert reported[-1][0] is Status.LOST
 
 
 IMAGE, DEPTH = np.zeros((240, 320, 3), np.uint8), np.zeros((240, 320), np.float32)

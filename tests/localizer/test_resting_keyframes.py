@@ -82,7 +82,7 @@ def test_without_a_disk_all_stay(tmp_path: Path) -> None:
     assert_same(store[KeyframeId(0)], keyframe(0))
 
 
-def test_a_file_that_was_cut_off_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_was_cut_off_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tempfile.TemporaryFile(dir=tmp_path)  # noqa: SIM115 - who rests in it closes it
     monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: file)
     store = KeyframeStore()

@@ -1,4 +1,4 @@
-"""What a joined localizer says where nobody can know the place: after an elevator, after a silence of all sensors."""
+"""What a joined localizer says where no one can know the place: after an elevator, after a silence of all sensors."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def said(monkeypatch: pytest.MonkeyPatch, made: Drive, eye: Eye | None = None) -
 
 
 def said_after_silence(monkeypatch: pytest.MonkeyPatch, made: Drive) -> list[FusedEstimate]:
-    """The answers to frames after 5 s in which no sensor told anything."""
+    """The answers to frames after 5 s in which no sensor reported anything."""
     begin_s, end_s = (made.begin_s + seconds for seconds in SILENT_S)
     heard = Silence(begin_s=begin_s, end_s=end_s).apply(made.events())
     eye = made.eye()
@@ -140,7 +140,7 @@ def test_after_a_silence_loops_tell_the_place(monkeypatch: pytest.MonkeyPatch) -
     assert loops.asked == [0] * 30  # what stands in for odometry keeps no keyframes
 
 
-def test_after_a_silence_a_known_view_tells_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_after_a_silence_a_known_view_shows_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
     made = drive(ROUND_A_CORNER)
     after = said_after_silence(monkeypatch, made)[10:]
     assert {(answer.status, answer.doubtful) for answer in after} == {(Status.TRACKING, False)}

@@ -21,7 +21,7 @@ def base_at(way_m: float) -> FloatArray:
 
 
 def judged(way_m: float, turns: float, ratio: float | None = None) -> Verdict:
-    """A drive, by a camera that tells `turns` times the turns; and the floor's height over that of the mount."""
+    """A drive, by a camera that shows `turns` times the turns; and the floor's height over that of the mount."""
     pieces = MotionSegments(WHEELS, T_BASE_CAMERA)
     verdict = Verdict()
     for at_m in np.arange(0, way_m, 0.02):

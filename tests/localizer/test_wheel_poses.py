@@ -1,4 +1,4 @@
-"""WheelPoses: what wheels and gyroscope told in the last seconds."""
+"""WheelPoses: what wheels and gyroscope reported in the last seconds."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from wheelsight.estimation.consistency_check import WheelPoses
 
 
 def rolled(seconds: float) -> WheelPoses:
-    """Straight on at 0.5 m/s, told fifty times a second; the gyroscope turns at 0.2 rad/s."""
+    """Straight on at 0.5 m/s, reported fifty times a second; the gyroscope turns at 0.2 rad/s."""
     poses = WheelPoses()
     for k in range(round(50 * seconds) + 1):
         assert poses.add(k / 50, se3.from_plane(0.5 * k / 50, 0.0, 0.0), 0.5 / 50)
@@ -19,7 +19,7 @@ def rolled(seconds: float) -> WheelPoses:
     return poses
 
 
-def test_poses_are_told_between_readings_and_never_beyond() -> None:
+def test_poses_are_reported_between_readings_and_never_beyond() -> None:
     poses = rolled(2.0)
     between = poses.at(1.013)
     assert between is not None
@@ -34,7 +34,7 @@ def test_they_are_kept_for_three_seconds(seconds: float, is_kept: bool) -> None:
     assert (rolled(seconds).at(0.5) is not None) == is_kept
 
 
-def test_a_clock_that_goes_back_begins_anew_but_the_way_stays() -> None:
+def test_a_clock_that_goes_back_begins_again_but_the_way_stays() -> None:
     poses = rolled(2.0)
     assert not poses.add(1.0, se3.from_plane(1.0, 0.0, 0.0), 0.01)
     assert poses.at(0.5) is None
@@ -43,7 +43,7 @@ def test_a_clock_that_goes_back_begins_anew_but_the_way_stays() -> None:
     assert poses.newest is None
 
 
-def test_the_gyroscope_tells_turns_of_the_time_that_it_heard() -> None:
+def test_the_gyroscope_shows_turns_of_the_time_that_it_heard() -> None:
     poses = rolled(2.0)
     assert poses.turned_between(0.5, 1.25) == pytest.approx(0.15)
     assert poses.turned_between(0.5, 2.05) is not None

@@ -1,4 +1,4 @@
-"""Surfels as columns of whole numbers: what comes back is what was there, but for the steps that are told."""
+"""Surfels as columns of whole numbers: what comes back is what was there, but for the steps that are reported."""
 
 from __future__ import annotations
 

@@ -113,14 +113,14 @@ def test_an_empty_map_has_nothing_to_write_at_all(tmp_path):
         write_ply(made_map(), tmp_path / "points.ply", stable_only=False)
 
 
-def test_meshing_tells_how_far_it_is(monkeypatch):
+def test_meshing_shows_how_far_it_is(monkeypatch):
     pytest.importorskip("skimage", reason="scikit-image is not installed (extra mesh)")
     monkeypatch.setattr(meshes, "CHUNK_VOXELS", 16)
-    told: list[tuple[int, int]] = []
-    mesh_of(wall_map(), 0.03, on_chunk=lambda done, total: told.append((done, total)))
-    assert [done for done, _ in told] == sorted({done for done, _ in told})
-    assert len({total for _, total in told}) == 1
-    assert 1 < len(told) <= told[0][1]
+    reported: list[tuple[int, int]] = []
+    mesh_of(wall_map(), 0.03, on_chunk=lambda done, total: reported.append((done, total)))
+    assert [done for done, _ in reported] == sorted({done for done, _ in reported})
+    assert len({total for _, total in reported}) == 1
+    assert 1 < len(reported) <= reported[0][1]
 
 
 def test_without_scikit_image_the_fix_is_said(monkeypatch):

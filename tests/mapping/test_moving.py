@@ -144,7 +144,7 @@ def test_a_whole_map_moves_with_its_keyframes_and_with_what_hangs_on_none(
     surfel_map: SurfelMap, store: KeyframeStore, rng: np.random.Generator
 ) -> None:
     fuse(surfel_map, see([Wall(2.0)], pose(-APART_M), rng), pose(-APART_M), 1.0)
-    before, poses, told = surfel_map.surfels(), store.T_map_keyframe.copy(), store.follow()
+    before, poses, reported = surfel_map.surfels(), store.T_map_keyframe.copy(), store.follow()
     T_new_old = se3.exp([0.3, -0.2, 0.1, 0.1, 0.2, -0.3])
     surfel_map.move(T_new_old)
     after = surfel_map.surfels()
@@ -153,7 +153,7 @@ def test_a_whole_map_moves_with_its_keyframes_and_with_what_hangs_on_none(
         assert len(old.grey) > 1000
         assert_allclose(new.position, se3.apply(T_new_old, old.position), atol=3e-6)
     assert_allclose(store.T_map_keyframe, T_new_old @ poses, atol=1e-12)
-    moves = told.moves()
+    moves = reported.moves()
     assert moves is not None
     assert_allclose(moves, np.tile(T_new_old, (2, 1, 1)), atol=1e-12)
 

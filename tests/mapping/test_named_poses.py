@@ -1,4 +1,4 @@
-"""Names of poses: kept, found, told of where they are missing, and moved with their keyframes."""
+"""Names of poses: kept, found, reported where they are missing, and moved with their keyframes."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ def test_names_are_written_and_read_again(tmp_path: Path) -> None:
         assert_allclose(after.pose_now(TABLE), before.pose_now(TABLE))
 
 
-def test_a_name_that_is_unknown_is_told_with_the_nearest_and_all() -> None:
+def test_a_name_that_is_unknown_is_reported_with_the_nearest_and_all() -> None:
     poses = NamedPoses((KITCHEN, DESK))
-    with pytest.raises(MapError) as told:
+    with pytest.raises(MapError) as reported:
         poses.named("Kichen")
-    assert "no place of the map is called 'Kichen' (did you mean kitchen?)" in str(told.value)
-    assert "known: desk, kitchen" in str(told.value)
+    assert "no place of the map is called 'Kichen' (did you mean kitchen?)" in str(reported.value)
+    assert "known: desk, kitchen" in str(reported.value)
     with pytest.raises(MapError, match="the map has no names yet"):
         NamedPoses().named("kitchen")
     assert poses.without("desk").names == ("kitchen",)
@@ -104,13 +104,13 @@ def test_of_two_maps_both_keep_their_names() -> None:
         ({"places": [{"name": "a", "pose": [1, 2]}, {"name": "a", "pose": [1, 3]}]}, "is given twice"),
     ],
 )
-def test_a_file_that_is_wrong_is_told_by_its_path(change: dict[str, Any], problem: str, tmp_path: Path) -> None:
+def test_a_file_that_is_wrong_is_reported_by_its_path(change: dict[str, Any], problem: str, tmp_path: Path) -> None:
     path = tmp_path / "places.json"
     NamedPoses((KITCHEN,)).save(path)
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
-    with pytest.raises(MapError, match=problem) as told:
+    with pytest.raises(MapError, match=problem) as reported:
         NamedPoses.load(path)
-    assert told.value.path == path
+    assert reported.value.path == path
     path.write_text("{")
     with pytest.raises(MapError, match="is no JSON"):
         NamedPoses.load(path)

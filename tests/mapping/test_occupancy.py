@@ -69,9 +69,9 @@ def test_inside_is_free_and_outside_unknown(empty_room: OccupancyGrid) -> None:
     assert empty_room.free_m2() == pytest.approx(6.0 * 4.0, rel=0.06)
 
 
-def test_cells_are_told_as_ros_tells_them(empty_room: OccupancyGrid) -> None:
-    for kind, told in ((CellKind.FREE, FREE), (CellKind.OBSTACLE, OCCUPIED), (CellKind.UNKNOWN, UNKNOWN)):
-        assert_array_equal(empty_room.occupancy[empty_room.kind == kind], told)
+def test_cells_are_reported_as_ros_shows_them(empty_room: OccupancyGrid) -> None:
+    for kind, reported in ((CellKind.FREE, FREE), (CellKind.OBSTACLE, OCCUPIED), (CellKind.UNKNOWN, UNKNOWN)):
+        assert_array_equal(empty_room.occupancy[empty_room.kind == kind], reported)
     plan = empty_room.to_ros()
     cells = np.argwhere(empty_room.kind == CellKind.OBSTACLE)
     np.testing.assert_allclose(plan.to_map(cells[:, ::-1] + 0.5), walls(empty_room))
@@ -162,7 +162,7 @@ def test_what_was_taken_away_is_gone_after_some_looks() -> None:
 
 @cache
 def about_the_room() -> OccupancyMapper:
-    """Whose keyframes whoever takes it may move."""
+    """Whose keyframes anyone who takes it may move."""
     return mapped(turning(8))
 
 
@@ -179,7 +179,7 @@ def test_a_correction_of_poses_moves_the_walls_with_them(x: float, y: float, yaw
     assert len(found) > 200
 
 
-def test_made_anew_is_as_made_at_once() -> None:
+def test_made_again_is_as_made_at_once() -> None:
     poses = turning(6)
     shifted = [se3.from_plane(7.0, -3.0, 1.0) @ T for T in poses]
     moved = mapped(poses)
@@ -223,8 +223,8 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
     return counts
 
 
-def test_a_loop_puts_each_keyframe_once_anew_and_decodes_none_but_new_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which is what lets a map be made anew within a second: benchmarks measure that, and here is no clock."""
+def test_a_loop_puts_each_keyframe_once_again_and_decodes_none_but_new_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which is what lets a map be made again within a second: benchmarks measure that, and here is no clock."""
     view, count, bend = keyframe(depth_of(at(0.0, 0.0, 0.0))), 40, se3.exp([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
     store, made = KeyframeStore(), OccupancyMapper(ROBOT)
     for number in range(count):
@@ -295,7 +295,7 @@ def test_heights_in_conflict_are_refused() -> None:
 
 
 def test_the_room_is_as_it_was_meant() -> None:
-    """The scene itself, of which all else is told: straight ahead the wall is as far off as it is."""
+    """The scene itself, of which all else is reported: straight ahead the wall is as far off as it is."""
     level = mount(1.1, 0.0)
     depth_m = depth_of(at(0.0, 0.0, 0.0, level))
     assert depth_m[59, 79] == pytest.approx(ROOM.high[0] - 0.2, abs=1e-5)

@@ -36,7 +36,7 @@ def rays(depth_m: np.ndarray, focal_px: float = 20.0) -> kernels.DepthRays:
 
 
 def channel_of(h_m: float) -> int:
-    """As docs/occupancy.md tells it; -1 for what is in none."""
+    """As docs/occupancy.md shows it; -1 for what is in none."""
     if not 0.05 <= h_m < 2.0:
         return -1
     return CHANNELS - 1 if h_m >= 1.05 else min(1 + int((h_m - 0.05) / 0.1), CHANNELS - 2)
@@ -93,7 +93,7 @@ def test_compiled_and_plain_kernels_say_the_same(rng: np.random.Generator, heigh
     assert {0, kernels.HIDDEN, kernels.PASSED, kernels.MET} == set(np.unique(seen[..., 1:]).tolist())
 
 
-def test_log_odds_are_of_what_was_told_last_and_stay_within_bounds() -> None:
+def test_log_odds_are_of_what_was_reported_last_and_stay_within_bounds() -> None:
     found, table = window(), np.zeros((SIDE, SIDE, CHANNELS), np.int8)
 
     def tell(channel: int, what: int, times: int) -> int:

@@ -48,7 +48,7 @@ def test_without_a_disk_all_stay_in_memory(monkeypatch: pytest.MonkeyPatch) -> N
     assert_array_equal(depths[KeyframeId(4)].depth, seen(4).depth)
 
 
-def test_what_the_disk_has_lost_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_disk_has_lost_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     depths = kept(0)
     read = os.pread
     monkeypatch.setattr(os, "pread", lambda file, count, begin: read(file, count, begin)[:-1])

@@ -36,7 +36,7 @@ from wheelsight.mapping.columns import COLUMNS, columns_of, packed, unpacked
 
 @pytest.fixture(scope="module")
 def surfel_map() -> SurfelMap:
-    """Of which some surfels hang on two keyframes, and others on none; nobody changes it."""
+    """Of which some surfels hang on two keyframes, and others on none; no one changes it."""
     store, rng = kept_keyframes(2), np.random.default_rng(20240817)
     made = SurfelMap(SurfelSettings(active_s=7.0), store)
     walls = [Wall(2.0, slope=0.3), Wall(1.4, low=-0.1, high=0.1)]

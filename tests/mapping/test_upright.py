@@ -1,4 +1,4 @@
-"""Which way is up, told by surfels."""
+"""Which way is up, reported by surfels."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def angle_deg(a: FloatArray, b: FloatArray) -> float:
 
 
 @given(pitch=st.floats(-0.6, 0.6), roll=st.floats(-0.3, 0.3))
-def test_a_floor_tells_it_however_the_camera_was_tilted(pitch: float, roll: float) -> None:
+def test_a_floor_shows_it_however_the_camera_was_tilted(pitch: float, roll: float) -> None:
     surfels = facing((UP, 800), (np.array([-1.0, 0, 0]), 3000), (-UP, 2000), spread_rad=0.05)
     R_map_camera = so3.exp([0.0, pitch, 0.0]) @ so3.exp([roll, 0.0, 0.0]) @ LEVEL
     assert angle_deg(upward(lambda: [surfels], R_map_camera), UP) < 0.5
@@ -47,6 +47,6 @@ def test_a_floor_counts_for_more_than_a_ramp_that_is_smaller():
 
 
 @pytest.mark.parametrize("surfels", [facing((np.array([-1.0, 0, 0]), 500)), facing((UP, 40))], ids=["wall", "crumb"])
-def test_where_nothing_tells_it_is_the_cameras_own(surfels: Surfels) -> None:
+def test_where_nothing_shows_it_is_the_cameras_own(surfels: Surfels) -> None:
     R_map_camera = so3.exp([0.1, 0.2, 0.0]) @ LEVEL
     np.testing.assert_allclose(upward(lambda: [surfels], R_map_camera), -R_map_camera[:, 1])

@@ -54,15 +54,15 @@ def test_hidden_is_what_lies_deep_enough_beside_all_that_was_looked_at(deep_m: f
     monitor, reach_m = CollisionMonitor(CHAIR), 1.4
     monitor.add_reading(0.0, 0.0, 0.0)
     monitor.add_view(KINECT.view(NOTHING, np.zeros(3), 0.0))
-    told = monitor.memory.hidden(reach_m, deep_m)
+    reported = monitor.memory.hidden(reach_m, deep_m)
     looked = sector(KINECT, AIR_M).union(shapely.Polygon(CHAIR.corners))
-    away_m = shapely.distance(looked, shapely.points(told))
+    away_m = shapely.distance(looked, shapely.points(reported))
     assert away_m.min() > deep_m - OFF_M
     places = np.stack(np.meshgrid(*2 * [np.arange(-1.3, 1.3, 0.05)]), axis=-1).reshape(-1, 2)
     places = places[np.hypot(*places.T) < reach_m - OFF_M]
     is_hidden = shapely.distance(looked, shapely.points(places)) > deep_m + OFF_M
     assert 0.1 < is_hidden.mean() < 0.9
-    off_m = shapely.distance(shapely.MultiPoint(told), shapely.points(places[is_hidden]))
+    off_m = shapely.distance(shapely.MultiPoint(reported), shapely.points(places[is_hidden]))
     assert off_m.max() < MEMORY_CELL_M
 
 
@@ -94,7 +94,7 @@ def test_what_is_hidden_stays_so_until_somebody_looks_there() -> None:
 
 
 @pytest.mark.parametrize("turn_rad_s", [0.0, 0.1, -0.3])
-def test_nobody_is_led_on_and_on_over_floor_that_no_camera_has_looked_at(turn_rad_s: float) -> None:
+def test_no_one_is_led_on_and_on_over_floor_that_no_camera_has_looked_at(turn_rad_s: float) -> None:
     """Floor that it was led over counts as seen: once the next piece of it was as little deep as the last."""
     ride, asked = Ride(NOTHING, KINECT), VelocityCommand(0.3, turn_rad_s)
     ride.monitor.trust_floor(1.0)
@@ -122,7 +122,7 @@ def test_points_are_obstacles_in_the_cells_that_they_lie_in() -> None:
 def test_plans_and_controllers_keep_away_from_what_neither_map_nor_camera_knows(
     unknown: Literal["costly", "forbidden"],
 ) -> None:
-    """A map that knows the floor right of y = 3 m alone; the robot stands there, and nobody looks to its left."""
+    """A map that knows the floor right of y = 3 m alone; the robot stands there, and no one looks to its left."""
     kind = np.full((120, 160), CellKind.UNKNOWN, np.uint8)
     kind[:60] = CellKind.FREE
     floor = KnownFloor(OccupancyGrid.of_kinds(kind, kind == CellKind.FREE, CELL_M, (0.0, 0.0)))

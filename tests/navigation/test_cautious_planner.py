@@ -61,7 +61,7 @@ def test_it_goes_so_that_it_looks_there_first() -> None:
 
 
 def test_where_none_looks_there_first_the_first_one_counts_and_it_is_said() -> None:
-    """It stands in the middle of floor that nobody looked at, and nothing shows it any."""
+    """It stands in the middle of floor that no one looked at, and nothing shows it any."""
     hidden = hidden_about((-np.pi, np.pi), 3.0)
     hidden[:, 2] = 0.0
     blind_eye = EYE._replace(far_m=0.1)

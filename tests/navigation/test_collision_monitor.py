@@ -322,7 +322,7 @@ def test_wheels_that_do_not_obey_stop_it_until_somebody_has_looked() -> None:
 
 
 def off_after_silence(measured_m_s: Callable[[float], float], seconds: float) -> bool:
-    """Whether a base counts as off that drove at 0.8 m/s, and moves so for a time in which it is told nothing."""
+    """Whether a base counts as off that drove at 0.8 m/s, and moves so for a time in which it is reported nothing."""
     check, found = WheelCheck(RobotLimits()), False
     for n in range(60):
         check.record(VelocityCommand(0.8, 0.0), 0.05 * n)
@@ -376,7 +376,7 @@ def test_a_base_that_obeys_is_never_accused(seed: int, lag_s: float, every: int)
 
 
 def test_a_base_that_gains_speed_quickly_and_brakes_slowly_has_obeyed() -> None:
-    """Told 0.2 m/s at 0.95, it gives way 0.12 s later and by three quarters of what it might brake."""
+    """Reported 0.2 m/s at 0.95, it gives way 0.12 s later and by three quarters of what it might brake."""
     check = WheelCheck(RobotLimits())
     for n in range(150):
         now_s = 0.02 * n
@@ -386,7 +386,7 @@ def test_a_base_that_gains_speed_quickly_and_brakes_slowly_has_obeyed() -> None:
 
 
 @pytest.mark.slow
-def test_nobody_who_asks_for_full_speed_hits_a_wall() -> None:
+def test_no_one_who_asks_for_full_speed_hits_a_wall() -> None:
     """80 walls, at all distances and bearings, full speed along all curves; the camera is the chair's.
 
     Distance, bearing, speed and curve are a Latin hypercube: each has 80 values, one in each eightieth of its range.
@@ -396,7 +396,7 @@ def test_nobody_who_asks_for_full_speed_hits_a_wall() -> None:
     for n, (distance_m, bearing_rad, forward_m_s, turn_rad_s) in enumerate(drawn.tolist()):
         points = wall(distance_m, bearing_rad)
         ride = Ride(points, Camera(), monitor)
-        # After such a gap between readings the monitor begins anew.
+        # After such a gap between readings the monitor begins again.
         ride.time_s, ride.base.forward_m_s = 100.0 * n, forward_m_s
         results.append(ride.drive(VelocityCommand(1.0, turn_rad_s), 3.0))
         ride.clearance_m = min(ride.clearance_m, clearance_m(CHAIR, ride.base.pose, points))

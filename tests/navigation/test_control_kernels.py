@@ -72,7 +72,7 @@ def test_below_the_margin_clearance_is_that_of_the_nearest_cell_with_its_sign(
     along, across = np.maximum(u - 0.8, -0.3 - u), np.abs(v) - 0.3
     plain = float(np.maximum(along, across).min())
     found = clearance_at(field_of(cells), OUTLINE, pose_of(x, y, yaw), MARGIN_M)
-    # Beside a corner what is told may be less than it is.
+    # Beside a corner what is reported may be less than it is.
     is_near = np.hypot(np.maximum(along, 0), np.maximum(across, 0)).min() <= MARGIN_M
     assert found == pytest.approx(plain, abs=1e-5) if is_near else found > 0.7 * MARGIN_M
 

@@ -202,7 +202,7 @@ def test_rollouts_go_around_a_box_that_the_plan_does_not_know() -> None:
     [(5.0, 5.1, 0.0, 0.0, 0.3), (9.0, 5.0, -0.6, 0.0, 0.3), (5.0, 2.0, 0.0, 0.7, 0.3), (6.0, 4.2, -0.3, 0.2, 0.3)],
 )
 def test_rollouts_go_around_people(person: tuple[float, ...]) -> None:
-    """Who stands, comes along, crosses, or walks aslant; nobody makes way."""
+    """Who stands, comes along, crosses, or walks aslant; no one makes way."""
     people, path = np.array([person]), WAYS["straight"][1]
     drove = closed_loop(MppiController(CHAIR), path, field_of(room()), Unicycle((2.0, 5.0, 0.0)), people)
     assert drove.reason is ControlReason.ARRIVED

@@ -44,7 +44,7 @@ def test_obstacles_are_marked_where_any_sixteenth_of_their_cells_lies(seed: int,
 
 
 @pytest.mark.parametrize("is_plain", [False, True])
-def test_costs_fall_from_obstacles_and_are_no_less_where_nobody_looked(is_plain: bool) -> None:
+def test_costs_fall_from_obstacles_and_are_no_less_where_no_one_looked(is_plain: bool) -> None:
     kernels = plain(costmap_kernels) if is_plain else costmap_kernels
     distance_m = np.linspace(0, 1.5, 30, dtype=np.float32).reshape(5, 6)
     state = np.full((5, 6), FREE, np.uint8)

@@ -1,4 +1,4 @@
-"""A person crosses a robot's way: told where he walks, it arrives sooner and keeps away from him."""
+"""A person crosses a robot's way: reported where he walks, it arrives sooner and keeps away from him."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ class Crossing:
         time_s: until then.
         apart_m: least distance from the outline to the person.
         driven_at_m: the same while the robot itself came nearer.
-        told: periods in which it knew of somebody who walks.
+        reported: periods in which it knew of somebody who walks.
     """
 
     has_arrived: bool
     time_s: float
     apart_m: float
     driven_at_m: float
-    told: int
+    reported: int
 
 
 def body_at(place: FloatArray) -> Walls:
@@ -66,7 +66,7 @@ def crossed(begin: tuple[float, float], velocity: tuple[float, float], *, is_pre
         before_m = person.clearance_m(navigator.footprint.at(robot.base.pose))
         navigator.step()
         after_m = person.clearance_m(navigator.footprint.at(robot.base.pose))
-        result.told += len(navigator.senses.people(robot.now_s)) > 0
+        result.reported += len(navigator.senses.people(robot.now_s)) > 0
         if is_inside:
             result.apart_m = min(result.apart_m, after_m)
             result.driven_at_m = min(result.driven_at_m, after_m if after_m < before_m - 1e-3 else np.inf)
@@ -76,14 +76,14 @@ def crossed(begin: tuple[float, float], velocity: tuple[float, float], *, is_pre
 
 
 @pytest.mark.slow
-def test_told_who_walks_where_it_arrives_sooner_and_keeps_away() -> None:
+def test_reported_who_walks_where_it_arrives_sooner_and_keeps_away() -> None:
     crossings = (((8.2, 10.0), (-0.15, -1.3)), ((10.6, -1.2), (-0.3, 0.8)))
-    told = [crossed(*crossing, is_predicted=True) for crossing in crossings]
-    untold = [crossed(*crossing, is_predicted=False) for crossing in crossings]
-    assert all(one.told > 5 for one in told)
-    assert all(one.told == 0 for one in untold)
-    assert all(one.driven_at_m > 0.1 for one in told), [one.driven_at_m for one in told]
-    assert sum(one.has_arrived for one in told) >= sum(one.has_arrived for one in untold)
-    assert sum(one.time_s for one in told) < sum(one.time_s for one in untold)
+    reported = [crossed(*crossing, is_predicted=True) for crossing in crossings]
+    unreported = [crossed(*crossing, is_predicted=False) for crossing in crossings]
+    assert all(one.reported > 5 for one in reported)
+    assert all(one.reported == 0 for one in unreported)
+    assert all(one.driven_at_m > 0.1 for one in reported), [one.driven_at_m for one in reported]
+    assert sum(one.has_arrived for one in reported) >= sum(one.has_arrived for one in unreported)
+    assert sum(one.time_s for one in reported) < sum(one.time_s for one in unreported)
     # Untold, what blocked a way is taken for a thing, and it goes far round: nearer than that is near enough.
-    assert all(one.apart_m > 0.4 for one in told), [one.apart_m for one in told]
+    assert all(one.apart_m > 0.4 for one in reported), [one.apart_m for one in reported]

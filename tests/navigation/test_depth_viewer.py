@@ -1,4 +1,4 @@
-"""What a collision monitor is told of a depth image, and what it forgets by it: made floors, walls and boxes."""
+"""What a collision monitor is reported a depth image, and what it forgets by it: made floors, walls and boxes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def bearings(view: DepthView) -> FloatArray:
 
 @pytest.mark.parametrize("away_m", [0.6, 1.0, 1.6])
 def test_each_bearing_sees_up_to_a_wall_that_hides_all_floor(away_m: float) -> None:
-    """A robot may stand so before one, and nobody who sees a wall is blind."""
+    """A robot may stand so before one, and no one who sees a wall is blind."""
     face_m = AHEAD_M + away_m
     view = VIEWER.view(depth_of([(face_m, face_m + 0.1, -5.0, 5.0, 0.0, 3.0)]), 0.0)
     assert view.near_m > away_m
@@ -114,9 +114,9 @@ def test_who_has_left_is_forgotten_nearer_than_the_floor_is_seen_but_a_low_box_i
     known.add_reading(0.0, 0.0, 0.0)
     known.add_view(VIEWER.view(depth_of([box(2.5, height_m)]), 0.0))
     known.add_reading(0.2, 0.0, 0.0, rolled=(1.6, 0.0))
-    nobody = VIEWER.view(depth_of([]), 0.2)
-    assert nobody.near_m > 0.9 > AIR_M
-    known.add_view(nobody)
+    no_one = VIEWER.view(depth_of([]), 0.2)
+    assert no_one.near_m > 0.9 > AIR_M
+    known.add_view(no_one)
     pose = known.pose_at(0.2)
     assert pose is not None
     assert bool(len(known.points_at(pose, 0.2, 2.0))) is is_left

@@ -1,4 +1,4 @@
-"""The collision monitor stops a robot before floor that is missing, as at a stair down, whoever asks for full speed."""
+"""The collision monitor stops a robot before floor that is missing, as at a stair down, at full speed too."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SIZE_M = (9.0, 6.0)
 ROOM = walls_about(*SIZE_M)
 EDGE_M, LOWER_M = 5.2, 1.0
 BEGIN, GOAL = (1.5, 3.0, 0.0), (8.0, 3.0, 0.0)
-# Nobody walks here, and looking for people takes time.
+# No one walks here, and looking for people takes time.
 SETTINGS = NavigationSettings(people=PeopleSettings(is_predicted=False))
 
 

@@ -115,8 +115,8 @@ def test_a_window_has_the_cells_of_the_whole(middle: tuple[float, float]) -> Non
     _, floor = floor_at((0.0, 0.0, 0.0))
     window = floor.layer.window(middle, 3.0)
     places: FloatArray = np.random.default_rng(0).uniform(-1.4, 1.4, (50, 2)) + middle
-    told = [state_at(window, *place) for place in places.tolist()]
-    assert_array_equal(told, [state_at(floor.layer, *place) for place in places.tolist()])
+    reported = [state_at(window, *place) for place in places.tolist()]
+    assert_array_equal(reported, [state_at(floor.layer, *place) for place in places.tolist()])
 
 
 def test_where_a_robot_drove_there_is_floor_and_things_stay_things() -> None:
@@ -132,7 +132,7 @@ def test_where_a_robot_drove_there_is_floor_and_things_stay_things() -> None:
     assert state_at(floor.layer, 3.02, 0.0) is CellState.OCCUPIED
 
 
-def test_it_holds_a_goal_that_nobody_has_seen() -> None:
+def test_it_holds_a_goal_that_no_one_has_seen() -> None:
     seen = Seen()
     seen.look((0.0, 0.0, 0.0))
     floor = GrowingFloor(seen, CALIBRATION, CHAIR, holds=[(12.0, -7.0)])  # type: ignore[arg-type]

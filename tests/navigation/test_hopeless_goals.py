@@ -274,7 +274,7 @@ def test_of_several_goals_one_in_a_wall_is_left_out_or_ends_it(goals: type[PoseG
 @pytest.mark.parametrize("is_lost", [False, True], ids=["it knows where it is", "lost"])
 @pytest.mark.parametrize("limits", [TURNS_ALONE, ALL_ZERO], ids=["may turn", "all zero"])
 @pytest.mark.parametrize("explores", [False, True], ids=["to a pose", "explores"])
-def test_who_may_not_drive_is_told_so_at_once(explores: bool, limits: RobotLimits, is_lost: bool) -> None:
+def test_who_may_not_drive_is_refused_at_once(explores: bool, limits: RobotLimits, is_lost: bool) -> None:
     ride = ride_of(limits=limits)
     if is_lost:
         ride.localization.says = lambda estimate: replace(estimate, status=Status.INITIALIZING)

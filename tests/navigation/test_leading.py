@@ -25,17 +25,17 @@ def ride() -> Ride:
     return Ride.of(Walls.of(*ROOM), BEGIN, SIZE_M)
 
 
-def test_go_to_drives_there_stands_and_tells_each_period() -> None:
-    subject, told = ride(), list[Feedback]()
-    result = subject.navigator.go_to(GOAL, told.append)
+def test_go_to_drives_there_stands_and_shows_each_period() -> None:
+    subject, reported = ride(), list[Feedback]()
+    result = subject.navigator.go_to(GOAL, reported.append)
     assert result.has_arrived
     assert result is subject.navigator.result
     assert is_near(subject.robot.base.pose, GOAL)
     assert subject.robot.base.stands
-    assert len(told) == round(subject.robot.now_s / PERIOD_S)
-    assert [one.stamp_s for one in told] == pytest.approx([PERIOD_S * (k + 1) for k in range(len(told))])
-    assert told[-1].state is NavigationState.ARRIVED
-    to_go_m = [one.to_go_m for one in told if one.to_go_m is not None]
+    assert len(reported) == round(subject.robot.now_s / PERIOD_S)
+    assert [one.stamp_s for one in reported] == pytest.approx([PERIOD_S * (k + 1) for k in range(len(reported))])
+    assert reported[-1].state is NavigationState.ARRIVED
+    to_go_m = [one.to_go_m for one in reported if one.to_go_m is not None]
     assert to_go_m[0] == pytest.approx(2.0, abs=0.1)
     assert to_go_m[-1] < 0.15
 
@@ -58,10 +58,10 @@ def test_go_to_goes_on_until_a_robot_stands_whose_task_is_over() -> None:
 
 
 def test_go_to_refuses_what_is_no_pose_before_anything_moves() -> None:
-    subject, told = ride(), list[Feedback]()
+    subject, reported = ride(), list[Feedback]()
     with pytest.raises(ArgumentError):
-        subject.navigator.go_to((1.0,), told.append)
-    assert (told, subject.robot.now_s) == ([], 0.0)
+        subject.navigator.go_to((1.0,), reported.append)
+    assert (reported, subject.robot.now_s) == ([], 0.0)
     assert subject.navigator.state is NavigationState.IDLE
 
 

@@ -42,7 +42,7 @@ class ToAndFro:
 
 
 def test_way_that_leads_nowhere_is_no_progress() -> None:
-    """By way alone, its tries began anew every 0.25 m, and nothing ever held it."""
+    """By way alone, its tries began again every 0.25 m, and nothing ever held it."""
     ride = Ride.of(ROOM, (3.0, 3.0, 0.0), (8.0, 6.0), settings=SETTINGS)
     controller = ride.navigator._controller = ToAndFro()  # noqa: SLF001
     ride.navigator.go_to_pose((6.0, 3.0, 0.0))

@@ -59,7 +59,7 @@ def test_nearer_than_it_should_be_it_may_stay_and_leave_but_come_no_nearer() -> 
     assert not keeps_clear(costmap, outline, away, BACK)
 
 
-def test_floor_that_nobody_has_seen_is_no_obstacle() -> None:
+def test_floor_that_no_one_has_seen_is_no_obstacle() -> None:
     assert clear(0.1, LEFT, CellState.UNKNOWN)
 
 

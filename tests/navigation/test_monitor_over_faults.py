@@ -35,7 +35,7 @@ from wheelsight.navigation.settings import PeopleSettings
 
 SIZE_M = (9.0, 6.0)
 ROOM = walls_about(*SIZE_M)
-# Right across the room: nobody gets past it, nor around it.
+# Right across the room: no one gets past it, nor around it.
 WALL_M = 5.0
 ACROSS = (*ROOM, ((WALL_M, 0.0), (WALL_M, 6.0)))
 POINTS = np.concatenate([np.linspace(a, b, 1 + round(np.hypot(b[0] - a[0], b[1] - a[1]) / 0.02)) for a, b in ACROSS])
@@ -43,7 +43,7 @@ BEGIN, GOAL = (1.5, 3.0, 0.0), (8.0, 3.0, 0.0)
 NEARER = (2.9, 3.0, 0.0)
 # A chair's link stands still by itself when nothing is said for so long: docs/serial-link.md.
 WATCHDOG_S, PERIOD_S, HANGS_S = 0.25, 0.05, 1.0
-# Nobody walks here, and looking for people takes time.
+# No one walks here, and looking for people takes time.
 UNTRACKED = PeopleSettings(is_predicted=False)
 ABOUT_THINGS = (MonitorReason.OBSTACLE, MonitorReason.IN_ZONE, MonitorReason.NEAR, MonitorReason.INSIDE)
 
@@ -85,18 +85,18 @@ class Hangs:
 
     def __post_init__(self) -> None:
         self.step = self.ride.robot.step
-        self.told = STOP
+        self.reported = STOP
         self.ride.robot.step = self._step  # type: ignore[method-assign]
 
     def _step(self, command: VelocityCommand) -> list[Event]:
-        late, self.late, self.told = self.late, [], command
+        late, self.late, self.reported = self.late, [], command
         return [*late, *self.step(command)]
 
     def command(self, state: MotionState, plan: DrivenPath, field: CostField, people: FloatArray) -> ControlResult:
         if self.ride.robot.base.pose[0] > self.from_m:
             self.hung += 1
             for period in range(round(HANGS_S / PERIOD_S)):
-                kept = self.told if period * PERIOD_S < WATCHDOG_S else STOP
+                kept = self.reported if period * PERIOD_S < WATCHDOG_S else STOP
                 self.late += self.step(kept)
         return ControlResult(FULL)
 
@@ -145,7 +145,7 @@ class Faults:
         self.patch, self.ride = monkeypatch, ride
 
     def empty_costmap(self) -> None:
-        """Nothing that the camera meets gets into any costmap, nor what the monitor tells."""
+        """Nothing that the camera meets gets into any costmap, nor what the monitor shows."""
         self.patch.setattr(LiveLayer, "update", lambda layer, *seen: None)
         nothing = self.ride.navigator.senses._live.obstacles()  # noqa: SLF001
         self.patch.setattr(Senses, "_obstacles", lambda senses, hidden=None: nothing)
@@ -297,7 +297,7 @@ def test_a_controller_that_hangs_for_a_second_before_each_answer_touches_nothing
 
 
 @pytest.mark.parametrize("put", [controller_asks_anything, all_is_wrong], ids=lambda put: str(put.__name__))
-def test_whoever_asks_for_anything_touches_nothing(
+def test_anyone_who_asks_for_anything_touches_nothing(
     put: Callable[[Faults], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     checked = ride_with(put, monkeypatch, 5.8, is_checked=True, begin=NEARER)

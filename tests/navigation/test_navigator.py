@@ -427,7 +427,7 @@ def test_a_robot_that_stopped_by_itself_for_a_moment_goes_on() -> None:
     subject.go(10, until=lambda: subject.robot.base.forward_m_s > 0.8)
     assert subject.robot.base.forward_m_s > 0.8
 
-    def stands_until_told(command: VelocityCommand) -> VelocityCommand:
+    def stands_until_reported(command: VelocityCommand) -> VelocityCommand:
         if command.is_stop:
             subject.robot.stop_reason = ""
         if not subject.robot.stop_reason:
@@ -436,7 +436,7 @@ def test_a_robot_that_stopped_by_itself_for_a_moment_goes_on() -> None:
         subject.robot.base.forward_m_s = max(subject.robot.base.forward_m_s - 0.05, 0.0)
         return STOP
 
-    subject.robot.stop_reason, subject.robot.obeys = "no wheel readings come", stands_until_told
+    subject.robot.stop_reason, subject.robot.obeys = "no wheel readings come", stands_until_reported
     subject.go(60)
     assert not_none(subject.navigator.result).has_arrived
 
@@ -504,7 +504,7 @@ def test_a_recorded_way_is_followed_without_a_stop() -> None:
     assert farthest < 0.35
 
 
-def test_feedback_tells_how_far_it_is() -> None:
+def test_feedback_shows_how_far_it_is() -> None:
     subject = ride()
     subject.navigator.go_to_pose(GOAL)
     subject.go(2)
@@ -523,7 +523,7 @@ class Found(PoseGoals):
     is_asked_for = False
 
 
-def test_where_nobody_asked_for_a_place_it_is_the_same_beside_it() -> None:
+def test_where_no_one_asked_for_a_place_it_is_the_same_beside_it() -> None:
     subject = ride((*ROOM, *somebody_at(5.9, 3.0)), mapped=ROOM)
     subject.navigator.begin(Found([(5.0, 3.0, 0.0)]))
     subject.go(60)

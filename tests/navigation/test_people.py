@@ -61,23 +61,23 @@ def test_who_walks_is_followed_by_a_robot_that_drives(walk: str, move: str) -> N
     rng, subject = np.random.default_rng(5), PeopleTracker(far_m=CAMERA.far_m)
     begin, velocity = (np.array(part) for part in WALKS[walk])
     wall = line((4.6, -3.0), (4.6, 3.0))
-    told: list[tuple[Person, FloatArray]] = []
+    reported: list[tuple[Person, FloatArray]] = []
     for n in range(25):
         now_s, pose = n * FRAME_S, pose_of(MOVES[move], n * FRAME_S)
         middle = begin + now_s * velocity
         points = np.concatenate([BODY_M * ROUND + middle, wall]) + rng.normal(0, 0.01, (len(ROUND) + len(wall), 2))
         view = CAMERA.view(points, pose, now_s)
         subject.update(view, pose, anywhere(view))
-        told += [(person, middle) for person in subject.people(now_s)]
-    assert len(told) >= 5
-    offs = np.array([person.velocity - velocity for person, _ in told])
-    places = np.array([person.position - middle for person, middle in told])
+        reported += [(person, middle) for person in subject.people(now_s)]
+    assert len(reported) >= 5
+    offs = np.array([person.velocity - velocity for person, _ in reported])
+    places = np.array([person.position - middle for person, middle in reported])
     assert np.hypot(*np.median(offs, axis=0)) < 0.15
     assert np.hypot(*offs.T).max() < 0.5
     # Once he is out of sight, as much more as the filter says.
-    sigmas = [np.sqrt(np.linalg.eigvalsh(person.covariance[:2, :2])[-1]) for person, _ in told]
+    sigmas = [np.sqrt(np.linalg.eigvalsh(person.covariance[:2, :2])[-1]) for person, _ in reported]
     assert (np.hypot(*places.T) < 0.1 + np.array(sigmas)).all()
-    assert min(person.radius_m for person, _ in told) >= BODY_M
+    assert min(person.radius_m for person, _ in reported) >= BODY_M
 
 
 @pytest.mark.parametrize("move", MOVES)
@@ -100,7 +100,7 @@ def test_a_wall_never_walks(move: str) -> None:
     st.tuples(st.floats(-0.2, 1.0), st.floats(-1.0, 1.0)),
     st.integers(0, 1000),
 )
-def test_whatever_stands_is_nobody_who_walks(
+def test_whatever_stands_is_no_one_who_walks(
     at: tuple[float, float], shape: tuple[float, float, float], move: tuple[float, float], seed: int
 ) -> None:
     """One box behind another, which cuts it off from view in part, from any robot that moves."""
@@ -154,14 +154,14 @@ def test_who_is_out_of_sight_is_forgotten_after_a_second() -> None:
     assert known[22] == ()
 
 
-def test_what_the_map_has_is_nobody() -> None:
+def test_what_the_map_has_is_no_one() -> None:
     subject = PeopleTracker(far_m=CAMERA.far_m)
     for n in range(15):
         subject.update(walker(n * FRAME_S), np.zeros(3), ~anywhere(walker(n * FRAME_S)))
         assert subject.people(n * FRAME_S) == ()
 
 
-def test_who_stops_is_nobody_who_walks() -> None:
+def test_who_stops_is_no_one_who_walks() -> None:
     subject = PeopleTracker(far_m=CAMERA.far_m)
     for n in range(30):
         now_s = n * FRAME_S

@@ -78,7 +78,7 @@ def test_the_pose_is_the_first_that_would_hold_some_of_it() -> None:
     assert number == int(np.argmax(holds)) > 0
 
 
-def test_nobody_looks_through_a_wall() -> None:
+def test_no_one_looks_through_a_wall() -> None:
     hidden, is_wall = patch(3.0, 3.6), np.zeros((160, 160), bool)
     assert VIEW.first_blind(BACK_AND_ROUND, hidden, costmap_of(is_wall)) is None
     is_wall[66:79, 54:67] = True  # all round it

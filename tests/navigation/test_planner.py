@@ -175,7 +175,7 @@ def test_a_goal_does_not_move_to_the_other_side_of_a_wall() -> None:
     assert beyond.goal[1] > 3.15
 
 
-def test_what_cannot_be_is_told_by_its_reason() -> None:
+def test_what_cannot_be_is_reported_by_its_reason() -> None:
     cells = room(8, 8)
     cells[80:83] = True
     state = np.where(cells, CellState.OCCUPIED, CellState.FREE).astype(np.uint8)
@@ -264,7 +264,7 @@ def test_a_start_beside_a_wall_between_two_things_gets_out(
     assert steps.sum() <= 2 * 1.2
 
 
-def test_a_heading_that_nothing_leads_to_is_told_and_the_nearest_one_is_taken() -> None:
+def test_a_heading_that_nothing_leads_to_is_reported_and_the_nearest_one_is_taken() -> None:
     """In a corridor in which the chair cannot turn it comes to the place as it is turned."""
     cells = np.ones((40, 140), bool)
     cells[12:28, 10:130] = False

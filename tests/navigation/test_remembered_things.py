@@ -86,7 +86,7 @@ def test_it_is_forgotten_by_the_way_for_wheels_err_by_that(turns: int, is_known:
 @pytest.mark.parametrize(("way_m", "turn_rad"), [(0.3, 0.0), (0.0, 0.4)])
 def test_a_thing_stays_where_it_is_while_the_wheels_way_carries_the_robot_on(way_m: float, turn_rad: float) -> None:
     """By their way, whatever speeds come with it: those are late, and a door's posts came into the door."""
-    points, told, shown = np.array([[1.4, 0.1], [1.4, -0.1], [1.5, 0.6]]), [], np.zeros(3)
+    points, reported, shown = np.array([[1.4, 0.1], [1.4, -0.1], [1.5, 0.6]]), [], np.zeros(3)
     for rolls in (True, False):
         monitor = CollisionMonitor(CHAIR)
         monitor.add_reading(0.0, 0.0, 0.0)
@@ -98,9 +98,9 @@ def test_a_thing_stays_where_it_is_while_the_wheels_way_carries_the_robot_on(way
             shown = np.array([way_m, 0.0, turn_rad])
             monitor.add_view(ALL_AROUND.view(points, shown, 0.0))
             monitor.add_reading(0.1, 0.0, 0.0)
-        told.append(monitor.check(FULL, 0.1, Status.TRACKING).command.forward_m_s)
-    assert 0.0 < told[0] < 1.0
-    assert told[0] == pytest.approx(told[1], abs=0.01)
+        reported.append(monitor.check(FULL, 0.1, Status.TRACKING).command.forward_m_s)
+    assert 0.0 < reported[0] < 1.0
+    assert reported[0] == pytest.approx(reported[1], abs=0.01)
 
 
 def test_a_way_that_is_no_number_stops_it() -> None:

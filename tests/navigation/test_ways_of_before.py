@@ -22,7 +22,7 @@ def driven(way: RecordedPath, places: list[tuple[float, float]]) -> list[tuple[f
     return [(float(one[0]), float(one[1])) for one in way.upcoming(np.array([x, y, 0.0]), COSTMAP)]
 
 
-def test_who_plans_anew_late_does_not_go_back_to_the_begin() -> None:
+def test_who_plans_again_late_does_not_go_back_to_the_begin() -> None:
     way = RecordedPath([(x, 0.0, 0.0) for x in (0.0, 2.0, 4.0, 6.0)])
     assert driven(way, [(0.25 * n, 0.1) for n in range(17)]) == [(6.0, 0.0)]
 

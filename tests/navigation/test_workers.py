@@ -1,4 +1,4 @@
-"""Workers: in step a time is charged, beside nobody waits; and a robot drives on while its next plan is made."""
+"""Workers: in step a time is charged, beside no one waits; and a robot drives on while its next plan is made."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def ride(planning: object = None, **navigator: float) -> Ride:
     return subject
 
 
-def told(subject: WorkerBeside[int]) -> int:
+def reported(subject: WorkerBeside[int]) -> int:
     waiting = threading.Event()
     for _ in range(1000):
         answer = subject.answer(0.0)
@@ -120,7 +120,7 @@ def test_in_step_the_time_that_it_takes_goes_by() -> None:
     assert subject.answer(9.0) is None
 
 
-def test_beside_nobody_waits_and_the_newest_is_told() -> None:
+def test_beside_no_one_waits_and_the_newest_is_reported() -> None:
     begun, may_go, done = threading.Event(), threading.Event(), list[int]()
 
     def slowly() -> int:
@@ -140,13 +140,13 @@ def test_beside_nobody_waits_and_the_newest_is_told() -> None:
         subject.ask(lambda: work(3), 0.0)
         assert subject.is_busy
         may_go.set()
-        assert told(subject) == 3
+        assert reported(subject) == 3
         assert done == [3]
         assert not subject.is_asked
         assert not subject.is_busy
 
 
-def test_what_is_not_wanted_any_more_is_not_told() -> None:
+def test_what_is_not_wanted_any_more_is_not_reported() -> None:
     begun, may_go = threading.Event(), threading.Event()
 
     def slowly() -> int:
@@ -162,7 +162,7 @@ def test_what_is_not_wanted_any_more_is_not_told() -> None:
         assert subject.is_busy
         may_go.set()
         subject.ask(lambda: 2, 0.0)
-        assert told(subject) == 2
+        assert reported(subject) == 2
 
 
 def test_what_goes_wrong_beside_is_raised_to_who_asks() -> None:
@@ -172,7 +172,7 @@ def test_what_goes_wrong_beside_is_raised_to_who_asks() -> None:
     with closing(WorkerBeside[int]("a test")) as subject:
         subject.ask(fails, 0.0)
         with pytest.raises(MapError, match="too many"):
-            told(subject)
+            reported(subject)
 
 
 def test_a_plan_in_step_costs_simulated_time() -> None:

@@ -1,4 +1,4 @@
-"""What errors of a camera's points make of motions, against motions that are known and fits that are made anew."""
+"""What errors of a camera's points make of motions, against motions that are known and fits that are made again."""
 
 from __future__ import annotations
 

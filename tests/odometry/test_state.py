@@ -10,7 +10,7 @@ NOT_YET, T, F, L = Status.INITIALIZING, Status.TRACKING, Status.FAILING, Status.
 
 
 @pytest.mark.parametrize(
-    ("frames", "told"),
+    ("frames", "reported"),
     [
         ("xx", [NOT_YET, NOT_YET]),
         ("xxxxo", [NOT_YET, NOT_YET, NOT_YET, NOT_YET, T]),
@@ -19,12 +19,12 @@ NOT_YET, T, F, L = Status.INITIALIZING, Status.TRACKING, Status.FAILING, Status.
         ("oxxxx", [T, F, F, L, L]),
     ],
 )
-def test_states_follow_what_frames_come_to(frames: str, told: list[Status]) -> None:
+def test_states_follow_what_frames_come_to(frames: str, reported: list[Status]) -> None:
     state, found = TrackingState(lost_after=3), []
     for frame in frames:
         state = state.tracked() if frame == "o" else state.failed()
         found.append(state.status)
-    assert found == told
+    assert found == reported
 
 
 def test_what_has_not_begun_is_not_lost() -> None:

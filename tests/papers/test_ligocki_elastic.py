@@ -87,7 +87,7 @@ def test_all_of_a_map_is_in_the_picture_and_fills_it(parts: dict[str, ModuleType
         assert 0.93 < max(np.ptp(px, axis=0) / view.size) < 1.01
 
 
-def test_looks_the_way_it_is_told_and_keeps_upright(parts: dict[str, ModuleType], room: SurfelMap) -> None:
+def test_looks_the_way_it_is_reported_and_keeps_upright(parts: dict[str, ModuleType], room: SurfelMap) -> None:
     for azimuth, down in ((0.0, 30.0), (110.0, 55.0)):
         R = parts["_ligocki_view"].outside(room, UP, AHEAD, azimuth, down).T_map_camera[:3, :3]
         np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)

@@ -119,10 +119,10 @@ def test_both_ways_rectify_and_the_probabilistic_one_by_far_the_most(trial: Any)
 
 
 def test_weights_are_those_of_eq_5(trial: Any) -> None:
-    alpha, beta, gamma, beta_untold = trial.errors["eq. 5, increment, 2"].weights
+    alpha, beta, gamma, beta_unreported = trial.errors["eq. 5, increment, 2"].weights
     assert alpha + beta + gamma == pytest.approx(1)
     assert gamma > 0
-    assert 0 <= beta_untold <= 1
+    assert 0 <= beta_unreported <= 1
 
 
 def test_the_papers_rmse_is_a_mean_of_distances(parts: dict[str, ModuleType], world: Any) -> None:
@@ -152,8 +152,8 @@ def test_answers_for_weights_come_from_forests_that_have_not_seen_the_drive(
         replace(drive, histograms=rng.random(drive.histograms.shape, np.float32), labels=rng.permutation(drive.labels))
         for drive in drives
     ]
-    told = parts["_trinh_trial"].held_out_answers(world.areas, blind, ForestSettings(trees=6))
-    right = np.mean([np.mean(areas == drive.labels) for areas, drive in zip(told, blind, strict=True)])
+    reported = parts["_trinh_trial"].held_out_answers(world.areas, blind, ForestSettings(trees=6))
+    right = np.mean([np.mean(areas == drive.labels) for areas, drive in zip(reported, blind, strict=True)])
     assert right < 0.45
 
 

@@ -53,7 +53,7 @@ def drive(tmp_path: Path) -> Path:
     return tmp_path / "drive"
 
 
-def test_the_table_tells_each_way_of_reckoning_on_the_part_no_fit_has_seen(
+def test_the_table_shows_each_way_of_reckoning_on_the_part_no_fit_has_seen(
     wheels_real: ModuleType, drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert wheels_real.main([str(drive), "--out", str(tmp_path / "out")]) == 0

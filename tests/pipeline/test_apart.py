@@ -1,4 +1,4 @@
-"""Drives whose localization answers apart: the floor grows by what it tells, and the map is whole at the end."""
+"""Drives whose localization answers apart: the floor grows by what it shows, and the map is whole at the end."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_a_map_is_explored_and_driven_in(tmp_path: Path) -> None:
     assert seen > 2
     assert free_m2 > 2.0
     with closing(MapFolder.open(folder)) as kept:
-        # What was made last comes with the frame after it, which nobody waited for.
+        # What was made last comes with the frame after it, which no one waited for.
         assert seen <= len(kept.store) <= seen + 3
 
     known = load_config(overrides={"odometry": "wheels,dense", "known_map": {"path": str(folder), "start": "0,0,0"}})

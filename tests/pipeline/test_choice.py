@@ -1,4 +1,4 @@
-"""What a run follows where nobody named an odometry."""
+"""What a run follows where no one named an odometry."""
 
 from __future__ import annotations
 
@@ -135,10 +135,10 @@ def test_wheels_alone_make_no_map(drive: ImageRecording) -> None:
 @pytest.mark.parametrize(
     "odometry", [("wheels", "dense"), ("wheels", "features"), ("wheels",), ("features",), ("dense",)]
 )
-def test_a_choice_tells_the_option_that_would_make_it(odometry: tuple[OdometryName, ...]) -> None:
-    told = Choice(odometry).sentence
-    assert f"(--odometry {','.join(odometry)}" in told
-    assert "\n" not in told
+def test_a_choice_shows_the_option_that_would_make_it(odometry: tuple[OdometryName, ...]) -> None:
+    reported = Choice(odometry).sentence
+    assert f"(--odometry {','.join(odometry)}" in reported
+    assert "\n" not in reported
 
 
 @pytest.mark.parametrize(
@@ -157,17 +157,17 @@ def test_a_choice_tells_the_option_that_would_make_it(odometry: tuple[OdometryNa
         ({"odometry": "wheels,dense", "wheels.gyro": False}, ["7 readings of the gyroscope are not used: --no-gyro"]),
     ],
 )
-def test_a_run_tells_what_it_leaves_out(drive: ImageRecording, overrides: dict[str, object], unused: list[str]) -> None:
-    told = unused_of(drive, load_config(overrides=overrides), yaw_rates=7)
-    assert len(told) == len(unused)
-    for sentence, expected in zip(told, unused, strict=True):
+def test_a_run_shows_what_it_leaves_out(drive: ImageRecording, overrides: dict[str, object], unused: list[str]) -> None:
+    reported = unused_of(drive, load_config(overrides=overrides), yaw_rates=7)
+    assert len(reported) == len(unused)
+    for sentence, expected in zip(reported, unused, strict=True):
         assert expected.format(w=drive.wheel_count, f=drive.frame_count) in sentence
 
 
-def test_a_run_tells_why_it_could_not(drive: ImageRecording) -> None:
+def test_a_run_shows_why_it_could_not(drive: ImageRecording) -> None:
     unmounted = replace(drive, calibration=replace(drive.calibration, T_base_camera=None))
-    (told,) = unused_of(unmounted, load_config(overrides={"odometry": "features"}), yaw_rates=0)
-    assert told.startswith(f"{drive.wheel_count} wheel readings are not used: the calibration has no T_base_camera")
+    (reported,) = unused_of(unmounted, load_config(overrides={"odometry": "features"}), yaw_rates=0)
+    assert reported.startswith(f"{drive.wheel_count} wheel readings are not used: the calibration has no T_base_camera")
     assert unused_of(replace(drive, wheels=()), load_config(overrides={"odometry": "features"}), yaw_rates=0) == ()
 
 

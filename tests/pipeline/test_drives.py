@@ -1,4 +1,4 @@
-"""Drives to goals: what is kept of them, and that whoever ends one stops the robot first."""
+"""Drives to goals: what is kept of them, and that anyone who ends one stops the robot first."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from wheelsight_report import write_drive
 NEAR = NamedGoal.of((-0.7, -0.4), "the middle")
 
 
-def test_a_goal_is_reached_and_all_of_it_is_told(tmp_path: Path) -> None:
+def test_a_goal_is_reached_and_all_of_it_is_reported(tmp_path: Path) -> None:
     drive, robot, config = rehearsed_drive()
     begin = robot.pose.copy()
     shown: list[Feedback] = []
@@ -55,12 +55,12 @@ def test_a_goal_is_reached_and_all_of_it_is_told(tmp_path: Path) -> None:
     assert 0.5 < record.clearance_m < 1.3
     assert 1 <= len(record.images) <= 24
     write_drive(record, tmp_path)
-    told = json.loads((tmp_path / "drive.json").read_text())
-    assert told["goals"][0]["name"] == "the middle"
-    assert told["goals"][0]["goal"] == {"x_m": -0.7, "y_m": -0.4, "yaw_deg": None}
-    assert [one["after"] for one in told["transitions"]][-1] == "arrived"
-    assert told["way_m"] == pytest.approx(0.6, abs=0.1)
-    assert told["plans"][0]["poses"][0] == pytest.approx(begin, abs=0.05)
+    reported = json.loads((tmp_path / "drive.json").read_text())
+    assert reported["goals"][0]["name"] == "the middle"
+    assert reported["goals"][0]["goal"] == {"x_m": -0.7, "y_m": -0.4, "yaw_deg": None}
+    assert [one["after"] for one in reported["transitions"]][-1] == "arrived"
+    assert reported["way_m"] == pytest.approx(0.6, abs=0.1)
+    assert reported["plans"][0]["poses"][0] == pytest.approx(begin, abs=0.05)
     way = read_tum(tmp_path / "trajectory.txt", "base")
     assert way.frame == "map"
     assert np.hypot(*(way.positions_m[-1, :2] - robot.pose[:2])) < 0.05
@@ -71,7 +71,7 @@ class EnoughError(Exception):
     pass
 
 
-def test_whoever_ends_a_drive_stops_the_robot_first() -> None:
+def test_anyone_who_ends_a_drive_stops_the_robot_first() -> None:
     drive, robot, config = rehearsed_drive()
     moved: list[float] = []
 
@@ -93,7 +93,7 @@ def test_whoever_ends_a_drive_stops_the_robot_first() -> None:
     assert recorded(drive, config, asked=2).goals[1].result.has_arrived
 
 
-def test_what_went_wrong_is_told_and_not_what_came_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_went_wrong_is_reported_and_not_what_came_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
     drive = rehearsed_drive()[0]
 
     def unplug(feedback: Feedback) -> None:

@@ -1,4 +1,4 @@
-"""Drives whose map is of another place, or that are told a wrong start: the localizer is the real one."""
+"""Drives whose map is of another place, or that are reported a wrong start: the localizer is the real one."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BEGIN: Pose = (-1.8, 0.2, 0.0)
 GOAL: Pose = (-0.3, 0.4, 0.0)
 SEED_OF_THE_MAP, OTHER_SEED = 0, 3
 LOST_S = 8.0
-# So far off that nobody means the same place.
+# So far off that no one means the same place.
 FAR_OFF: Pose = (-0.6, -0.9, 1.5)
 
 
@@ -26,7 +26,7 @@ def driven(seed: int, start: Pose | None = None, goal: tuple[float, ...] = GOAL)
     with painted_ride(seed, BEGIN, LOST_S, start, localizers) as ride:
         ride.navigator.go_to_pose(goal)
         ride.go(40.0)
-    # What tells a start that is borne out from one that is believed alone.
+    # What shows a start that is borne out from one that is believed alone.
     assert (not_none(localizers[0].recognised) > 0) is (seed == SEED_OF_THE_MAP)
     assert ride.navigator.is_task_complete()
     assert ride.robot.base.stands

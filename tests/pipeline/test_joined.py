@@ -83,7 +83,7 @@ def test_the_trajectory_goes_on_while_coasting(ran: Runner, tmp_path: Path) -> N
     assert records["joined"].estimate.covariances is not None
 
 
-def test_slip_is_told_by_flags_in_record_and_file(ran: Runner, tmp_path: Path) -> None:
+def test_slip_is_reported_by_flags_in_record_and_file(ran: Runner, tmp_path: Path) -> None:
     made = spinning(drive(), 2.0, 3.5, 0.6)
     frames = ran(made)["joined"].frames
     for frame in frames:
@@ -95,7 +95,7 @@ def test_slip_is_told_by_flags_in_record_and_file(ran: Runner, tmp_path: Path) -
     assert sum("slip" in row["flags"] for row in rows) > 25
 
 
-def test_directions_that_are_not_shown_are_told_by_a_flag(ran: Runner, tmp_path: Path) -> None:
+def test_directions_that_are_not_shown_are_reported_by_a_flag(ran: Runner, tmp_path: Path) -> None:
     hidden = Sight(hidden=np.array([[0.0, 0, 1, 0, 0, 0]]))
     made = drive(faults=lambda seconds: hidden if 2.0 < seconds < 3.5 else Sight())
     frames = ran(made, **{"fusion": "default"})["joined"].frames

@@ -56,7 +56,7 @@ def test_its_trajectory_has_poses_at_frames_and_at_readings(ran: tuple[Path, tup
 @pytest.mark.usefixtures("real_odometry")
 @pytest.mark.parametrize("delay_s", [-0.008, -0.2])
 def test_frames_that_readings_overtook_have_poses_too(tmp_path: Path, delay_s: float) -> None:
-    """Calibrated wheels may be said to lead: their readings' stamps are then later than those of frames told after."""
+    """Calibrated wheels may lead: their readings' stamps are then later than those of frames reported after."""
     make_room_drive(tmp_path / "room", frames=4)
     recording = of_type(ImageRecording, open_recording(tmp_path / "room"))
     assert recording.calibration.wheels is not None

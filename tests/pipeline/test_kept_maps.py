@@ -51,9 +51,9 @@ def test_a_run_keeps_its_keyframes_where_they_are_and_how_they_hang_together(roo
     assert_allclose(record.estimate.stamps_s[at], stamps_s)
     assert_allclose(found.store.T_map_keyframe, record.estimate.T_frame_body[at], atol=1e-9)
     assert [(edge.first, edge.second) for edge in found.edges] == [(k, k + 1) for k in range(len(stamps_s) - 1)]
-    told = metrics_in(tmp_path)["kept_map"]
-    assert told == {"file": "map", "keyframes": len(stamps_s), "bytes": told["bytes"]}
-    assert told["bytes"] == sum(file.stat().st_size for file in (tmp_path / "map").iterdir())
+    reported = metrics_in(tmp_path)["kept_map"]
+    assert reported == {"file": "map", "keyframes": len(stamps_s), "bytes": reported["bytes"]}
+    assert reported["bytes"] == sum(file.stat().st_size for file in (tmp_path / "map").iterdir())
     assert (record.kept_map is not None, found.surfels()) == (True, None)
 
 
@@ -116,7 +116,7 @@ def test_of_joined_sensors_one_map_is_kept_and_it_lies_where_the_way_has_it(tmp_
     assert sorted(path.parent.name for path in (tmp_path / "out").rglob("map.json")) == ["map"]
     found = MapFolder.open(find_map(tmp_path / "out"))
     assert found.path == tmp_path / "out" / "joined" / "map"
-    # A joined robot knows where its camera sits: what of the floor is free is told at once.
+    # A joined robot knows where its camera sits: what of the floor is free is reported at once.
     plan = read_ros_map(found.path / "occupancy.yaml")
     assert {FREE, UNKNOWN} < set(np.unique(plan.occupancy).tolist())
     T_base_camera = source.calibration.T_base_camera
@@ -141,7 +141,7 @@ def test_a_map_with_loops_has_the_edges_by_which_its_graph_hangs_together(tmp_pa
 
 
 @pytest.mark.slow
-def test_a_map_lies_where_the_corrected_way_has_it_even_after_a_piece_that_nobody_could_place(tmp_path: Path) -> None:
+def test_a_map_lies_where_the_corrected_way_has_it_even_after_a_piece_that_no_one_could_place(tmp_path: Path) -> None:
     """Behind a cover the camera is turned back; what it sees then is kept far off until it is recognised."""
     back = [at(step, 0.15) for step in range(75, 5, -1)]
     before, after = frames_of(FIRST_DAY, 10.0), frames_of(back, 20.0)

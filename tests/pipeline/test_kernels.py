@@ -136,7 +136,7 @@ def test_what_is_left_follows_the_rate(cache: Path, slower: float) -> None:
 
 
 @pytest.mark.slow
-def test_what_cannot_be_compiled_is_told_by_its_last_line() -> None:
+def test_what_cannot_be_compiled_is_reported_by_its_last_line() -> None:
     with pytest.raises(OutputError, match=r"kernels could not be compiled: KeyError: 'nothing'"):
         kernels.compile_kernels(["nothing"])
 
@@ -169,10 +169,10 @@ def test_each_part_is_compiled_in_a_process_of_its_own(monkeypatch: pytest.Monke
         return popen([sys.executable, "-c", f"print('{command[3]} 1'); print('{command[3]} 2')"], **options)
 
     monkeypatch.setattr(subprocess, "Popen", start)
-    told: list[tuple[str, int]] = []
-    kernels.compile_kernels(["wheels", "dense"], lambda part, count: told.append((part, count)))
+    reported: list[tuple[str, int]] = []
+    kernels.compile_kernels(["wheels", "dense"], lambda part, count: reported.append((part, count)))
     assert asked == [["wheels"], ["dense"]]
-    assert told == [("wheels", 1), ("wheels", 2), ("dense", 3), ("dense", 4)]
+    assert reported == [("wheels", 1), ("wheels", 2), ("dense", 3), ("dense", 4)]
 
 
 def test_the_rehearsal_is_a_drive_in_which_everything_happens(tmp_path: Path) -> None:
@@ -218,11 +218,11 @@ def test_a_drive_with_mishaps_needs_nothing_more(tmp_path: Path) -> None:
     mishaps: dict[str, Any] = {"covered_s": ((3, 6),), "faults": WheelFaults(lifted_s=((8, 10),))}
     settings = SimulationSettings(world="square", size=(320, 240), rate_hz=3, duration_s=12, **mishaps)
     write_simulation(simulate(settings), tmp_path / "drive")
-    told = subprocess.run(
+    reported = subprocess.run(
         [sys.executable, "-c", COUNT, str(tmp_path)], capture_output=True, text=True, check=False, timeout=280
     )
-    assert told.returncode == 0, told.stderr
-    assert told.stdout.strip() == ""
+    assert reported.returncode == 0, reported.stderr
+    assert reported.stdout.strip() == ""
 
 
 COUNT_DRIVEN = """
@@ -270,7 +270,7 @@ print(*(loaded() - before), sep="\\n")
 def test_a_drive_to_a_goal_needs_nothing_more(project_folder: Path) -> None:
     """The first command of the first drive does not wait for a compiler."""
     path = f"{project_folder}:{project_folder / 'tests'}"
-    told = subprocess.run(
+    reported = subprocess.run(
         [sys.executable, "-c", COUNT_DRIVEN],
         capture_output=True,
         text=True,
@@ -278,5 +278,5 @@ def test_a_drive_to_a_goal_needs_nothing_more(project_folder: Path) -> None:
         timeout=280,
         env={**os.environ, "PYTHONPATH": path},
     )
-    assert told.returncode == 0, told.stderr
-    assert told.stdout.strip() == ""
+    assert reported.returncode == 0, reported.stderr
+    assert reported.stdout.strip() == ""

@@ -142,7 +142,7 @@ def test_an_extended_map_has_new_keyframes_that_hang_on_the_old_ones(monday: Pat
 
 
 @pytest.mark.parametrize("extends", mostly_slow([False, True], quick=[True]))
-def test_another_room_is_not_recognised_and_told_so(monday: Path, tmp_path: Path, extends: bool) -> None:
+def test_another_room_is_not_recognised_and_reported(monday: Path, tmp_path: Path, extends: bool) -> None:
     count, recognition = len(MapFolder.open(monday / "map").store), bytes_in(monday)["recognition.npz"]
     before = bytes_in(monday)
     source = recorded(SECOND_DAY, seed=OTHER_ROOM)
@@ -204,7 +204,7 @@ def mounted(calibration: Calibration) -> Calibration:
 
 
 @pytest.mark.slow
-def test_a_start_is_believed_but_told_where_nothing_bears_it_out(tmp_path: Path) -> None:
+def test_a_start_is_believed_but_reported_where_nothing_bears_it_out(tmp_path: Path) -> None:
     """The map of a robot begins where its base did; the second day begins a turn of 45° further."""
     found, elsewhere = tmp_path / "found", tmp_path / "elsewhere"
     calibration = mounted(CALIBRATION)

@@ -30,7 +30,7 @@ def test_a_source_without_an_end_stops_after_a_while(tmp_path: Path, truth: Traj
     record = run(source, BY_FEATURES, tmp_path / "out", duration_s=0.5)
     assert [f.stamp_s for f in record.frames] == pytest.approx([100 + index / 30 for index in range(15)])
     assert source.is_closed
-    assert len(source.given) == 16  # the first that is late tells that it is over
+    assert len(source.given) == 16  # the first that is late shows that it is over
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
     metrics = metrics_in(tmp_path / "out")
     assert metrics["recording"] == {"name": "robot", "format": "live", "path": None}
@@ -50,7 +50,7 @@ def test_ctrl_c_keeps_what_a_source_without_an_end_gave(tmp_path: Path, truth: T
     assert metrics["warnings"][-1] == "Interrupted by the user after 12 frames."
 
 
-def test_pictures_are_taken_though_nobody_knows_for_how_long(tmp_path: Path, truth: Trajectory) -> None:
+def test_pictures_are_taken_though_no_one_knows_for_how_long(tmp_path: Path, truth: Trajectory) -> None:
     settings = load_config(overrides={"odometry": "features", "report.pictures": 3})
     record = run(Live(truth), settings, tmp_path / "out", duration_s=0.5)
     assert [picture.stamp_s for picture in record.pictures] == pytest.approx([100 + 10 / 30])

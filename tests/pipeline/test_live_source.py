@@ -108,7 +108,7 @@ def test_readings_come_all_beside_frames_by_one_clock(tmp_path: Path) -> None:
     assert source.report().wheels_from == str(controller.port)
 
 
-def test_it_ends_when_told_or_with_a_played_recording() -> None:
+def test_it_ends_when_reported_or_with_a_played_recording() -> None:
     camera = HandFedCamera()
     assert list(LiveSource(LiveSensors(CALIBRATION, camera), stops_after(3)).events()) == []
     notes: list[str] = []
@@ -118,7 +118,7 @@ def test_it_ends_when_told_or_with_a_played_recording() -> None:
     assert source.warnings[-1] == "No frame came from fake 1: the recording it plays has ended."
 
 
-def test_a_camera_that_goes_away_is_told_and_the_wheels_go_on(tmp_path: Path) -> None:
+def test_a_camera_that_goes_away_is_reported_and_the_wheels_go_on(tmp_path: Path) -> None:
     camera, notes = HandFedCamera(), list[str]()
     with SimulatedController(tmp_path) as controller, WheelLink(str(controller.port)) as link:
         source = LiveSource(LiveSensors(ROBOT, camera, link), note=notes.append)
@@ -144,7 +144,7 @@ def test_what_is_heard_is_recorded_frames_that_were_dropped_too(tmp_path: Path) 
     assert [frame.stamp_s - now_s for frame in recorded] == pytest.approx([0, 1, 2, 3, 4])
 
 
-def test_the_calibration_tells_of_what_is_listened_to_alone(tmp_path: Path) -> None:
+def test_the_calibration_shows_what_is_listened_to_alone(tmp_path: Path) -> None:
     camera = HandFedCamera()
     without = LiveSource(LiveSensors(ROBOT, camera))
     assert without.calibration.wheels is None

@@ -110,13 +110,13 @@ def test_loops_of_a_camera_are_closed_on_the_way_and_reported(room: Path, tmp_pa
     out = tmp_path / "out"
     record = run(open_recording(room), load_config(overrides=overrides | loops), out)
     assert names_in(out) == FILES | {"trajectory_corrected.txt", "loops_judged.csv"}
-    told = metrics_in(out)["loops"]
-    assert told["kept"] > 0
-    assert told["not_compared"] == 0
-    assert told["evaluation"]["ate_m"]["rmse"] < 0.02
+    reported = metrics_in(out)["loops"]
+    assert reported["kept"] > 0
+    assert reported["not_compared"] == 0
+    assert reported["evaluation"]["ate_m"]["rmse"] < 0.02
     with (out / "loops_judged.csv").open() as stream:
         rows = list(csv.DictReader(stream))
-    assert len(rows) == told["matches"]
+    assert len(rows) == reported["matches"]
     assert all(float(row["stamp_b_s"]) - float(row["stamp_a_s"]) >= 0.3 for row in rows)
     assert record.correction is not None
     assert "as known at the end" in loop_figures.loop_section(record)

@@ -25,7 +25,7 @@ def test_a_person_beside_the_robot_is_kept_with_his_distance(monkeypatch: pytest
     assert (people[people[:, 2] == -0.4][:, 3] == 0).all()
 
 
-def test_of_a_drive_that_met_nobody_there_are_none() -> None:
+def test_of_a_drive_that_met_no_one_there_are_none() -> None:
     drive, _, config = rehearsed_drive()
     drive.go_to(NamedGoal.of(np.array([-0.7, -0.4, np.nan]), "the middle"), lambda feedback: None)
     assert recorded(drive, config).people.shape == (0, 4)

@@ -112,7 +112,7 @@ def test_the_papers_way_has_neither_belief_nor_trust(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("drawn_pages")
-def test_a_start_taken_from_the_truth_is_told(tmp_path: Path) -> None:
+def test_a_start_taken_from_the_truth_is_reported(tmp_path: Path) -> None:
     records = run_each(shortened(area_recording(tmp_path)), by_areas(tmp_path), tmp_path / "out")
     assert any("taken from the ground truth" in warning for warning in records[1].warnings)
     np.testing.assert_allclose(records[1].estimate.T_frame_body[0], T_WORLD_START, atol=1e-9)
@@ -142,7 +142,7 @@ def test_without_truth_a_given_start_serves(tmp_path: Path) -> None:
     assert (figures["map_error_m"], figures["model_accuracy"]) == (None, None)
 
 
-def test_frames_that_measure_nothing_are_told_and_keep_their_pose(tmp_path: Path) -> None:
+def test_frames_that_measure_nothing_are_reported_and_keep_their_pose(tmp_path: Path) -> None:
     recording = shortened(area_recording(tmp_path), 300)
     events = list(recording.given)
     places = [i for i, event in enumerate(events) if isinstance(event, RgbdFrame)]

@@ -110,7 +110,7 @@ def test_a_long_pause_costs_frames_but_not_the_newest() -> None:
     assert playing.dropped == 14
 
 
-def test_at_most_a_few_frames_are_held_however_long_nobody_takes_them() -> None:
+def test_at_most_a_few_frames_are_held_however_long_no_one_takes_them() -> None:
     clock, decoded = VirtualClock(), []
 
     def items() -> Iterator[Event]:

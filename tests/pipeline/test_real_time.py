@@ -96,15 +96,15 @@ def test_a_fast_one_answers_as_a_run_that_takes_its_time(
         for recording, name in ((RealTimeRecording(source, clock=clock), "live"), (source, "calm"))
     )
     assert (tmp_path / "live" / "trajectory.txt").read_bytes() == (tmp_path / "calm" / "trajectory.txt").read_bytes()
-    told = astuple(not_none(live.realtime))
+    reported = astuple(not_none(live.realtime))
     nothing = pytest.approx(0.0, abs=1e-9)
-    assert told == (pytest.approx(np.ptp(truth.stamps_s)), 20, 0, 0, 0, nothing, nothing, None, False, None)
+    assert reported == (pytest.approx(np.ptp(truth.stamps_s)), 20, 0, 0, 0, nothing, nothing, None, False, None)
     assert calm.realtime is None
     assert live.warnings == calm.warnings
     assert "realtime" not in metrics_in(tmp_path / "calm")
 
 
-def test_decoding_that_is_too_slow_is_told_apart_from_tracking(clock: VirtualClock) -> None:
+def test_decoding_that_is_too_slow_is_distinguished_from_tracking(clock: VirtualClock) -> None:
     class Listed(MemoryRecording):
         """Frames ten a second, each a quarter of a second in decoding."""
 
@@ -246,7 +246,7 @@ def test_wheels_that_fall_silent_do_not_end_the_run(
     assert said in records["joined"].warnings
 
 
-def test_wheels_that_never_speak_are_told_of(clock: VirtualClock, truth: Trajectory, tmp_path: Path) -> None:
+def test_wheels_that_never_speak_are_reported_of(clock: VirtualClock, truth: Trajectory, tmp_path: Path) -> None:
     records = live_run(clock, Ticking(clock, 0), mounted(mixed_recording(truth)), tmp_path)
     assert records["wheels"].frames == ()
     assert any("fell silent after 0 readings" in warning for warning in records["joined"].warnings)
@@ -266,7 +266,7 @@ def test_wheels_need_frames_beside_them(clock: VirtualClock) -> None:
         RealTimeRecording(wheel_recording(), wheels)
 
 
-def test_a_source_whose_clock_begins_anew_or_says_nonsense_is_passed_on(clock: VirtualClock) -> None:
+def test_a_source_whose_clock_begins_again_or_says_nonsense_is_passed_on(clock: VirtualClock) -> None:
     heard: list[float] = []
     said = [5.0, 5.1, float("nan"), 1.0, 1.1]
 

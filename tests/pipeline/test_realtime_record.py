@@ -12,7 +12,7 @@ def test_the_sentence_says_rate_and_latency() -> None:
     assert played.sentence == ("played in real time: 29.8 frames/s answered, latency 31 ms median, 48 ms 95 %")
 
 
-def test_without_frames_readings_are_told_and_nothing_that_was_not_measured() -> None:
+def test_without_frames_readings_are_reported_and_nothing_that_was_not_measured() -> None:
     assert RealTimeRecord(10.0, 0, 0, 0, 500).sentence == "played in real time: 50.0 readings/s answered"
     assert RealTimeRecord(0.0, 0, 0, 0, 0).sentence == "played in real time: 0.0 readings/s answered"
 

@@ -30,7 +30,7 @@ def test_a_way_is_read_as_it_was_written(tmp_path: Path) -> None:
         np.testing.assert_allclose(read_way(given, CALIBRATION), WAY, atol=1e-8)
 
 
-def test_a_way_of_the_camera_is_told_for_the_base(tmp_path: Path) -> None:
+def test_a_way_of_the_camera_is_reported_for_the_base(tmp_path: Path) -> None:
     write_tum(express_for("camera", way_of(), CALIBRATION), tmp_path / "way.txt")
     np.testing.assert_allclose(read_way(tmp_path / "way.txt", CALIBRATION), WAY, atol=1e-6)
     with pytest.raises(CalibrationError, match=r"way\.txt: its poses are of the camera, and the map's calibration has"):

@@ -74,23 +74,23 @@ def test_frames_are_counted_by_what_became_of_them(tmp_path: Path, truth: Trajec
 
 
 def test_readings_that_were_left_out_are_counted_by_reason(tmp_path: Path, truth: Trajectory) -> None:
-    told = LeftOut("/odom: 30 messages came twice, and were left out.", 30, 100, "/odom: messages came twice")
+    reported = LeftOut("/odom: 30 messages came twice, and were left out.", 30, 100, "/odom: messages came twice")
     few = LeftOut("wheels.csv:7: the last line is cut off", 1, 7000, "wheels.csv: the last line is cut off")
-    record = run(replace(MemoryRecording(frames_at(truth), truth), warnings=(told, few)), BY_FEATURES, tmp_path)
-    assert record.left_out == {told.reason: (30, 100), few.reason: (1, 7000)}
+    record = run(replace(MemoryRecording(frames_at(truth), truth), warnings=(reported, few)), BY_FEATURES, tmp_path)
+    assert record.left_out == {reported.reason: (30, 100), few.reason: (1, 7000)}
     rows = status_in(tmp_path)
     assert [row["left_out"] for row in rows[:-1]] == [""] * (len(rows) - 1)
-    assert rows[-1]["left_out"] == f"30 of 100: {told.reason}; 1 of 7000: {few.reason}"
+    assert rows[-1]["left_out"] == f"30 of 100: {reported.reason}; 1 of 7000: {few.reason}"
     metrics = metrics_in(tmp_path)
-    assert metrics["frames"]["left_out"][told.reason] == {"count": 30, "of": 100}
+    assert metrics["frames"]["left_out"][reported.reason] == {"count": 30, "of": 100}
     (finding,) = [one for one in metrics["verdict"]["findings"] if one["about"] == "left out"]
     assert finding["tone"] == "amber"
-    assert f"30 of 100: {told.reason}" in finding["sentence"]
+    assert f"30 of 100: {reported.reason}" in finding["sentence"]
 
 
 def test_what_was_left_out_is_copied_with_its_counts() -> None:
-    told = LeftOut("a sentence", 3, 9, "why")
-    again = pickle.loads(pickle.dumps(told))
+    reported = LeftOut("a sentence", 3, 9, "why")
+    again = pickle.loads(pickle.dumps(reported))
     assert (again, again.gone, again.of, again.reason) == ("a sentence", 3, 9, "why")
 
 
@@ -123,7 +123,7 @@ def test_too_little_depth_names_its_true_cause(
     assert summarise(record).failures == ((why, 20),)
 
 
-def test_images_that_came_before_are_no_frames_but_counted_and_told(
+def test_images_that_came_before_are_no_frames_but_counted_and_reported(
     tmp_path: Path, truth: Trajectory, rng: np.random.Generator
 ) -> None:
     noisy = [
@@ -153,7 +153,7 @@ def test_without_ground_truth_the_rest_is_written(tmp_path: Path, truth: Traject
     assert (tmp_path / "report.html").stat().st_size > 0
 
 
-def test_ground_truth_of_another_time_is_told_not_raised(tmp_path: Path, truth: Trajectory) -> None:
+def test_ground_truth_of_another_time_is_reported_not_raised(tmp_path: Path, truth: Trajectory) -> None:
     elsewhen = Trajectory(truth.stamps_s + 1000, truth.T_frame_body)
     record = run(MemoryRecording(frames_at(truth), elsewhen), BY_FEATURES, tmp_path)
     assert record.evaluation is None

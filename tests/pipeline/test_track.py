@@ -1,4 +1,4 @@
-"""What a run leaves behind when it ends: no thread, and no error that nobody heard of."""
+"""What a run leaves behind when it ends: no thread, and no error that no one heard of."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drives with labels: whichever source tells them, they agree; what does not belong together is refused."""
+"""Drives with labels: whichever source shows them, they agree; what does not belong together is refused."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def test_polygons_frames_and_ranges_tell_the_same(tmp_path: Path) -> None:
     ]
     for source in sources:
         assert source.of_frames(stamps_of(recording), NAMES).tolist() == TRUE
-    told = [source.description for source in sources]
-    assert told == ["areas.yaml and trajectory", "labels.csv", "ranges.csv"]
+    reported = [source.description for source in sources]
+    assert reported == ["areas.yaml and trajectory", "labels.csv", "ranges.csv"]
 
 
 def test_its_own_labels_serve_where_polygons_or_truth_are_missing(tmp_path: Path) -> None:
@@ -146,8 +146,8 @@ def test_a_single_drive_is_held_out_by_seconds_whatever_its_rate(tmp_path: Path)
     slow = replace(drive, frames=replace(drive.frames, stamps_s=4 * drive.frames.stamps_s))
     settings = train_on_drives([slow], NAMES, SMALL_HISTOGRAMS, ForestSettings(trees=4, folds=2)).settings
     assert (settings.block_frames, settings.gap_frames) == (2, 1)
-    told = ForestSettings(trees=4, folds=2, block_frames=7)
-    assert train_on_drives([slow], NAMES, SMALL_HISTOGRAMS, told).settings.block_frames == 7
+    reported = ForestSettings(trees=4, folds=2, block_frames=7)
+    assert train_on_drives([slow], NAMES, SMALL_HISTOGRAMS, reported).settings.block_frames == 7
 
 
 def test_drives_of_different_images_do_not_go_together(tmp_path: Path, rng: np.random.Generator) -> None:

@@ -32,7 +32,7 @@ def test_a_cabinet_where_a_wall_was_seen_intrudes_by_its_share():
     with_cabinet = wall(3)
     with_cabinet[:, 20:50] = 1.5
     found = intrusion(level(wall(3)), level(with_cabinet), np.eye(4), NOISE)
-    # From the other side it hides what is behind it, which tells nothing.
+    # From the other side it hides what is behind it, which shows nothing.
     assert found.intruding / found.compared == pytest.approx(30 / (80 + 50), abs=0.02)
 
 
@@ -92,7 +92,7 @@ def test_a_pose_inside_the_wall_intrudes():
     assert intrusion(level(wall(3)), level(wall(3)), T, NOISE).share > 0.4
 
 
-def test_unknown_depth_tells_nothing():
+def test_unknown_depth_shows_nothing():
     found = intrusion(level(wall(0)), level(wall(1)), np.eye(4), NOISE)
     assert found == (0, 0, 0)
     assert found.share == 0

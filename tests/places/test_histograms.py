@@ -83,29 +83,29 @@ def test_images_need_not_lie_in_one_piece_of_memory(rng):
 
 def test_the_default_is_two_hundred_shares(rng):
     describer = HistogramDescriber()
-    told = describer.describe(frame_of(0, rng, size=(48, 64)))
-    assert told.shape == (200,) == (describer.size,) == (len(describer.names),)
-    assert told.dtype == np.float32
-    np.testing.assert_allclose([told[:100].sum(), told[100:].sum()], 1, rtol=1e-5)
+    reported = describer.describe(frame_of(0, rng, size=(48, 64)))
+    assert reported.shape == (200,) == (describer.size,) == (len(describer.names),)
+    assert reported.dtype == np.float32
+    np.testing.assert_allclose([reported[:100].sum(), reported[100:].sum()], 1, rtol=1e-5)
 
 
 @pytest.mark.parametrize("missing", ["first_bin", "own_bin", "ignored"])
-def test_missing_depth_counts_where_it_is_told_to(missing):
+def test_missing_depth_counts_where_it_is_reported_to(missing):
     depth_m = np.full((10, 10), 4.0, np.float32)
     depth_m[:3] = 0
     frame = RgbdFrame(0.0, np.zeros((10, 10, 3), np.uint8), depth_m)
     describer = HistogramDescriber(HistogramSettings(bins=4, missing=missing, step_px=1))
-    told = dict(zip(describer.names, describer.describe(frame), strict=True))
+    reported = dict(zip(describer.names, describer.describe(frame), strict=True))
     wanted = {"first_bin": (0.3, 0.7), "own_bin": (0.0, 0.7), "ignored": (0.0, 1.0)}[missing]
-    np.testing.assert_allclose((told["depth 0"], told["depth 2"]), wanted, rtol=1e-6)
-    assert told.get("depth missing") == (pytest.approx(0.3) if missing == "own_bin" else None)
-    assert describer.size == len(told)
+    np.testing.assert_allclose((reported["depth 0"], reported["depth 2"]), wanted, rtol=1e-6)
+    assert reported.get("depth missing") == (pytest.approx(0.3) if missing == "own_bin" else None)
+    assert describer.size == len(reported)
 
 
 def test_no_depth_at_all_is_no_division_by_zero():
     frame = RgbdFrame(0.0, np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32))
-    told = HistogramDescriber(HistogramSettings(bins=4, missing="ignored")).describe(frame)
-    np.testing.assert_array_equal(told, [1, 0, 0, 0, 0, 0, 0, 0])
+    reported = HistogramDescriber(HistogramSettings(bins=4, missing="ignored")).describe(frame)
+    np.testing.assert_array_equal(reported, [1, 0, 0, 0, 0, 0, 0, 0])
 
 
 def test_cumulative_shares_end_at_one(rng):

@@ -1,4 +1,4 @@
-"""Labels from files and from polygons; each thing that a person may have got wrong is told with its line."""
+"""Labels from files and from polygons; each thing that a person may have got wrong is reported with its line."""
 
 from __future__ import annotations
 
@@ -87,13 +87,13 @@ def test_what_a_broken_off_recording_leaves_is_read(tmp_path: Path) -> None:
         ("", "1: the first line is '' (name the columns: "),
     ],
 )
-def test_what_is_wrong_is_told_with_its_line(tmp_path: Path, text: str, problem: str) -> None:
+def test_what_is_wrong_is_reported_with_its_line(tmp_path: Path, text: str, problem: str) -> None:
     with pytest.raises(AreaError) as caught:
         of_frames(tmp_path, text)
     assert str(caught.value).startswith(f"{tmp_path / 'labels.csv'}:{problem}")
 
 
-def test_a_file_that_cannot_be_read_is_told(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_read_is_reported(tmp_path: Path) -> None:
     with pytest.raises(AreaError, match=r"absent\.csv: cannot be read: No such file"):
         read_labels(tmp_path / "absent.csv")
     (tmp_path / "model").write_bytes(b"\xff\xfe\x00")

@@ -16,7 +16,7 @@ from wheelsight.places import describer_kernels as compiled
 FOCAL = 0.9
 
 
-def told(frame: RgbdFrame, s: LayoutSettings | None = None) -> dict[str, float]:
+def reported(frame: RgbdFrame, s: LayoutSettings | None = None) -> dict[str, float]:
     describer = LayoutDescriber(s)
     return dict(zip(describer.names, describer.describe(frame).tolist(), strict=True))
 
@@ -37,7 +37,7 @@ def grey(size: tuple[int, int] = (240, 320)) -> np.ndarray:
 @pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (0.6, 0.0, -0.8), (0.0, -0.28, -0.96), (-0.36, 0.48, -0.8)])
 def test_normals_of_a_plane_are_the_planes(normal):
     depth_m = plane(normal, 2.0)
-    values = told(RgbdFrame(0.0, grey(), depth_m), LayoutSettings(far_m=50.0))
+    values = reported(RgbdFrame(0.0, grey(), depth_m), LayoutSettings(far_m=50.0))
     # A ray through the middle of a sample is read at a whole pixel, up to half a pixel away: not exact.
     for cell in ("cell 1 2", "cell 2 3", "cell 3 4"):
         np.testing.assert_allclose(
@@ -48,7 +48,7 @@ def test_normals_of_a_plane_are_the_planes(normal):
 def test_depths_are_quantiles_of_their_cell():
     depth_m = np.full((240, 320), 6.0, np.float32)
     depth_m[:, :160] = 2.0
-    values = told(RgbdFrame(0.0, grey(), depth_m))
+    values = reported(RgbdFrame(0.0, grey(), depth_m))
     for row in range(4):
         assert values[f"cell {row} 0 depth 0.5"] == pytest.approx(2.0, abs=8 / 64)
         assert values[f"cell {row} 5 depth 0.5"] == pytest.approx(6.0, abs=8 / 64)
@@ -67,10 +67,10 @@ def test_quantiles_are_those_of_numpy(rng):
         np.testing.assert_allclose(out[row, column, :3], np.quantile(cell, compiled.QUANTILES), atol=8 / 64)
 
 
-def test_holes_are_told_where_they_are():
+def test_holes_are_reported_where_they_are():
     depth_m = np.full((240, 320), 3.0, np.float32)
     depth_m[:60, 160:] = 0
-    values = told(RgbdFrame(0.0, grey(), depth_m))
+    values = reported(RgbdFrame(0.0, grey(), depth_m))
     # The last row of the hole borders on depth, which fills it.
     assert values["cell 0 5 holes"] == pytest.approx(1.0, abs=0.04)
     assert values["cell 0 0 holes"] == 0.0
@@ -107,8 +107,8 @@ def test_another_resolution_changes_little():
 
 def test_turning_the_image_over_swaps_sides(rng):
     frame = frame_of(1, rng, size=(240, 320))
-    values = told(frame)
-    mirrored = told(RgbdFrame(0.0, frame.color[:, ::-1], frame.depth_m[:, ::-1]))
+    values = reported(frame)
+    mirrored = reported(RgbdFrame(0.0, frame.color[:, ::-1], frame.depth_m[:, ::-1]))
     for row in range(4):
         for column in range(6):
             here, there = f"cell {row} {column}", f"cell {row} {5 - column}"
@@ -148,7 +148,7 @@ def test_as_many_numbers_as_names_whatever_the_settings(rng, s):
     assert describer_from(describer.settings).settings == describer.settings
 
 
-def test_compiled_kernels_tell_what_plain_python_tells(rng):
+def test_compiled_kernels_tell_what_plain_python_shows(rng):
     frame = frame_of(1, rng, size=(48, 64))
     results = []
     for kernels in (compiled, plain(compiled)):

@@ -218,10 +218,10 @@ def test_likeness_counts_ferns_of_four_bits(seed):
 
 @given(st.lists(st.integers(-3, 6), min_size=1, max_size=40), st.integers(1, 12))
 def test_the_best_are_those_of_a_stable_sort(scores, wanted):
-    told, chosen = np.array(scores, np.float32), np.empty(wanted, np.int64)
-    found = _likeness_kernels.best(told, chosen)
-    order = np.argsort(-told, kind="stable")
-    assert chosen[:found].tolist() == order[told[order] > 0][:wanted].tolist()
+    reported, chosen = np.array(scores, np.float32), np.empty(wanted, np.int64)
+    found = _likeness_kernels.best(reported, chosen)
+    order = np.argsort(-reported, kind="stable")
+    assert chosen[:found].tolist() == order[reported[order] > 0][:wanted].tolist()
 
 
 def _nearest_words(tree, descriptor, node=0):

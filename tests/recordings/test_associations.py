@@ -1,4 +1,4 @@
-"""Ready lists of pairs: which image of two is depth is told by names, else by the images, else refused."""
+"""Ready lists of pairs: which image of two is depth is reported by names, else by the images, else refused."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def expected(tum_folder: Path) -> list[tuple[float, str, str]]:
 
 
 @pytest.mark.parametrize("prefix", ["", "./", "run_color/", "rgbd-set/", "depth_and_rgb/"])
-def test_depth_first_is_told_by_folders(tum_folder: Path, expected: list, prefix: str) -> None:
+def test_depth_first_is_reported_by_folders(tum_folder: Path, expected: list, prefix: str) -> None:
     for name in ("rgb", "depth"):
         (tum_folder / prefix / name).parent.mkdir(exist_ok=True)
         if prefix.strip("./"):
@@ -75,11 +75,11 @@ def test_else_the_images_tell(tum_folder: Path, expected: list, names: dict[str,
     assert frames(tum_folder) == expected
 
 
-def test_what_nothing_tells_is_refused_with_the_fix(tum_folder: Path) -> None:
+def test_what_nothing_shows_is_refused_with_the_fix(tum_folder: Path) -> None:
     color, _ = renamed(tum_folder, {"rgb": "a", "depth": "b"})
     write(tum_folder, color, color, "# two images a line\n")
-    told = "associations.txt:2: neither names nor images show which of the two is depth (put depth images"
-    with pytest.raises(RecordingError, match=re.escape(told)):
+    reported = "associations.txt:2: neither names nor images show which of the two is depth (put depth images"
+    with pytest.raises(RecordingError, match=re.escape(reported)):
         open_recording(tum_folder)
 
 

@@ -125,7 +125,7 @@ def huge_png(width, height):
         (b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 30000 +X 30000\n", "is damaged, or no image"),
     ],
 )
-def test_an_image_too_large_to_decode_is_told_by_its_header(tum_folder, monkeypatch, data, problem):
+def test_an_image_too_large_to_decode_is_reported_by_its_header(tum_folder, monkeypatch, data, problem):
     images(tum_folder, "depth")[3].write_bytes(data)
     decode = cv2.imdecode
     decoded: list[int] = []

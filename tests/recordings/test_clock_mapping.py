@@ -1,4 +1,4 @@
-"""What camera_clock.csv tells in figures: offset, drift, σ, arrival, and numbers that are missing."""
+"""What camera_clock.csv shows in figures: offset, drift, σ, arrival, and numbers that are missing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def clocks(count: int, drift: float = 0.0, late_s: float = 0.02, missing: tuple[
     return made
 
 
-def test_a_mapping_is_told_by_its_offset_and_drift() -> None:
+def test_a_mapping_is_reported_by_its_offset_and_drift() -> None:
     found = clock_mapping(clocks(301, drift=40e-6))
     assert found is not None
     assert found.frames == 301
@@ -32,7 +32,7 @@ def test_a_mapping_is_told_by_its_offset_and_drift() -> None:
     assert found.missing == 0
 
 
-def test_numbers_that_never_came_are_counted_and_those_that_begin_anew_are_not() -> None:
+def test_numbers_that_never_came_are_counted_and_those_that_begin_again_are_not() -> None:
     first = clocks(20, missing=(5, 6, 11))
     again = [FrameClock(c.stamp_s + 10, c.stamp_sigma_s, c.arrived_s + 10, c.device_s, c.sequence) for c in clocks(5)]
     found = clock_mapping([*first, *again])

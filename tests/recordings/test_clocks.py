@@ -57,7 +57,7 @@ def test_a_sound_drive_has_nothing_to_tell(drive: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "change", "told"),
+    ("names", "change", "reported"),
     [
         (READINGS, lambda stamp_s: stamp_s + 1.6e9, ()),
         (LISTS, lambda stamp_s: stamp_s + 18.0, ()),
@@ -66,44 +66,44 @@ def test_a_sound_drive_has_nothing_to_tell(drive: Path) -> None:
     ],
     ids=["boot and epoch", "18 s", "frames in ms", "wheels in ns"],
 )
-def test_clocks_apart_are_told_and_refused_before_any_work(
-    drive: Path, tmp_path: Path, names: tuple[str, ...], change: Callable[[float], float], told: tuple[str, ...]
+def test_clocks_apart_are_reported_and_refused_before_any_work(
+    drive: Path, tmp_path: Path, names: tuple[str, ...], change: Callable[[float], float], reported: tuple[str, ...]
 ) -> None:
     restamp(drive, names, change)
     recording = open_recording(drive)
     assert any(APART in warning for warning in recording.warnings)
-    assert not told or any(all(word in warning for word in told) for warning in recording.warnings)
+    assert not reported or any(all(word in warning for word in reported) for warning in recording.warnings)
     for odometry in ("wheels,features", "wheels,dense"):
         with pytest.raises(RecordingError, match=APART) as refused:
             run_each(recording, load_config(overrides={"odometry": odometry}), tmp_path / "out")
-        assert all(word in f"{refused.value} The" for word in told[1:])
+        assert all(word in f"{refused.value} The" for word in reported[1:])
     with in_real_time(recording) as live, pytest.raises(RecordingError, match=APART):
         run_each(live, load_config(overrides={"odometry": "wheels,features"}), tmp_path / "out")
     with pytest.raises(RecordingError, match=APART):
         calibrate_base(recording)
     assert not (tmp_path / "out").exists()
     alone = load_config(overrides={"odometry": "wheels,features", "fusion": "none"})
-    if not told:
+    if not reported:
         assert len(run_each(recording, alone, tmp_path / "out")) == 2
         return
-    with pytest.raises(RecordingError, match=f"{told[0]} .* look like {told[1]}, not seconds .*{told[2]}"):
+    with pytest.raises(RecordingError, match=f"{reported[0]} .* look like {reported[1]}, not seconds .*{reported[2]}"):
         run_each(recording, alone, tmp_path / "out")
     sound = "features" if names is READINGS else "wheels"
     assert len(run_each(recording, load_config(overrides={"odometry": sound}), tmp_path / "out")) == 1
 
 
-def test_streams_that_share_little_are_told_of() -> None:
-    told = stamp_warnings({WHEELS: np.arange(0.0, 10.0, 0.02), FRAMES: np.arange(7.0, 17.0, 0.2)})
-    assert len(told) == 1
-    assert "share only 3.0 s" in told[0]
+def test_streams_that_share_little_are_reported_of() -> None:
+    reported = stamp_warnings({WHEELS: np.arange(0.0, 10.0, 0.02), FRAMES: np.arange(7.0, 17.0, 0.2)})
+    assert len(reported) == 1
+    assert "share only 3.0 s" in reported[0]
     assert not stamp_warnings({WHEELS: np.arange(0.0, 10.0, 0.02), FRAMES: np.arange(3.0, 13.0, 0.2)})
 
 
-def test_a_clock_that_leaps_is_told_of_once_for_each_stream() -> None:
+def test_a_clock_that_leaps_is_reported_of_once_for_each_stream() -> None:
     stamps_s = np.arange(0.0, 10.0, 0.1)
     leaping_s = stamps_s + 60.0 * (stamps_s >= 8.0)
-    told = stamp_warnings({FRAMES: leaping_s, WHEELS: leaping_s})
-    assert [warning.split(":")[0] for warning in told] == [
+    reported = stamp_warnings({FRAMES: leaping_s, WHEELS: leaping_s})
+    assert [warning.split(":")[0] for warning in reported] == [
         "The frames' stamps leap by 60.1 s after 7.900 s",
         "The wheels' stamps leap by 60.1 s after 7.900 s",
     ]
@@ -115,12 +115,12 @@ def test_a_clock_that_leaps_is_told_of_once_for_each_stream() -> None:
 def test_one_frame_a_second_is_no_number_where_others_last_as_long(beside: str) -> None:
     whole_s = np.arange(12.0)
     assert not stamp_warnings({FRAMES: whole_s, beside: np.arange(0.0, 12.0, 0.02)})
-    (told,) = stamp_warnings({FRAMES: whole_s, beside: np.arange(0.0, 12.0, 0.02) / 5})[:1]
-    assert "look like numbers of frames" in told
+    (reported,) = stamp_warnings({FRAMES: whole_s, beside: np.arange(0.0, 12.0, 0.02) / 5})[:1]
+    assert "look like numbers of frames" in reported
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [
         (lambda stamp_s: 1e9 * round(stamp_s - 0.001, 6), "the frames' stamps like nanoseconds (--rate-hz 1000000000)"),
         (lambda stamp_s: 1e3 * stamp_s, "the frames' stamps like milliseconds (--rate-hz 1000)"),
@@ -128,7 +128,7 @@ def test_one_frame_a_second_is_no_number_where_others_last_as_long(beside: str) 
     ],
 )
 def test_frames_that_begin_with_the_wheels_in_another_unit_are_not_joined(
-    drive: Path, tmp_path: Path, change: Callable[[float], float], told: str
+    drive: Path, tmp_path: Path, change: Callable[[float], float], reported: str
 ) -> None:
     first_s = float(listed_stamps(open_recording(drive))[WHEELS][0])
     restamp(drive, READINGS, lambda stamp_s: stamp_s - first_s)
@@ -136,7 +136,7 @@ def test_frames_that_begin_with_the_wheels_in_another_unit_are_not_joined(
     (drive / "groundtruth_base.txt").unlink()
     with pytest.raises(RecordingError, match="do not count one unit") as refused:
         run_each(open_recording(drive), load_config(overrides={"odometry": "wheels,features"}), tmp_path / "out")
-    assert told in str(refused.value)
+    assert reported in str(refused.value)
 
 
 def test_one_frame_among_the_readings_is_not_apart() -> None:
@@ -144,9 +144,9 @@ def test_one_frame_among_the_readings_is_not_apart() -> None:
     assert apart((0.0, 10.0), (10.1, 10.1)) is not None
 
 
-def test_stamps_too_near_for_seconds_are_told_of() -> None:
-    (told,) = stamp_warnings({FRAMES: np.arange(60) / 30 / 3600})
-    assert "too close for seconds" in told
+def test_stamps_too_near_for_seconds_are_reported_of() -> None:
+    (reported,) = stamp_warnings({FRAMES: np.arange(60) / 30 / 3600})
+    assert "too close for seconds" in reported
     assert not stamp_warnings({WHEELS: np.repeat(np.arange(0.0, 10.0, 0.04), 2) + np.tile([0.0, 1e-6], 250)})
 
 
@@ -162,9 +162,9 @@ def test_numbers_of_frames_are_read_at_the_rate_given(tmp_path: Path) -> None:
         return round((stamp_s - stamps_s[0]) / period_s) + 15
 
     restamp(numbered, (*LISTS, "groundtruth.txt"), number)
-    (told,) = open_recording(numbered).warnings
-    assert "(15, 16, 17, …) look like numbers of frames, not seconds" in told
-    assert "--rate-hz 30" in told
+    (reported,) = open_recording(numbered).warnings
+    assert "(15, 16, 17, …) look like numbers of frames, not seconds" in reported
+    assert "--rate-hz 30" in reported
     recording = open_recording(numbered, OpenOptions(rate_hz=1 / period_s))
     assert recording.warnings == ()
     np.testing.assert_allclose(listed_stamps(recording)[FRAMES], 15 * period_s + stamps_s - stamps_s[0], atol=1e-5)

@@ -20,36 +20,36 @@ SMALL = Wheels(0.033, 0.033, 0.16, 4096.0)
 
 
 def readings(modulus: int, start: int = 1000, *, backwards: bool = False) -> list[WheelTicks]:
-    """Ten seconds at 0.2 m/s, which is 964 counts a second, as a counter tells them that wraps at a modulus."""
+    """Ten seconds at 0.2 m/s, which is 964 counts a second, as a counter shows them that wraps at a modulus."""
     counts = start + np.rint(964 * 0.02 * np.arange(501)).astype(int) * (-1 if backwards else 1)
     return [WheelTicks(0.02 * i, int(count) % modulus, int(count + 37) % modulus) for i, count in enumerate(counts)]
 
 
 @pytest.mark.parametrize("bits", [10, 12, 13])
 @pytest.mark.parametrize("backwards", [False, True])
-def test_the_width_of_counters_that_wrap_unsaid_is_told(bits: int, backwards: bool) -> None:
-    (told,) = counter_warnings(SMALL, readings(2**bits, backwards=backwards))
-    assert f"it seems to wrap at {2**bits}: set wheels.counter_bits to {bits}" in told
+def test_the_width_of_counters_that_wrap_unsaid_is_reported(bits: int, backwards: bool) -> None:
+    (reported,) = counter_warnings(SMALL, readings(2**bits, backwards=backwards))
+    assert f"it seems to wrap at {2**bits}: set wheels.counter_bits to {bits}" in reported
     assert not counter_warnings(replace(SMALL, counter_bits=bits, max_speed_m_s=1.0), readings(2**bits))
 
 
-def test_where_it_leaps_is_told() -> None:
-    (told,) = counter_warnings(SMALL, readings(4096, start=4040))
-    assert told.startswith("The right counter leaps from 4077 to 0 at 0.020 s")
+def test_where_it_leaps_is_reported() -> None:
+    (reported,) = counter_warnings(SMALL, readings(4096, start=4040))
+    assert reported.startswith("The right counter leaps from 4077 to 0 at 0.020 s")
 
 
 @pytest.mark.parametrize("modulus", [900, 3600])
-def test_a_modulus_is_told_about(modulus: int) -> None:
-    (told,) = counter_warnings(SMALL, readings(modulus))
-    about = int(told.split("about ")[1].split(":")[0])
+def test_a_modulus_is_reported_about(modulus: int) -> None:
+    (reported,) = counter_warnings(SMALL, readings(modulus))
+    about = int(reported.split("about ")[1].split(":")[0])
     assert about == pytest.approx(modulus, rel=0.02)
-    assert "set wheels.counter_modulus" in told
+    assert "set wheels.counter_modulus" in reported
     assert not counter_warnings(replace(SMALL, counter_modulus=modulus, max_speed_m_s=1.0), readings(modulus))
 
 
-def test_a_width_that_is_set_too_large_is_told_as_well() -> None:
-    (told,) = counter_warnings(replace(SMALL, counter_bits=16), readings(4096))
-    assert "set wheels.counter_bits to 12" in told
+def test_a_width_that_is_set_too_large_is_reported_as_well() -> None:
+    (reported,) = counter_warnings(replace(SMALL, counter_bits=16), readings(4096))
+    assert "set wheels.counter_bits to 12" in reported
 
 
 def sound() -> dict[str, Sequence[WheelTicks | WheelSpeeds]]:
@@ -74,12 +74,12 @@ def test_counters_that_are_as_they_should_be_raise_no_word(kind: str) -> None:
     assert counter_warnings(None, sound()[kind]) == []
 
 
-def test_counters_that_go_round_unseen_are_told_with_the_speed_that_they_bear() -> None:
+def test_counters_that_go_round_unseen_are_reported_with_the_speed_that_they_bear() -> None:
     wheels = Wheels(0.17, 0.17, 0.52, 3200.0, counter_bits=8)
     slow = [WheelTicks(0.02 * i, 20 * i % 256, 20 * i % 256) for i in range(100)]
-    (told,) = counter_warnings(wheels, slow)
-    assert "may roll over unseen at 5 m/s" in told
-    assert "below 2.1" in told
+    (reported,) = counter_warnings(wheels, slow)
+    assert "may roll over unseen at 5 m/s" in reported
+    assert "below 2.1" in reported
     assert not counter_warnings(replace(wheels, max_speed_m_s=1.5), slow)
 
 

@@ -86,7 +86,7 @@ def test_names_that_exist_are_taken_as_they_are_written(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         (
             "1,5,rgb/1.png\n",
@@ -103,8 +103,8 @@ def test_names_that_exist_are_taken_as_they_are_written(folder: Path) -> None:
         ("1.5 ''\n", ":1: a stamp and a file are expected (one `stamp file` a line is expected)"),
     ],
 )
-def test_the_rest_is_refused_with_the_fix(folder: Path, text: str, told: str) -> None:
-    with pytest.raises(RecordingError, match=re.escape(f"{folder / 'rgb.txt'}{told}")):
+def test_the_rest_is_refused_with_the_fix(folder: Path, text: str, reported: str) -> None:
+    with pytest.raises(RecordingError, match=re.escape(f"{folder / 'rgb.txt'}{reported}")):
         read(folder, text)
 
 

@@ -78,15 +78,15 @@ def test_a_bag_of_it_holds_the_same(wheels: HolonomicWheels, name: str, tmp_path
     bag = open_recording(tmp_path / name)
     assert bag.calibration.holonomic == wheels
     readings = [event for event in bag.events() if isinstance(event, HolonomicReading)]
-    for told, event in zip(readings, events, strict=False):
-        assert told.stamp_s == pytest.approx(event.stamp_s, abs=1e-6)
-        if isinstance(told, WheelCounts) and isinstance(event, WheelCounts):
-            assert told.counts == event.counts
+    for reported, event in zip(readings, events, strict=False):
+        assert reported.stamp_s == pytest.approx(event.stamp_s, abs=1e-6)
+        if isinstance(reported, WheelCounts) and isinstance(event, WheelCounts):
+            assert reported.counts == event.counts
         else:
-            assert isinstance(told, OdometryReading)
+            assert isinstance(reported, OdometryReading)
             assert isinstance(event, OdometryReading)
             given = (event.x_m, event.y_m, event.yaw_rad)
-            assert (told.x_m, told.y_m, told.yaw_rad) == pytest.approx(given, abs=1e-9)
+            assert (reported.x_m, reported.y_m, reported.yaw_rad) == pytest.approx(given, abs=1e-9)
     assert len(readings) == 201
 
 

@@ -65,7 +65,7 @@ def test_counts_rates_and_gaps() -> None:
     assert gap.length_s == pytest.approx(0.6)
 
 
-def test_depth_is_told_by_share_and_percentiles() -> None:
+def test_depth_is_reported_by_share_and_percentiles() -> None:
     inspection = inspect([flat(0, 0.0, 1.0), flat(1, 0.1, 2.0), flat(2, 0.2, 4.0, measured=120)])
     assert inspection.valid_depth_share == pytest.approx((1 + 1 + 0.5) / 3)
     assert inspection.depth_m["p5"] == pytest.approx(1.0, rel=0.003)
@@ -73,7 +73,7 @@ def test_depth_is_told_by_share_and_percentiles() -> None:
     assert inspection.depth_m["p95"] == pytest.approx(4.0, rel=0.003)
 
 
-def test_a_recording_without_a_usable_frame_is_told_too() -> None:
+def test_a_recording_without_a_usable_frame_is_reported_too() -> None:
     inspection = inspect([SkippedFrame(0.0, "cut off", 0)])
     assert math.isnan(inspection.valid_depth_share)
     assert math.isnan(inspection.depth_m["median"])
@@ -111,7 +111,7 @@ def test_images_that_are_not_registered_are_measured(right: float, down: float, 
     assert any("not registered, though the calibration says so" in warning for warning in inspection.warnings)
 
 
-def test_an_offset_is_told_in_words() -> None:
+def test_an_offset_is_reported_in_words() -> None:
     words = str(RegistrationOffset((-8.0, 2.0), 0.9, strength=1.0, strength_as_is=0.1))
     assert words == (
         "in the middle of the image colour lies 8 px left and 2 px down of depth, and shows things 0.90 times as large"
@@ -126,19 +126,19 @@ def test_a_calibration_that_knows_of_it_is_not_warned_of() -> None:
     assert inspection.warnings == ()
 
 
-@pytest.mark.parametrize(("right", "told"), [(0, "colour and depth share pixels"), (-9, "colour lies 9 px left")])
-def test_a_calibration_that_images_contradict_is_probably_another_cameras(right: int, told: str) -> None:
+@pytest.mark.parametrize(("right", "reported"), [(0, "colour and depth share pixels"), (-9, "colour lies 9 px left")])
+def test_a_calibration_that_images_contradict_is_probably_another_cameras(right: int, reported: str) -> None:
     calibration = Calibration(replace(CAMERA, cx=CAMERA.cx + 9), CAMERA, T_color_depth=np.eye(4), source="nominal")
     (warning,) = inspect(room_frames(right), calibration).warnings
     assert warning.startswith("The calibration (nominal) says that colour and depth are not registered, but by the")
-    assert told in warning
+    assert reported in warning
     assert "--camera" in warning
     near = Calibration(replace(CAMERA, cx=CAMERA.cx + 2), CAMERA, T_color_depth=np.eye(4))
     assert inspect(room_frames(), near).warnings == ()
 
 
 @pytest.mark.parametrize("scale", mostly_slow([0.55, 0.71, 0.8, 1.25, 1.4, 1.8], quick=[0.55, 1.25]))
-def test_depth_of_another_lens_is_told_with_how_much_it_shows(scale: float) -> None:
+def test_depth_of_another_lens_is_reported_with_how_much_it_shows(scale: float) -> None:
     inspection = inspect(room_frames(4, -3, scale, number=8))
     assert inspection.offset is not None
     assert inspection.offset.scale == pytest.approx(scale, rel=0.04)
@@ -148,30 +148,30 @@ def test_depth_of_another_lens_is_told_with_how_much_it_shows(scale: float) -> N
 
 
 @pytest.mark.parametrize(
-    ("across", "along", "told"),
+    ("across", "along", "reported"),
     [(-1, 1, "mirrored left to right"), (1, -1, "upside down"), (-1, -1, "turned by 180°")],
 )
 @pytest.mark.parametrize("registered", [True, False])
-def test_images_that_are_mirrored_against_each_other_are_told(
-    across: int, along: int, told: str, registered: bool
+def test_images_that_are_mirrored_against_each_other_are_reported(
+    across: int, along: int, reported: str, registered: bool
 ) -> None:
     frames = [replace(f, color=f.color[::along, ::across].copy()) for f in room_frames() if isinstance(f, RgbdFrame)]
     calibration = REGISTERED if registered else Calibration(CAMERA, CAMERA, T_color_depth=np.eye(4))
     (warning,) = inspect([*frames], calibration).warnings
     assert warning.startswith("Colour and depth are mirrored against each other")
-    assert told in warning
+    assert reported in warning
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.1, False), (0.3, True)])
-def test_much_depth_nearer_than_the_sensor_measures_is_a_wrong_scale(share: float, told: bool) -> None:
+@pytest.mark.parametrize(("share", "reported"), [(0.1, False), (0.3, True)])
+def test_much_depth_nearer_than_the_sensor_measures_is_a_wrong_scale(share: float, reported: bool) -> None:
     depth_m = np.full((240, 320), 0.6, np.float32)
     depth_m[: int(240 * share)] = 0.2
     (frame,) = [replace(flat(0, 0.0), depth_m=depth_m)]
     warnings = inspect([frame], Calibration.registered_camera(CAMERA, depth_noise=DepthNoise(near_m=0.45))).warnings
-    assert any("--depth-factor 1000" in warning for warning in warnings) is told
+    assert any("--depth-factor 1000" in warning for warning in warnings) is reported
 
 
-def test_truth_is_told_in_zhangs_figures(tmp_path: Path) -> None:
+def test_truth_is_reported_in_zhangs_figures(tmp_path: Path) -> None:
     truth = make_tum_recording(tmp_path / "room", frames=4)
     calls: list[None] = []
     inspection = inspect_recording(open_recording(tmp_path / "room"), lambda: calls.append(None))
@@ -216,20 +216,20 @@ def test_a_real_camera_that_is_registered(handheld: tuple[Calibration, list[Rgbd
 
 @pytest.mark.data
 @pytest.mark.parametrize(
-    ("turned", "told"),
+    ("turned", "reported"),
     mostly_slow(
         [((1, 1), None), ((1, -1), "mirrored left to right"), ((-1, 1), "upside down"), ((-1, -1), "turned by 180°")],
         quick=[((1, -1), "mirrored left to right")],
     ),
 )
 def test_real_images_mirrored_against_each_other(
-    handheld: tuple[Calibration, list[RgbdFrame]], turned: tuple[int, int], told: str | None
+    handheld: tuple[Calibration, list[RgbdFrame]], turned: tuple[int, int], reported: str | None
 ) -> None:
     calibration, frames = handheld
     along, across = turned
     events = [replace(frame, color=frame.color[::along, ::across].copy()) for frame in frames]
     warnings = inspect([*events], calibration).warnings
-    assert not warnings if told is None else told in warnings[0]
+    assert not warnings if reported is None else reported in warnings[0]
 
 
 @pytest.mark.data

@@ -59,7 +59,7 @@ def test_a_log_that_is_none_is_named(tmp_path: Path, change: Callable[[list[str]
         open_recording(tmp_path)
 
 
-def test_two_logs_and_no_images_are_told(tmp_path: Path) -> None:
+def test_two_logs_and_no_images_are_reported(tmp_path: Path) -> None:
     make_redwood(tmp_path)
     (tmp_path / "b.log").write_bytes((tmp_path / LOG).read_bytes())
     with pytest.raises(RecordingError, match=r"holds 2 logs: b.log, livingroom1"):

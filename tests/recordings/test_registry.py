@@ -75,18 +75,18 @@ def test_a_missing_folder_a_file_and_an_unknown_folder(tmp_path, tum_folder):
 
 
 @pytest.mark.parametrize(
-    ("there", "told"),
+    ("there", "reported"),
     [
         ("imu.csv", "skid_steer needs encoders.csv and imu.csv"),
         ("sensors.yaml", "openloris needs color.txt, aligned_depth.txt and sensors.yaml"),
         ("cam_params.json", "replica needs results/frameN.jpg and depthN.png, and cam_params.json"),
     ],
 )
-def test_an_unknown_folder_is_told_what_is_missing(tmp_path, there, told):
+def test_an_unknown_folder_is_reported_what_is_missing(tmp_path, there, reported):
     (tmp_path / there).write_text("")
     with pytest.raises(RecordingError) as caught:
         open_recording(tmp_path)
-    assert told in not_none(caught.value.fix)
+    assert reported in not_none(caught.value.fix)
 
 
 def test_a_folder_of_recordings_points_to_one(tmp_path, tum_folder):

@@ -89,7 +89,7 @@ def test_poses_that_are_none_are_named(folder: Path, text: str, problem: str) ->
         open_recording(folder)
 
 
-def test_frames_without_a_partner_and_of_another_size_are_told(folder: Path) -> None:
+def test_frames_without_a_partner_and_of_another_size_are_reported(folder: Path) -> None:
     cv2.imwrite(str(folder / "results" / "frame000001.jpg"), np.zeros((9, 9, 3), np.uint8))
     (folder / "results" / "depth000000.png").rename(folder / "results" / "depth000005.png")
     with pytest.raises(InputError, match=r"depth image is 320×240, its colour image 9×9"):

@@ -90,7 +90,7 @@ def test_what_is_no_recording_or_of_other_sensors_is_refused_as_it_is(tmp_path: 
         write(tmp_path / "larger", range(2))
 
 
-def test_beginning_anew_leaves_nothing_of_before(tmp_path: Path) -> None:
+def test_beginning_again_leaves_nothing_of_before(tmp_path: Path) -> None:
     write(tmp_path / "r", range(3))
     (tmp_path / "r" / "camera_clock.csv").write_text("old")
     with RecordingWriter(tmp_path / "r", CALIBRATION, force=True) as writer:

@@ -65,7 +65,7 @@ def test_a_last_line_that_does_not_end_is_left_out(tmp_path: Path, text: str | b
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         (
             SOUND.replace(".", ","),
@@ -85,8 +85,8 @@ def test_a_last_line_that_does_not_end_is_left_out(tmp_path: Path, text: str | b
         ("stamp_ms,stamp_ns,left,right\n0,0,1,2\n", ":1: has no column stamp_s"),
     ],
 )
-def test_the_rest_is_refused_with_the_fix(tmp_path: Path, text: str, told: str) -> None:
-    with pytest.raises(RecordingError, match=re.escape(f"{tmp_path / 'wheels.csv'}{told}")):
+def test_the_rest_is_refused_with_the_fix(tmp_path: Path, text: str, reported: str) -> None:
+    with pytest.raises(RecordingError, match=re.escape(f"{tmp_path / 'wheels.csv'}{reported}")):
         read(tmp_path, text)
 
 

@@ -82,13 +82,15 @@ def test_in_a_long_list_a_bad_stamp_costs_only_its_own_line(tmp_path, bad):
 
 
 @pytest.mark.parametrize("by_s", [0.5, 3.0, 86400.0])
-def test_a_clock_that_was_set_back_is_told_where_it_was(tmp_path, by_s):
+def test_a_clock_that_was_set_back_is_reported_where_it_was(tmp_path, by_s):
     """Sorting would mix what was before with what came after; a bad stamp before it is not where."""
     stamps = [1e5 + 0.1 * i - (by_s if i >= 60 else 0.0) for i in range(100)]
     stamps[20] += 0.95
     path = write(tmp_path, "".join(f"{stamp:.3f} {i}.png\n" for i, stamp in enumerate(stamps)))
-    told = rf"rgb.txt:61: stamp {stamps[60]:.6f} is {by_s - 0.1:.3g} s earlier .*: a clock was set back \(cut the file"
-    with pytest.raises(RecordingError, match=told.replace("+", r"\+")):
+    reported = (
+        rf"rgb.txt:61: stamp {stamps[60]:.6f} is {by_s - 0.1:.3g} s earlier .*: a clock was set back \(cut the file"
+    )
+    with pytest.raises(RecordingError, match=reported.replace("+", r"\+")):
         read_file_list(path)
 
 

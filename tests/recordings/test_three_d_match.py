@@ -25,10 +25,10 @@ def test_reads_what_was_rendered(tmp_path: Path) -> None:
         assert isinstance(event, RgbdFrame)
         np.testing.assert_array_equal(event.color, color)
         np.testing.assert_allclose(event.depth_m, depth_m, atol=0.51e-3)
-    told = " ".join(recording.warnings)
-    assert "30 frames a second are assumed" in told
-    assert "took over, not motion capture" in told
-    assert "not registered" not in told
+    reported = " ".join(recording.warnings)
+    assert "30 frames a second are assumed" in reported
+    assert "took over, not motion capture" in reported
+    assert "not registered" not in reported
 
 
 def test_frames_of_7_scenes_are_left_to_its_reader(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def test_events_start_again_and_share_no_memory(tum_folder):
         ("my_fr1_part", "freiburg1"),
     ],
 )
-def test_the_folder_name_tells_the_camera(tmp_path, name, camera):
+def test_the_folder_name_shows_the_camera(tmp_path, name, camera):
     folder = tmp_path / name
     make_tum_recording(folder, frames=1, camera=not_none(load_camera(camera).color))
     (folder / "calibration.yaml").unlink()
@@ -107,7 +107,7 @@ def test_pairs_and_drops_are_counted(tum_folder):
     assert (association.pairs, association.dropped_color, association.dropped_depth) == (5, 1, 0)
 
 
-def test_no_pairs_tells_the_nearest_gap(tum_folder):
+def test_no_pairs_shows_the_nearest_gap(tum_folder):
     with pytest.raises(
         RecordingError, match=r"rgb.txt: no depth image lies within 0.001 s .* 0.002 s apart .*--max-gap"
     ):
@@ -119,7 +119,7 @@ def test_the_depth_factor_can_be_given(tum_folder):
     np.testing.assert_allclose(as_frame(half).depth_m, as_frame(usual).depth_m / 2, rtol=1e-6)
 
 
-def test_truth_is_told_for_the_base_where_there_is_one(tum_folder):
+def test_truth_is_reported_for_the_base_where_there_is_one(tum_folder):
     text = (tum_folder / "calibration.yaml").read_text()
     plain = not_none(open_recording(tum_folder).ground_truth)
     mounted = "T_base_camera: [[0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 1.1], [0, 0, 0, 1]]\n"

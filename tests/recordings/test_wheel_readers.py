@@ -37,7 +37,7 @@ def skid(tmp_path: Path) -> Path:
     return make(tmp_path / "skid", encoders__csv=ENCODERS, imu__csv=IMU, reference__txt=REFERENCE)
 
 
-def test_ticks_that_start_anew_are_summed_up_side_by_side(skid: Path) -> None:
+def test_ticks_that_start_again_are_summed_up_side_by_side(skid: Path) -> None:
     recording = open_recording(skid)
     assert (recording.format, recording.body, recording.frame_count, recording.wheel_count) == (
         "skid_steer",

@@ -89,7 +89,7 @@ def test_any_tum_tool_can_read_it(tmp_path, calibration, events):
     assert "# frames: T_map_camera" in (tmp_path / "new" / "groundtruth.txt").read_text()
 
 
-def test_truth_of_the_base_is_kept_and_told_for_the_camera(tmp_path, calibration, events):
+def test_truth_of_the_base_is_kept_and_reported_for_the_camera(tmp_path, calibration, events):
     base = Trajectory(TRUTH.stamps_s, TRUTH.T_frame_body @ se3.invert(T_BASE_CAMERA), body="base")
     write(tmp_path / "new", calibration, events, base)
     recording = open_recording(tmp_path / "new")

@@ -32,9 +32,9 @@ def mapped() -> RunRecord:
     return example_run(200, map=example_map())
 
 
-def told_in(page: Page) -> dict[str, Any]:
-    (told,) = (value for _, name, value in page.attributes if name == "data-cloud")
-    return dict(json.loads(told))
+def reported_in(page: Page) -> dict[str, Any]:
+    (reported,) = (value for _, name, value in page.attributes if name == "data-cloud")
+    return dict(json.loads(reported))
 
 
 def unpacked(text: str) -> bytes:
@@ -45,13 +45,15 @@ def unpacked(text: str) -> bytes:
 def test_points_colours_and_normals_come_back(tmp_path: Path) -> None:
     write_report(mapped(), tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    told, data, cloud = told_in(Page(text)), unpacked(text), example_cloud()
-    n, ends = told["points"], 2 * (told["path"] + told["loops"])
+    reported, data, cloud = reported_in(Page(text)), unpacked(text), example_cloud()
+    n, ends = reported["points"], 2 * (reported["path"] + reported["loops"])
     assert n == len(cloud)
     rest = data[12 * ends :]
     level = np.frombuffer(rest[: 6 * n], "<u2").reshape(3, n).cumsum(axis=1, dtype=np.uint16).T
-    np.testing.assert_allclose(told["low"] + told["step"] * level.astype(float), cloud.position, atol=told["step"])
-    assert told["step"] < 0.001
+    np.testing.assert_allclose(
+        reported["low"] + reported["step"] * level.astype(float), cloud.position, atol=reported["step"]
+    )
+    assert reported["step"] < 0.001
     color, normal = np.frombuffer(rest[6 * n :], np.uint8).reshape(2, 3, n).cumsum(axis=2, dtype=np.uint8)
     np.testing.assert_array_equal(color.T, cloud.color)
     np.testing.assert_allclose(normal.T.astype(np.int8) / 127, cloud.normal, atol=0.01)
@@ -61,8 +63,8 @@ def test_the_path_is_drawn_where_it_is_known_alone(tmp_path: Path) -> None:
     run = mapped()
     write_report(run, tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    told = told_in(Page(text))
-    steps = np.frombuffer(unpacked(text)[: 24 * told["path"]], "<f4").reshape(-1, 2, 3)
+    reported = reported_in(Page(text))
+    steps = np.frombuffer(unpacked(text)[: 24 * reported["path"]], "<f4").reshape(-1, 2, 3)
     assert 0 < len(steps) < len(run.estimate) - 1, "none leads over the time in which it was lost"
     known = {tuple(p) for p in run.estimate.positions_m.astype(np.float32).tolist()}
     assert {tuple(p) for p in steps.reshape(-1, 3).tolist()} <= known
@@ -141,8 +143,8 @@ addEventListener("load", () => setTimeout(async () => {
 def test_a_browser_draws_it_as_the_picture_and_hands_turn_it(chromium: str, tmp_path: Path) -> None:
     page = opened(chromium, tmp_path, WITH_WEBGL)
     assert ways_of(page) == ["cloud live"]
-    (told,) = (value for _, name, value in page.attributes if name == "data-shots")
-    shots = [image_of(uri) for uri in told.split()]
+    (reported,) = (value for _, name, value in page.attributes if name == "data-shots")
+    shots = [image_of(uri) for uri in reported.split()]
     still = image_of(next(value for tag, name, value in page.attributes if tag == "img" and name == "src"))
     drawn = cv2.resize(shots[0], (still.shape[1], still.shape[0]), interpolation=cv2.INTER_AREA)
     assert (still < 250).any(axis=2).mean() > 0.1

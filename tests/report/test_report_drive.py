@@ -34,13 +34,13 @@ def record() -> DriveRecord:
     return replace(found, stops=(StopRecord(1.0, 2.5, "something in the way", np.array([-1.0, -0.4, 0.0])),))
 
 
-def test_the_page_tells_where_it_went_what_held_it_and_what_it_saw(record: DriveRecord) -> None:
+def test_the_page_shows_where_it_went_what_held_it_and_what_it_saw(record: DriveRecord) -> None:
     page = render_drive(record)
     assert "To &lt;the middle&gt; in a room" in page
     assert "<the middle>" not in page
-    told = unescape(page)
+    reported = unescape(page)
     for part in ("Arrived", "Where it went", "What it did when", "What it saw", "something in the way", "1.50 s"):
-        assert part in told
+        assert part in reported
     assert page.count("data:image/jpeg;base64,") == len(record.images)
     assert "http://" not in page.split("<script>")[0]
 
@@ -184,14 +184,14 @@ def test_poses_so_far_apart() -> None:
 
 def test_an_exploration_is_drawn_without_a_goal(record: DriveRecord) -> None:
     explored = replace(record.goals[0], name="explore", goal=np.full(3, np.nan))
-    told = replace(record, goals=(explored,))
+    reported = replace(record, goals=(explored,))
     assert not explored.is_place
-    assert drive_picture(told).shape[2] == 3
-    assert "explore" in render_drive(told)
-    assert ">nan" not in render_drive(told)
+    assert drive_picture(reported).shape[2] == 3
+    assert "explore" in render_drive(reported)
+    assert ">nan" not in render_drive(reported)
 
 
-def test_loops_are_told_of_a_drive_that_made_a_map(record: DriveRecord) -> None:
+def test_loops_are_reported_of_a_drive_that_made_a_map(record: DriveRecord) -> None:
     assert "Loops closed" not in render_drive(record)
     page = render_drive(replace(record, loops=73))
     assert "Loops closed" in page

@@ -77,7 +77,7 @@ def test_it_links_what_lies_beside_it_and_nothing_else(tmp_path: Path) -> None:
     assert Page(read(tmp_path)).rows["wheels/trajectory.txt"][0] == "0.01"
 
 
-def test_first_frames_that_compiled_are_told_and_not_drawn(tmp_path: Path) -> None:
+def test_first_frames_that_compiled_are_reported_and_not_drawn(tmp_path: Path) -> None:
     run = example_run(300)  # its first frame takes 1.31 s, others 10 ms
     drawn_ms = np.concatenate([np.array(trace.y, float) for trace in time_figure(run).data])
     assert np.nanmax(drawn_ms) < 100

@@ -28,7 +28,7 @@ def spans(band) -> np.ndarray:
     return np.array([value for value in band.x if value is not None]).reshape(-1, 2)
 
 
-def test_time_is_told_by_status_and_flag() -> None:
+def test_time_is_reported_by_status_and_flag() -> None:
     facts = facts_of(joined_run())
     assert facts.seconds == pytest.approx({"tracking": 14.4, "coasting": 1.6}, abs=1e-4)
     assert facts.share_of(Status.COASTING) == pytest.approx(0.1, abs=1e-5)
@@ -37,7 +37,7 @@ def test_time_is_told_by_status_and_flag() -> None:
     assert facts.flag_shares == pytest.approx({"slip": 0.05, "doubtful": 0.01875, "degenerate": 0}, abs=1e-5)
 
 
-def test_poses_at_readings_are_told_from_those_at_frames() -> None:
+def test_poses_at_readings_are_reported_from_those_at_frames() -> None:
     run = joined_run()
     facts = facts_of(run)
     assert (facts.poses_at_frames, facts.poses_at_readings) == (160, 640)
@@ -212,7 +212,7 @@ def test_joined_sensors_without_any_pose_are_a_page_too() -> None:
     render_comparison([wheels, dense, replace(nothing, frames=())])
 
 
-def test_of_a_filter_that_knows_no_flags_none_are_told() -> None:
+def test_of_a_filter_that_knows_no_flags_none_are_reported() -> None:
     run = joined_run(config={"odometry": ["wheels", "dense"], "fusion": {"filter": "ligocki"}})
     facts = facts_of(run)
     assert facts.flag_shares == {}

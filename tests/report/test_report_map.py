@@ -96,12 +96,12 @@ def test_the_page_shows_the_map(tmp_path: Path):
     assert "The vertical is estimated" not in page.text
 
 
-def test_a_world_that_nobody_levelled_is_said_so(tmp_path: Path):
+def test_a_world_that_no_one_levelled_is_said_so(tmp_path: Path):
     write_report(example_run(60, map=example_map(is_levelled=False)), tmp_path / "report.html")
     assert "The vertical is estimated from the surfels" in _page(tmp_path).text
 
 
-def test_an_empty_map_is_told_and_no_map_is_not(tmp_path: Path):
+def test_an_empty_map_is_reported_and_no_map_is_not(tmp_path: Path):
     empty = example_map(pictures=0, plan=None)
     write_report(replace(empty_run(), map=empty), tmp_path / "report.html")
     assert "It is empty: no frame had a pose." in _page(tmp_path).text

@@ -236,7 +236,7 @@ def test_a_drive_by_wheels_shows_what_makes_sense_of_it(tmp_path: Path) -> None:
         assert of_cameras not in page.text.partition("Settings")[0].lower().replace("this page", ""), of_cameras
 
 
-def test_a_drive_without_truth_still_tells_how_sure_it_was(tmp_path: Path) -> None:
+def test_a_drive_without_truth_still_shows_how_sure_it_was(tmp_path: Path) -> None:
     page = _page(wheel_run(with_truth=False), tmp_path)
     assert set(page.plots) == {f"plot-{name}" for name in ("path-xy", "certainty", "status")}
     assert "path in its own odom" in page.text

@@ -127,7 +127,7 @@ def test_accuracy_counts_frames_that_say_something_and_have_a_true_area() -> Non
     assert np.isnan(not_none(area_runs(with_truth=False)[1].rectification).accuracy(found.forest))
 
 
-def test_the_page_tells_what_areas_did() -> None:
+def test_the_page_shows_what_areas_did() -> None:
     page = Page(render_comparison(area_runs()))
     assert {"plot-area-map", "plot-area-time", "plot-map-error", "plot-overlay"} <= set(page.plots)
     found = not_none(area_runs()[1].rectification)

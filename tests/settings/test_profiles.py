@@ -55,10 +55,10 @@ def test_what_a_run_wrote_down_gives_the_same_run_again(tmp_path: Path) -> None:
 
 def test_a_section_that_is_no_mapping_is_refused_as_without_a_profile(tmp_path: Path) -> None:
     file = tmp_path / "settings.yaml"
-    told = []
+    reported = []
     for head in ("seed: 1\n", ""):
         file.write_text(f"{'profile: pi' if head else ''}\ndense: 3\n")
         with pytest.raises(ConfigError, match="dense is 3") as refused:
             load_config(file)
-        told.append(str(refused.value))
-    assert told[0] == told[1]
+        reported.append(str(refused.value))
+    assert reported[0] == reported[1]

@@ -123,9 +123,9 @@ def test_nonsense_is_refused_with_file_line_and_what_would_be_right(section: str
         assert lowest <= value <= highest, name
         for wrong in (lowest - 1, highest + 1, ".nan", "much"):
             path.write_text(with_value(name, wrong))
-            told = str(wrong).replace(".nan", "nan")
+            reported = str(wrong).replace(".nan", "nan")
             line = name.count(".") + 1
-            with pytest.raises(ConfigError, match=rf"^{path}:{line}: {name} is '?{told}'?, which should be"):
+            with pytest.raises(ConfigError, match=rf"^{path}:{line}: {name} is '?{reported}'?, which should be"):
                 load_config(path)
 
 

@@ -71,7 +71,7 @@ def test_frames_outside_its_time_are_the_very_same(fault, events):
     spoilt = fault(begin_s=1.0, end_s=2.0).apply(events)
     before_and_after = [e for e in frames_of(events) if not 1.0 <= e.stamp_s < 2.0]
     kept = {id(e) for e in spoilt}
-    if fault is StuckImage:  # stamps them anew, images by reference
+    if fault is StuckImage:  # stamps them again, images by reference
         stuck = {e.index: e for e in StuckImage(begin_s=1.0, end_s=2.0).apply(events) if isinstance(e, RgbdFrame)}
         assert all(stuck[e.index].color is e.color for e in before_and_after)
     else:
@@ -80,14 +80,14 @@ def test_frames_outside_its_time_are_the_very_same(fault, events):
 
 @pytest.mark.parametrize("fault", ALL)
 def test_the_same_fault_twice_is_the_same_and_begins_anywhere(fault, events):
-    def told(stream):
+    def reported(stream):
         return [(e.stamp_s, e.index, e.color.tobytes(), e.depth_m.tobytes()) for e in frames_of(fault().apply(stream))]
 
-    once = told(events)
-    assert told(events) == once
+    once = reported(events)
+    assert reported(events) == once
     if fault is not StuckImage:
         late = [event for event in events if event.stamp_s >= 1.0]
-        assert told(late) == [one for one in once if one[0] >= 1.0 + (0.03 if fault is LateClock else 0.0)]
+        assert reported(late) == [one for one in once if one[0] >= 1.0 + (0.03 if fault is LateClock else 0.0)]
 
 
 @pytest.mark.parametrize("fault", ALL)
@@ -199,8 +199,8 @@ def test_a_late_clock_holds_back_no_more_than_it_must(events):
             yield event
 
     shifted = LateClock(late_s=0.03).apply(endless())
-    for told in shifted:
-        assert seen[-1].stamp_s - told.stamp_s < 0.04
+    for reported in shifted:
+        assert seen[-1].stamp_s - reported.stamp_s < 0.04
         if len(seen) == len(events):
             break
 

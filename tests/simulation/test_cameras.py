@@ -48,7 +48,7 @@ def test_half_the_size_sees_the_mean_of_four_rays() -> None:
 
 
 @pytest.mark.parametrize("name", camera_names())
-def test_its_calibration_tells_the_noise_it_has(name: str) -> None:
+def test_its_calibration_shows_the_noise_it_has(name: str) -> None:
     model = camera_model(name, (320, 240))
     Calibration.registered_camera(
         model.camera, depth_noise=model.depth_noise, rolling_shutter_s=model.rolling_shutter_s

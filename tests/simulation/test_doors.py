@@ -1,4 +1,4 @@
-"""Doors that swing: where their leaves are, when, and that nobody is in their way."""
+"""Doors that swing: where their leaves are, when, and that no one is in their way."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def board(middle: FloatArray, yaw_rad: float, half_m: float) -> shapely.Geometry
     return shapely.LineString([middle[:2] - along, middle[:2] + along]).buffer(HALF_M, cap_style="flat")
 
 
-def test_nobody_meets_a_leaf(recording: SimulatedRecording) -> None:
+def test_no_one_meets_a_leaf(recording: SimulatedRecording) -> None:
     doors, world, settings = recording.renderer.doors, recording.world, recording.settings
     assert doors is not None
     people = Passersby(world, recording.drive, settings.passersby, settings.day_seed, settings.robot)
@@ -135,7 +135,7 @@ def test_swings_take_as_long_as_hands_and_come_one_after_another(recording: Simu
 
 
 def test_a_way_that_shut_leaves_would_bar_is_driven() -> None:
-    """Else all the above would hold of doors that nobody passes: of the flat's four, the lap passes each."""
+    """Else all the above would hold of doors that no one passes: of the flat's four, the lap passes each."""
     recording = simulate(SimulationSettings("flat", size=(64, 48), seed=2, doors=4))
     assert recording.drive.is_complete
     doors, way = recording.renderer.doors, shapely.LineString(recording.ground_truth.positions_m[::20, :2])
@@ -171,8 +171,8 @@ def test_without_doors_asked_for_the_flat_is_what_it_was() -> None:
 
 @pytest.mark.parametrize(("world", "doors", "room_for"), [("flat", 5, 4), ("floor4", 1, 0)])
 def test_more_doors_than_there_are_is_refused(world: str, doors: int, room_for: int) -> None:
-    told = f"--doors is {doors}; in world {world} there is room for {room_for} to swing"
-    with pytest.raises(ConfigError, match=told):
+    reported = f"--doors is {doors}; in world {world} there is room for {room_for} to swing"
+    with pytest.raises(ConfigError, match=reported):
         simulate(SimulationSettings(world, duration_s=1.0, doors=doors))
 
 

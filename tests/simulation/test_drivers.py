@@ -23,7 +23,7 @@ LOOP = np.array([(0, 0), (12, 0), (12, 8), (7, 8), (6, 5), (0, 8)], float)
 
 
 def driven(driver: Driver, limit_s: float = 300.0) -> tuple[FloatArray, list[Command]]:
-    """x, y, yaw (N, 3) of a robot that does at once what it is told, and the commands it was given."""
+    """x, y, yaw (N, 3) of a robot that does at once what it is reported, and the commands it was given."""
     assert driver.T_world_start is not None
     x, y, yaw = driver.T_world_start[0, 3], driver.T_world_start[1, 3], None
     yaw = math.atan2(driver.T_world_start[1, 0], driver.T_world_start[0, 0])

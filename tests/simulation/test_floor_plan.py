@@ -150,7 +150,7 @@ def test_a_way_is_about_as_long_as_was_asked_for(house: Path, way_m: float) -> N
     assert 0.5 * way_m < length_m < 1.4 * way_m
 
 
-def test_the_robot_begins_where_it_is_told_to(house: Path) -> None:
+def test_the_robot_begins_where_it_is_reported_to(house: Path) -> None:
     world = built(house, start=(3.0, 5.5, math.pi / 2))
     np.testing.assert_allclose(world.route[0], (3.0, 5.5))
     first = world.route[1] - world.route[0]

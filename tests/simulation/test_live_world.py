@@ -137,7 +137,7 @@ def swung(doors: LiveDoors, T: FloatArray, seconds: float, begin_s: float = 0.0)
     return np.array(turns)
 
 
-def test_doors_swing_while_nobody_is_near_and_not_else() -> None:
+def test_doors_swing_while_no_one_is_near_and_not_else() -> None:
     far, near = se3.from_plane(-5.0, 0.0, 0.0), se3.from_plane(2.4, 0.0, math.pi)
     quick = DoorSettings(rests_s=(1.0, 2.0))
     outline = outline_at(RobotModel(), far)
@@ -162,7 +162,7 @@ def test_a_leaf_is_held_when_somebody_comes_and_goes_on_once_they_are_gone() -> 
     assert 0.0 in after
 
 
-def test_a_leaf_is_solid_and_touching_it_is_told() -> None:
+def test_a_leaf_is_solid_and_touching_it_is_reported() -> None:
     settings = replace(SETTINGS, doors=1)
     world = replace(gap(), route=np.array([[0.0, 0.0], [8.0, 0.0]]))
     simulator = Simulator(settings, start=(2.0, 0.0, 0.0), world=world, has_camera=False)
@@ -174,7 +174,7 @@ def test_a_leaf_is_solid_and_touching_it_is_told() -> None:
     assert simulator.clearance_m() < 0.01
 
 
-def test_a_leaf_that_swings_is_told_with_its_speed() -> None:
+def test_a_leaf_that_swings_is_reported_with_its_speed() -> None:
     doors = LiveDoors(gap(), outline_at(RobotModel(), se3.from_plane(-5, 0, 0)), 1, 4, DoorSettings(rests_s=(1.0, 1.0)))
     swung(doors, se3.from_plane(-5, 0, 0), 1.5)
     place_m, step_s = np.array([3.0, -0.4]), 1e-4

@@ -70,7 +70,7 @@ def test_people_walk_at_walking_speed_and_pass_the_robot() -> None:
 
 
 def test_people_in_a_dead_end_leave_it_before_they_are_shut_in() -> None:
-    # The robot goes to the corridor's end and stays so near to it that nobody fits between.
+    # The robot goes to the corridor's end and stays so near to it that no one fits between.
     drive = drive_along(np.concatenate([np.arange(1, 21.5, 0.01), np.full(500, 21.5)]))
     xy_m = walked(Passersby(corridor(ends_m=(22.9,)), drive, 5, 1), drive)
     assert distance_to_chair(drive, xy_m).min() >= 0.6

@@ -206,12 +206,12 @@ def test_physics_that_runs_away_ends_the_drive_and_leaves_no_pose_of_it(monkeypa
 
 
 def test_a_time_limit_ends_a_drive() -> None:
-    told_s: list[float] = []
-    drive = simulate_drive(WORLD, ROBOT, straight(60.0), time_limit_s=3.0, on_progress=told_s.append)
+    reported_s: list[float] = []
+    drive = simulate_drive(WORLD, ROBOT, straight(60.0), time_limit_s=3.0, on_progress=reported_s.append)
     assert not drive.is_complete
     assert "time limit of 3 s" in drive.reason
     assert drive.duration_s == pytest.approx(3.0, abs=0.01)
-    assert told_s == pytest.approx([0, 1, 2, 3])
+    assert reported_s == pytest.approx([0, 1, 2, 3])
 
 
 @pytest.mark.parametrize("time_limit_s", [0.0, -1.0, math.nan, math.inf])

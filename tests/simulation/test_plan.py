@@ -86,6 +86,6 @@ def test_the_same_plan_gives_the_same_bytes(square: World, tmp_path: Path) -> No
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-def test_a_folder_that_is_missing_is_told(square: World, tmp_path: Path) -> None:
+def test_a_folder_that_is_missing_is_reported(square: World, tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"plan\.png"):
         draw_plan(square, tmp_path / "missing" / "plan.png")

@@ -112,10 +112,12 @@ def test_motion_blur_smears_a_turn_and_nothing_at_rest():
 def test_a_real_frame_is_taken_before_it_is_stamped():
     settings = replace(SETTINGS, realism="real", rate_hz=30.0)
     frames = renderer(settings, drive(10.0))
-    taken_s, told_s = (np.array([of(k) for k in range(frames.frame_count)]) for of in (frames.taken_s, frames.stamp_s))
+    taken_s, reported_s = (
+        np.array([of(k) for k in range(frames.frame_count)]) for of in (frames.taken_s, frames.stamp_s)
+    )
     assert frames.frame_count < 300  # some are lost
-    assert -0.008 < (told_s - taken_s).min() < (told_s - taken_s).max() < 0.03
-    assert [frames.frame(k).stamp_s for k in (0, 250)] == [told_s[0], told_s[250]]
+    assert -0.008 < (reported_s - taken_s).min() < (reported_s - taken_s).max() < 0.03
+    assert [frames.frame(k).stamp_s for k in (0, 250)] == [reported_s[0], reported_s[250]]
 
 
 def test_a_real_camera_is_another_than_its_calibration_says():
@@ -153,7 +155,7 @@ def test_an_error_comes_at_its_place():
         next(results)
 
 
-def test_what_nobody_waits_for_is_not_made():
+def test_what_no_one_waits_for_is_not_made():
     made = []
     results = in_order(lambda index: made.append(index), 1000, 2)
     next(results)

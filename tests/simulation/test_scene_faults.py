@@ -100,7 +100,7 @@ def test_a_dark_room_leaves_a_few_levels_and_depth(events: list[Event]) -> None:
         np.testing.assert_array_equal(after.depth_m, before.depth_m)
 
 
-def test_a_view_that_stands_is_measured_anew_each_time(events: list[Event]) -> None:
+def test_a_view_that_stands_is_measured_again_each_time(events: list[Event]) -> None:
     pairs = spoilt(StillView(begin_s=1.0, end_s=2.0), events)
     first = pairs[0][1]
     for after, _ in pairs:
@@ -110,8 +110,8 @@ def test_a_view_that_stands_is_measured_anew_each_time(events: list[Event]) -> N
 
 
 def test_wheels_of_a_robot_that_is_carried_go_on_from_where_they_stood(events: list[Event]) -> None:
-    told = [event for event in WheelsStand(begin_s=1.0, end_s=2.0).apply(events) if isinstance(event, WheelTicks)]
-    counts = {event.stamp_s: (event.left, event.right) for event in told}
+    reported = [event for event in WheelsStand(begin_s=1.0, end_s=2.0).apply(events) if isinstance(event, WheelTicks)]
+    counts = {event.stamp_s: (event.left, event.right) for event in reported}
     assert counts[0.981] == counts[1.001] == counts[1.981] == (147, 245)
     assert counts[2.001] == (150, 250)
     assert counts[2.981] == (297, 495)
@@ -121,9 +121,9 @@ def test_wheels_of_a_robot_that_is_carried_go_on_from_where_they_stood(events: l
 
 
 def test_in_silence_nothing_comes(events: list[Event]) -> None:
-    told = list(Silence(begin_s=1.0, end_s=2.0).apply(events))
-    assert told == [event for event in events if not 1.0 <= event.stamp_s < 2.0]
-    assert len(told) < len(events)
+    reported = list(Silence(begin_s=1.0, end_s=2.0).apply(events))
+    assert reported == [event for event in events if not 1.0 <= event.stamp_s < 2.0]
+    assert len(reported) < len(events)
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.1, np.nan])

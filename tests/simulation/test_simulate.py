@@ -78,7 +78,7 @@ def test_truth_holds_for_the_robot_as_it_is(folder):
 
 
 @pytest.mark.slow
-def test_a_real_drive_is_repeated_to_the_byte_and_tells_where_the_camera_was(tmp_path):
+def test_a_real_drive_is_repeated_to_the_byte_and_shows_where_the_camera_was(tmp_path):
     settings = replace(SETTINGS, realism="real")
     recording = simulate(settings)
     for name in ("one", "two"):
@@ -113,13 +113,13 @@ def test_each_frame_has_its_area(recording, folder):
 
 
 def test_all_that_is_needed_to_repeat_it_is_there(folder):
-    told = yaml.safe_load((folder / "truth" / "settings.yaml").read_text())
-    given = told["settings"]
+    reported = yaml.safe_load((folder / "truth" / "settings.yaml").read_text())
+    given = reported["settings"]
     robot, faults, size = RobotModel(**given.pop("robot")), WheelFaults(**given.pop("faults")), tuple(given.pop("size"))
     assert robot == ROBOT
     assert not any((faults.dropouts_s, faults.patches, given.pop("covered_s")))
     assert SimulationSettings(**given, size=size, robot=robot) == SETTINGS
-    assert {"wheelsight", "mujoco", "numpy"} <= set(told["versions"])
+    assert {"wheelsight", "mujoco", "numpy"} <= set(reported["versions"])
     model = mujoco.MjModel.from_xml_path(str(folder / "truth" / "world.xml"))
     assert model.ngeom > 100
 
@@ -232,13 +232,13 @@ def _distance_m(xy, start, end):
     return np.abs((xy - start) @ [-along[1], along[0]])
 
 
-def test_progress_tells_how_far_of_how_much():
-    told = []
-    simulate(replace(SETTINGS, duration_s=3.0), lambda done_s, of_s: told.append((done_s, of_s)))
-    assert told == [(0.0, 3.0), (1.0, 3.0), (2.0, 3.0), (3.0, 3.0)]
+def test_progress_shows_how_far_of_how_much():
+    reported = []
+    simulate(replace(SETTINGS, duration_s=3.0), lambda done_s, of_s: reported.append((done_s, of_s)))
+    assert reported == [(0.0, 3.0), (1.0, 3.0), (2.0, 3.0), (3.0, 3.0)]
 
 
-def test_without_mujoco_the_way_to_it_is_told(monkeypatch):
+def test_without_mujoco_the_way_to_it_is_reported(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ConfigError, match=r"^MuJoCo is missing \(pip install mujoco matplotlib\)"):
         simulate(SETTINGS)
@@ -263,7 +263,7 @@ def test_settings_out_of_range_name_their_option(change, problem):
         replace(SETTINGS, **change)
 
 
-def test_faults_are_told_in_the_settings():
+def test_faults_are_reported_in_the_settings():
     faults = WheelFaults(dropouts_s=((1.0, 2.5),), patches=(Patch(1.0, 2.0, 0.5),))
     plain = replace(SETTINGS, faults=faults).to_dict()
     assert plain["faults"]["dropouts_s"] == [[1.0, 2.5]]
@@ -272,13 +272,13 @@ def test_faults_are_told_in_the_settings():
 
 
 @pytest.mark.parametrize(
-    ("mishap", "told"),
+    ("mishap", "reported"),
     [
         ({"covered_s": ((1000, 1010),)}, "--cover 1000:1010 never comes: the drive ends at 2.0 s"),
         ({"faults": WheelFaults(lifted_s=((1, 2), (3, 4)))}, "--lift 3:4 never comes"),
         ({"faults": WheelFaults(dropouts_s=((2, 4),))}, "--dropout 2:4 never comes"),
     ],
 )
-def test_what_never_comes_is_refused(mishap: dict[str, Any], told: str) -> None:
-    with pytest.raises(ConfigError, match=told):
+def test_what_never_comes_is_refused(mishap: dict[str, Any], reported: str) -> None:
+    with pytest.raises(ConfigError, match=reported):
         simulate(SimulationSettings(world="square", duration_s=2.0, **mishap))

@@ -1,4 +1,4 @@
-"""A robot to command: it does what it is told, tells it as recordings do, and truth judges it."""
+"""A robot to command: it does what it is reported, shows it as recordings do, and truth judges it."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_threads_make_no_difference() -> None:
     check_same(run(Simulator(REAL), AHEAD, 0.5), run(Simulator(REAL, threads=2), AHEAD, 0.5))
 
 
-def test_told_to_stand_it_stands() -> None:
+def test_reported_to_stand_it_stands() -> None:
     simulator = Simulator(REAL, has_camera=False)
     T_start = simulator.T_world_base
     ticks = [event for event in run(simulator, STOP, 5.0) if isinstance(event, WheelTicks)]
@@ -207,7 +207,7 @@ def test_driven_into_a_wall_it_stops_and_says_so() -> None:
     assert simulator.clearance_m() < 0.01
     assert "is blocked" in simulator.stop_reason
     T_there = simulator.T_world_base
-    run(simulator, VelocityCommand(-0.2), 2.0)  # not before it was told to stand
+    run(simulator, VelocityCommand(-0.2), 2.0)  # not before it was reported to stand
     assert abs(moved(T_there, simulator.T_world_base)[0]) < 0.01
     run(simulator, STOP, 0.5)
     assert simulator.stop_reason == ""
@@ -224,7 +224,7 @@ def test_without_wheel_readings_it_stops() -> None:
     assert simulator.stop_reason == "no wheel readings come"
     assert 0.05 < moved(T_silent, simulator.T_world_base)[0] < 0.35  # 0.15 s on, and braking from 0.5 m/s
     T_stands = simulator.T_world_base
-    run(simulator, AHEAD, 1.0)  # they come again, and nobody has let go
+    run(simulator, AHEAD, 1.0)  # they come again, and no one has let go
     assert moved(T_stands, simulator.T_world_base)[0] < 0.01
 
 

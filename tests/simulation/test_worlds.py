@@ -171,7 +171,7 @@ def test_the_areas_cover_the_whole_route(name: str) -> None:
     assert set(found) == set(range(len(WORLDS[name].areas.areas)))
 
 
-def test_floor4_tells_the_coordinates_that_the_paper_tells() -> None:
+def test_floor4_shows_the_coordinates_that_the_paper_shows() -> None:
     areas = WORLDS["floor4"].areas.areas
     assert [area.name for area in areas] == list("12345678")
     both = [area.name for area in areas if area.x_m is not None and area.y_m is not None]
@@ -185,7 +185,7 @@ def test_floor4_tells_the_coordinates_that_the_paper_tells() -> None:
             assert (area.x_m is None) == (width_m > depth_m), "a corridor does not tell the coordinate it runs along"
 
 
-def test_floor4_coordinates_are_near_whoever_is_in_the_area() -> None:
+def test_floor4_coordinates_are_near_anyone_who_is_in_the_area() -> None:
     world = WORLDS["floor4"]
     way = lap(world)
     points = np.array([shapely.get_coordinates(way.interpolate(along))[0] for along in np.arange(0, way.length, 0.1)])
@@ -278,7 +278,7 @@ def test_obstacles_are_what_is_solid_between_floor_and_wheelchair(hall: World) -
     assert [thing.name for thing in footprints(hall) if thing.is_in_the_way] == ["post", "bar"]
 
 
-def test_a_footprint_tells_heights_and_material(hall: World) -> None:
+def test_a_footprint_shows_heights_and_material(hall: World) -> None:
     lintel = next(thing for thing in footprints(hall) if thing.name == "lintel")
     assert (lintel.bottom_m, lintel.top_m) == pytest.approx((1.1, 2.1))
     assert lintel.material == "stone"

@@ -1,4 +1,4 @@
-"""A drive that was laid into a known map by false loops is laid anew once more of the map says so, and not before."""
+"""A drive that was laid into a known map by false loops is laid again once more of the map says so, and not before."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def at(number: int) -> FloatArray:
 
 
 def known_map() -> SubmapGraph:
-    """Keyframes of yesterday, each held, and those of a drive that nobody has laid into them yet."""
+    """Keyframes of yesterday, each held, and those of a drive that no one has laid into them yet."""
     made = SubmapGraph()
     for number in range(2 * COUNT):
         is_new = number >= COUNT

@@ -160,8 +160,8 @@ def test_a_pose_goes_with_a_keyframe_that_was_seen_again():
     """Nothing new is kept for ten seconds of known rooms, while odom drifts by 0.4 m and is back by wheels alone."""
     T_kept = np.array([se3.from_plane(x_m, 0.0, 0.0) for x_m in (0.0, 10.0)])
     again = Revisit(KeyframeId(0), 5.0, se3.from_plane(0.0, 0.4, 0.0), np.eye(6), np.eye(6))
-    told = (np.ones(2, bool), np.zeros(2, bool), np.zeros(2))
-    closed = ClosedLoops(np.array([0.0, 10.0]), T_kept, T_kept, (), LoopReport(()), {}, 0, 1, *told, (again,))
+    reported = (np.ones(2, bool), np.zeros(2, bool), np.zeros(2))
+    closed = ClosedLoops(np.array([0.0, 10.0]), T_kept, T_kept, (), LoopReport(()), {}, 0, 1, *reported, (again,))
     stamps_s = np.arange(0.0, 11.0)
     lived = Trajectory(stamps_s, np.array([se3.from_plane(x_m, 0.4, 0.0) for x_m in stamps_s]))
     found = corrected_by(closed, lived)

@@ -44,12 +44,12 @@ def lived() -> list[OdometryKeyframe]:
 def driven(keyframes: list[Keyframe], settings: LoopSettings = SETTINGS) -> tuple[LiveLoops, list[PoseUpdate | None]]:
     """All keyframes, one after the other; and what was answered right after each."""
     store = KeyframeStore()
-    live, told = LiveLoops(store, EXACT, settings, waits=True), []
+    live, reported = LiveLoops(store, EXACT, settings, waits=True), []
     for keyframe, way in zip(keyframes, lived(), strict=True):
         store.add(keyframe, way.T_odom_keyframe)
-        told.append(live.due(way.stamp_s))
+        reported.append(live.due(way.stamp_s))
         live.add(way)
-    return live, told
+    return live, reported
 
 
 def off_m(T: FloatArray) -> FloatArray:
@@ -57,7 +57,7 @@ def off_m(T: FloatArray) -> FloatArray:
 
 
 def test_keyframes_go_to_where_loops_have_them(keyframes: list[Keyframe]) -> None:
-    live, told = driven(keyframes)
+    live, reported = driven(keyframes)
     found = live.finish()
     before, after = off_m(found.T_odom_keyframe), off_m(found.T_map_keyframe)
     assert before[-1] > 0.2
@@ -65,28 +65,28 @@ def test_keyframes_go_to_where_loops_have_them(keyframes: list[Keyframe]) -> Non
     assert len(found.loops.kept) >= 6
     assert not found.loops.refused
     np.testing.assert_array_equal(found.stamps_s, np.arange(len(WAY)))
-    # On the way, too, some keyframes late: what is told is of all keyframes that were judged by then.
-    moved = [update.T_map_keyframe for update in told if update is not None]
+    # On the way, too, some keyframes late: what is reported is of all keyframes that were judged by then.
+    moved = [update.T_map_keyframe for update in reported if update is not None]
     assert moved
     assert len(moved[-1]) < len(WAY)
     assert off_m(moved[-1]).max() < 0.1
-    last = [update for update in told if update is not None][-1]
+    last = [update for update in reported if update is not None][-1]
     assert len(last.loops) > 1
     assert (last.loops[:, 0] + 5 < last.loops[:, 1]).all()  # the first lap's, and the second's
 
 
 def test_what_is_due_is_waited_for_and_comes_as_late_each_time(keyframes: list[Keyframe]) -> None:
-    (first, told), (second, again) = driven(keyframes), driven(keyframes)
-    assert [update is None for update in told] == [update is None for update in again]
-    for one, other in zip(told, again, strict=True):
+    (first, reported), (second, again) = driven(keyframes), driven(keyframes)
+    assert [update is None for update in reported] == [update is None for update in again]
+    for one, other in zip(reported, again, strict=True):
         if one is not None and other is not None:
             np.testing.assert_array_equal(one.T_map_keyframe, other.T_map_keyframe)
     np.testing.assert_array_equal(first.finish().T_map_keyframe, second.finish().T_map_keyframe)
 
 
-def test_nothing_is_told_where_nothing_is_seen_again(keyframes: list[Keyframe]) -> None:
-    live, told = driven(keyframes, LoopSettings(latency_s=0.0, apart_s=100.0))
-    assert all(update is None for update in told)
+def test_nothing_is_reported_where_nothing_is_seen_again(keyframes: list[Keyframe]) -> None:
+    live, reported = driven(keyframes, LoopSettings(latency_s=0.0, apart_s=100.0))
+    assert all(update is None for update in reported)
     found = live.finish()
     np.testing.assert_allclose(found.T_map_keyframe, found.T_odom_keyframe, atol=1e-9)
 
@@ -121,25 +121,25 @@ def test_a_trajectory_goes_with_its_keyframes(keyframes: list[Keyframe]) -> None
     np.testing.assert_allclose(corrected.corrected.T_frame_body, found.T_map_keyframe, atol=1e-9)
 
 
-@pytest.mark.parametrize("is_told", [False, True])
-def test_a_keyframe_goes_to_where_odometry_saw_it_from_one_that_it_had_come_back_to(is_told: bool) -> None:
-    """Though nobody recognises anything: nothing is to be seen here. Odometry has drifted by 0.3 m since."""
+@pytest.mark.parametrize("is_reported", [False, True])
+def test_a_keyframe_goes_to_where_odometry_saw_it_from_one_that_it_had_come_back_to(is_reported: bool) -> None:
+    """Though no one recognises anything: nothing is to be seen here. Odometry has drifted by 0.3 m since."""
     store, blank, C = KeyframeStore(), np.ones((24, 32), np.float32), 1e-4 * np.eye(6)
     live = LiveLoops(store, EXACT, SETTINGS, waits=True)
     back = RelativePose(KeyframeId(0), KeyframeId(3), se3.from_plane(0.1, 0.0, 0.0), 0.01 * C, is_loop=True)
     for number, x_m in enumerate([0.0, 1.0, 2.0, 0.4]):
-        T_odom, seen_from = se3.from_plane(x_m, 0.0, 0.0), back if is_told and number == 3 else None
+        T_odom, seen_from = se3.from_plane(x_m, 0.0, 0.0), back if is_reported and number == 3 else None
         store.add(Keyframe.of_images(number, np.array([30.0, 30.0, 16.0, 12.0]), blank, blank), T_odom)
         covariance = (1 + 100 * number) * C
         live.add(OdometryKeyframe(KeyframeId(number), float(number), T_odom, covariance, seen_from=seen_from))
     live.due(10.0)
-    assert [store.loop_span(number) for number in store] == ([3, 0, 0, 3] if is_told else [0, 0, 0, 0])
+    assert [store.loop_span(number) for number in store] == ([3, 0, 0, 3] if is_reported else [0, 0, 0, 0])
     found = live.finish()
-    assert len(found.loops.kept) == is_told
-    assert found.T_map_keyframe[3, 0, 3] == pytest.approx(0.1 if is_told else 0.4, abs=0.01)
+    assert len(found.loops.kept) == is_reported
+    assert found.T_map_keyframe[3, 0, 3] == pytest.approx(0.1 if is_reported else 0.4, abs=0.01)
 
 
-def test_one_that_is_seen_again_is_placed_anew() -> None:
+def test_one_that_is_seen_again_is_placed_again() -> None:
     store, blank, C = KeyframeStore(), np.ones((24, 32), np.float32), 1e-4 * np.eye(6)
     live = LiveLoops(store, EXACT, SETTINGS, waits=True)
     for number in range(2):

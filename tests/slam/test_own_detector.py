@@ -133,8 +133,8 @@ def driven(store: KeyframeStore, detector: Named) -> LiveLoops:
 
 def apart_m(T_map_keyframe: FloatArray) -> float:
     """How far off the last keyframe is from where it was, a lap before."""
-    told, truth = (se3.invert(T[-1 - LAP]) @ T[-1] for T in (T_map_keyframe, np.array(WAY)))
-    return float(np.linalg.norm((told - truth)[:3, 3]))
+    reported, truth = (se3.invert(T[-1 - LAP]) @ T[-1] for T in (T_map_keyframe, np.array(WAY)))
+    return float(np.linalg.norm((reported - truth)[:3, 3]))
 
 
 def test_its_loops_move_the_keyframes_to_where_they_belong(store: KeyframeStore) -> None:

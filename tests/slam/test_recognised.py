@@ -69,7 +69,7 @@ def test_who_is_passed_by_is_found_later(store: KeyframeStore) -> None:
     assert any(watcher.find_loops(number) for number in list(store)[10:])
 
 
-def test_a_keyframe_that_cannot_be_read_is_told_and_passed_over(store: KeyframeStore) -> None:
+def test_a_keyframe_that_cannot_be_read_is_reported_and_passed_over(store: KeyframeStore) -> None:
     """Its disk is gone; others show the place all the same."""
 
     def fail() -> Keyframe:
@@ -90,7 +90,7 @@ def test_a_keyframe_that_cannot_be_read_is_told_and_passed_over(store: KeyframeS
 def test_a_piece_that_is_not_joined_asks_more_of_the_rest_and_then_of_itself(
     store: KeyframeStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The nearest view is unjoined, too: it must not take the place of one that tells where in the map that is."""
+    """The nearest view is unjoined, too: it must not take the place of one that shows where in the map that is."""
     for name, value in (("_CANDIDATES", 1), ("_NEAR_CANDIDATES", 0), ("_CANDIDATES_UNJOINED", 4)):
         monkeypatch.setattr(place_recognition, name, value)
     asked = {}

@@ -170,7 +170,7 @@ def test_the_inverse_left_jacobian_undoes_a_perturbation_at_any_angle(values, sc
         np.testing.assert_allclose(J[:, k], (ahead - back) / 2e-5, atol=1e-6)
 
 
-def test_where_gtsam_runs_short_of_digits_our_own_factor_tells_covariances(monkeypatch):
+def test_where_gtsam_runs_short_of_digits_our_own_factor_shows_covariances(monkeypatch):
     _, edges, start = noisy(6)
     graph, own = filled(GtsamPoseGraph(), edges, start), filled(OwnPoseGraph(), edges, start)
 

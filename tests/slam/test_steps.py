@@ -1,4 +1,4 @@
-"""Edges of odometry: what a motion tells of the way along the floor, and poses of height and tilt."""
+"""Edges of odometry: what a motion shows the way along the floor, and poses of height and tilt."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def test_a_piece_is_not_let_go_where_all_loops_that_hold_it_fail_at_once(solver)
     assert all(one.chi2 <= one.limit for one in report.decisions if one.is_kept)
 
 
-def test_a_matrix_without_enough_digits_tells_no_covariance(monkeypatch):
+def test_a_matrix_without_enough_digits_shows_no_covariance(monkeypatch):
     graph = two_pieces(OwnPoseGraph)
 
     def singular(*_, **__):

@@ -66,11 +66,11 @@ def test_poses_are_those_of_the_trajectory_on_one_timeline(truth: Trajectory, tm
     assert len(found.rows["/map/odom/trail"]["LineStrips3D:strips"]) == len(record.estimate) - 1
 
 
-def test_statuses_are_told_where_they_change_and_reasons_with_them(truth: Trajectory, tmp_path: Path) -> None:
+def test_statuses_are_reported_where_they_change_and_reasons_with_them(truth: Trajectory, tmp_path: Path) -> None:
     shown(MemoryRecording(frames_at(truth, dark=(7, 8)), truth), BY_FEATURES, tmp_path)
     found = Shown(tmp_path / "run.rrd")
-    told = found.rows["/status/features"]["StateChange:state"]
-    assert [state for (state,) in told] == ["tracking", "failing", "tracking"]
+    reported = found.rows["/status/features"]["StateChange:state"]
+    assert [state for (state,) in reported] == ["tracking", "failing", "tracking"]
     steps_s = truth.stamps_s[[0, 7, 9]] - truth.stamps_s[0]
     np.testing.assert_allclose(found.times_s("/status/features"), steps_s, atol=1e-6)
     assert found.rows["/words/features"]["TextLog:text"] == [["too few keypoints with depth"]]
@@ -167,12 +167,12 @@ def test_without_rerun_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch, 
         pytest.fail("it was opened")
 
 
-# Rerun's own server without a window, in the viewer's place: it writes what it is told.
+# Rerun's own server without a window, in the viewer's place: it writes what it is reported.
 STAND_IN = """
 import json, os, pathlib, subprocess, sys
 if "--port" in sys.argv:
     state = subprocess.check_output([sys.executable, "-m", "rerun", "analytics", "config"])
-    pathlib.Path("told.json").write_text(json.dumps([json.loads(state)["analytics_enabled"], sys.argv[1:]]))
+    pathlib.Path("reported.json").write_text(json.dumps([json.loads(state)["analytics_enabled"], sys.argv[1:]]))
     sys.argv[-1:] = ["--save", "seen.rrd"]
 os.execv(sys.executable, [sys.executable, "-m", "rerun", *sys.argv[1:]])
 """
@@ -196,7 +196,7 @@ def test_a_viewer_that_is_started_hears_all_on_loopback_alone(
     try:
         with open_rerun(address, source.calibration, ("features",)) as log:
             (record,) = run_each(source, BY_FEATURES, tmp_path / "out", watcher=log)
-        analytics, options = json.loads((tmp_path / "told.json").read_text())
+        analytics, options = json.loads((tmp_path / "reported.json").read_text())
         port = int(options[options.index("--port") + 1])
         assert [place for place, at in listening() if at == port] == ["0100007F"]
         assert analytics is False

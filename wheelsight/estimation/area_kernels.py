@@ -17,7 +17,7 @@ def parts_in_areas(mean: Any, axes: Any, steps_0: int, steps_1: int, shares: Any
     """Mass, first and second moments (A + 1, 6) of a Gaussian's parts in each area and, last, outside them.
 
     The Gaussian is `mean + axes @ u`, u standard normal in the plane, summed over a grid of `steps_0` by `steps_1`
-    points within ±4.5. The columns are 1, u0, u1, u0², u0 u1, u1². `shares` (rows y, columns x, A) tells which share
+    points within ±4.5. The columns are 1, u0, u1, u0², u0 u1, u1². `shares` (rows y, columns x, A) says which share
     of each point of the floor belongs to each area; cell (0, 0) has its centre at `corner`.
     """
     rows, columns, areas = shares.shape
@@ -88,7 +88,7 @@ def step(state: Any, covariance: Any, step_mean: Any, step_covariance: Any, walk
 
 
 @kernel
-def rectify(odometry: Any, told: Any, told_weights: Any, untold_weights: Any, is_increment: bool) -> Any:
+def rectify(odometry: Any, reported: Any, reported_weights: Any, unreported_weights: Any, is_increment: bool) -> Any:
     """Eq. 5 along a drive for one axis: coordinates (N,) from those of odometry (N,) and of the areas (N,), NaN none.
 
     Weights are (alpha, beta, gamma). The first coordinate is odometry's.
@@ -96,8 +96,10 @@ def rectify(odometry: Any, told: Any, told_weights: Any, untold_weights: Any, is
     found = odometry.copy()
     for t in range(1, len(odometry)):
         term = found[t - 1] + odometry[t] - odometry[t - 1] if is_increment else odometry[t]
-        if math.isnan(told[t]):
-            found[t] = untold_weights[0] * found[t - 1] + untold_weights[1] * term
+        if math.isnan(reported[t]):
+            found[t] = unreported_weights[0] * found[t - 1] + unreported_weights[1] * term
         else:
-            found[t] = told_weights[0] * found[t - 1] + told_weights[1] * term + told_weights[2] * told[t]
+            found[t] = (
+                reported_weights[0] * found[t - 1] + reported_weights[1] * term + reported_weights[2] * reported[t]
+            )
     return found

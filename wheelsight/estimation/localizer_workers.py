@@ -174,18 +174,18 @@ class LocalizerApart:
     Args:
         make: a function of a module, which the process imports; see `Make`.
         arguments: of `make`.
-        tells_keyframes: whether to keep `keyframes` here as well, with depth alone, for a map that grows.
+        keeps_keyframes: whether to keep `keyframes` here as well, with depth alone, for a map that grows.
 
     Raises an error of `make`, and DeviceError if the process has died.
     """
 
-    def __init__(self, make: Make, *arguments: Any, tells_keyframes: bool = False) -> None:
-        self.keyframes: KeyframeStore | None = KeyframeStore() if tells_keyframes else None
+    def __init__(self, make: Make, *arguments: Any, keeps_keyframes: bool = False) -> None:
+        self.keyframes: KeyframeStore | None = KeyframeStore() if keeps_keyframes else None
         self.recognised: int | None = None
         self.warnings: tuple[str, ...] = ()
         context = get_context("spawn")
         self._connection, theirs = context.Pipe()
-        what = (theirs, make, arguments, tells_keyframes)
+        what = (theirs, make, arguments, keeps_keyframes)
         self._process = context.Process(target=serve, args=what, name="wheelsight-localizer", daemon=True)
         self._is_over, self._calling = False, threading.Lock()
         self._process.start()
@@ -330,7 +330,7 @@ class _Beats:
                 self._connection.send(Beat())
 
 
-def serve(connection: Connection, make: Make, arguments: tuple[Any, ...], tells_keyframes: bool) -> None:
+def serve(connection: Connection, make: Make, arguments: tuple[Any, ...], keeps_keyframes: bool) -> None:
     """Make a localizer, answer events, close it. Sends an `Answer` after each, or the error that ends the process.
 
     It ignores Ctrl-C and the end of the terminal, which reach all processes: the robot's program stops the robot first,
@@ -343,7 +343,7 @@ def serve(connection: Connection, make: Make, arguments: tuple[Any, ...], tells_
     with suppress(OSError):  # the other process may have died
         try:
             with _Beats(connection) as beats, make(*arguments) as localizer:
-                _answer(connection, localizer, tells_keyframes)
+                _answer(connection, localizer, keeps_keyframes)
                 beats.begin()
         except SystemExit:
             raise
@@ -359,8 +359,8 @@ def serve(connection: Connection, make: Make, arguments: tuple[Any, ...], tells_
             connection.send(Answer())
 
 
-def _answer(connection: Connection, localizer: Answering, tells_keyframes: bool) -> None:
-    store = localizer.keyframes if tells_keyframes else None
+def _answer(connection: Connection, localizer: Answering, keeps_keyframes: bool) -> None:
+    store = localizer.keyframes if keeps_keyframes else None
     watch = None if store is None else _StoreWatch(store)
     connection.send(Answer(None, localizer.recognised))
     while True:

@@ -14,10 +14,10 @@ PERIOD_S, SPEED_M_S = 0.2, 0.8
 PLANE = np.ix_([0, 1, 5], [0, 1, 5])
 
 
-def box(name: str, left: float, bottom: float, right: float, top: float, tells: str) -> Area:
+def box(name: str, left: float, bottom: float, right: float, top: float, shows: str) -> Area:
     corners = np.array([(left, bottom), (right, bottom), (right, top), (left, top)])
     x_m, y_m = (left + right) / 2, (bottom + top) / 2
-    return Area(name, corners, x_m if "x" in tells else None, y_m if "y" in tells else None)
+    return Area(name, corners, x_m if "x" in shows else None, y_m if "y" in shows else None)
 
 
 def loop() -> AreaMap:
@@ -60,11 +60,11 @@ def drive_round(rng: np.random.Generator, laps: int = 3, drift: float = 0.03, sl
     moves = [move for leg in legs for move in [(leg / round(leg / step_m), 0.0)] * round(leg / step_m) + corner] * laps
     xi = np.array([(m, 0.0, turn) for m, turn in moves])
     noise = rng.normal(0, slip, (len(xi), 3)) * np.sqrt(step_m) * (1.0, 0.1, 1.0)
-    told = xi + noise
-    told[:, 2] += drift * xi[:, 0]
+    reported = xi + noise
+    reported[:, 2] += drift * xi[:, 0]
     covariance = np.zeros((6, 6))
     covariance[PLANE] = np.diag(np.square(slip * np.array([1.0, 0.1, 1.0]))) * step_m
-    steps = se2.exp(told)
+    steps = se2.exp(reported)
     in_space = se3.from_plane(*se2.to_parts(steps))
     return LoopDrive(_poses(start, se2.exp(xi)), _poses(start, steps), in_space, covariance)
 

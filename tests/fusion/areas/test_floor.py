@@ -119,7 +119,7 @@ def test_kernels_are_their_plain_python(rng):
         k.step(*state, np.array([0.3, 0.01, 0.1]), np.eye(3) / 100, np.full(3, 1e-4))
     for one, other in zip(*states, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12)
-    odometry, told = rng.normal(size=50), np.where(rng.random(50) < 0.5, rng.normal(size=50), np.nan)
+    odometry, reported = rng.normal(size=50), np.where(rng.random(50) < 0.5, rng.normal(size=50), np.nan)
     for is_increment in (True, False):
-        rest = odometry, told, np.array([0.3, 0.5, 0.2]), np.array([0.4, 0.6, 0.0]), is_increment
+        rest = odometry, reported, np.array([0.3, 0.5, 0.2]), np.array([0.4, 0.6, 0.0]), is_increment
         np.testing.assert_allclose(kernels.rectify(*rest), slow.rectify(*rest), atol=1e-12)

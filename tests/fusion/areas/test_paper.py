@@ -25,7 +25,7 @@ def test_weights_are_shares_of_one(parts):
         AxisWeights(*parts)
 
 
-def test_where_no_coordinate_is_told_there_is_no_gamma():
+def test_where_no_coordinate_is_reported_there_is_no_gamma():
     with pytest.raises(ConfigError, match=r"gamma is 0\.2"):
         Weights(AxisWeights(0.5, 0.5), AxisWeights(0.4, 0.4, 0.2))
 
@@ -53,14 +53,14 @@ def test_one_frame_is_eq_5_of_the_last_place_and_the_way_since():
 
 
 @pytest.mark.parametrize("term", TERMS)
-def test_an_axis_of_which_the_area_tells_nothing_is_left_to_odometry(term):
+def test_an_axis_of_which_the_area_shows_nothing_is_left_to_odometry(term):
     gammas = [Weights(AxisWeights(0.0, 1 - gamma, gamma), AxisWeights(0.0, 1.0)) for gamma in (0.0, 0.7)]
     found = []
     for weights in gammas:
         rectifier = PaperRectifier(loop(), se3.from_plane(3.0, 1.2, 0.3), weights, term)
         for stamp_s in range(4):
             rectifier.predict(FORWARD)
-            estimate = rectifier.update(float(stamp_s), 0)  # south tells y only
+            estimate = rectifier.update(float(stamp_s), 0)  # south shows y only
         found.append(estimate.T_odom_body)
     assert not_none(found[0])[0, 3] == pytest.approx(not_none(found[1])[0, 3])
     assert not_none(found[0])[1, 3] != pytest.approx(not_none(found[1])[1, 3])
@@ -86,10 +86,10 @@ def test_between_frames_the_wheels_go_on_from_the_rectified_place():
 
 def test_wheels_alone_are_kept_by_weights_of_odometry_alone(rng):
     drive = drive_round(rng, laps=1)
-    told = coordinates_of(loop())[looks(rng, loop(), drive.truth, 0.8, 1.0)]
+    reported = coordinates_of(loop())[looks(rng, loop(), drive.truth, 0.8, 1.0)]
     alone = Weights(AxisWeights(0, 1), AxisWeights(0, 1))
     for term in TERMS:
-        np.testing.assert_allclose(rectify_drive(drive.wheels[:, :2], told, alone, term), drive.wheels[:, :2])
+        np.testing.assert_allclose(rectify_drive(drive.wheels[:, :2], reported, alone, term), drive.wheels[:, :2])
 
 
 @pytest.mark.parametrize("term", TERMS)
@@ -124,12 +124,12 @@ def test_weights_found_on_one_drive_help_on_another(rng, term):
 
 def test_no_single_weight_changed_is_better_than_the_weights_found(rng):
     drive = training_drive(rng)
-    told = coordinates_of(loop())[drive.area_indices]
+    reported = coordinates_of(loop())[drive.area_indices]
     best = fit_weights(loop(), [drive])
-    least = error_m(rectify_drive(drive.odometry, told, best), drive.truth)
+    least = error_m(rectify_drive(drive.odometry, reported, best), drive.truth)
     for beta in np.linspace(0.05, 0.95, 7):
         other = Weights(best.with_area, AxisWeights(1 - beta, beta))
-        assert error_m(rectify_drive(drive.odometry, told, other), drive.truth) > 0.98 * least
+        assert error_m(rectify_drive(drive.odometry, reported, other), drive.truth) > 0.98 * least
 
 
 def test_perfect_wheels_are_left_alone(rng):

@@ -17,9 +17,9 @@ from wheelsight.estimation.area_rectifier import AreaFilterParameters, FloorShar
 SOUTH, WEST = 0, 6
 
 
-def updated(mean, covariance, told):
-    """A Gaussian (2,), (2, 2) after a Kalman filter has taken what was told."""
-    value, spread = told
+def updated(mean, covariance, reported):
+    """A Gaussian (2,), (2, 2) after a Kalman filter has taken what was reported."""
+    value, spread = reported
     gain = covariance @ np.linalg.inv(covariance + spread)
     return mean + gain @ (value - mean), covariance - gain @ covariance
 
@@ -62,7 +62,7 @@ def test_a_direction_that_gets_no_narrower_is_left_open():
 
 
 @pytest.mark.parametrize("covariance", [np.eye(2), np.diag([1.2, 1.0]), 3 * np.eye(2)])
-def test_nothing_is_told_where_nothing_gets_narrower(covariance):
+def test_nothing_is_reported_where_nothing_gets_narrower(covariance):
     assert equivalent(np.array([0.1, -0.2]), covariance) is None
 
 
@@ -70,8 +70,8 @@ def test_nothing_is_told_where_nothing_gets_narrower(covariance):
 def test_the_first_frame_takes_the_belief_to_its_product_with_the_likelihood(yaw):
     """By sums over a fine grid: of the Gaussian times the likelihood of "south" at each of its points."""
     xy, sigma = np.array([2.3, 1.4]), 0.8
-    told = PlaceMeter(loop()).measure(*in_map(xy, sigma, yaw), saying(SOUTH))
-    mean, covariance = updated(xy, sigma**2 * np.eye(2), told)
+    reported = PlaceMeter(loop()).measure(*in_map(xy, sigma, yaw), saying(SOUTH))
+    mean, covariance = updated(xy, sigma**2 * np.eye(2), reported)
 
     forest = AreaFilterParameters()
     steps = np.arange(-4 * sigma, 4 * sigma, 0.04)
@@ -108,11 +108,11 @@ def test_what_says_nothing_or_nothing_that_fits_is_no_measurement(monkeypatch):
     assert PlaceMeter(loop()).measure(*here, saying(WEST, 0.99)) is None
 
 
-def test_in_the_middle_of_a_corridor_nothing_is_told_along_it():
-    told = PlaceMeter(loop()).measure(*in_map((7.0, 1.0), 0.3), saying(SOUTH))
-    assert told is not None
-    np.testing.assert_allclose(told[0], (7.0, 1.0), atol=1e-6)
-    assert told[1][0, 0] > 1e3 > 10 > told[1][1, 1]
+def test_in_the_middle_of_a_corridor_nothing_is_reported_along_it():
+    reported = PlaceMeter(loop()).measure(*in_map((7.0, 1.0), 0.3), saying(SOUTH))
+    assert reported is not None
+    np.testing.assert_allclose(reported[0], (7.0, 1.0), atol=1e-6)
+    assert reported[1][0, 0] > 1e3 > 10 > reported[1][1, 1]
 
 
 def test_the_same_frame_seen_twice_from_one_spot_says_nothing_new():
@@ -124,14 +124,14 @@ def test_the_same_frame_seen_twice_from_one_spot_says_nothing_new():
         T, C = se3.from_plane(xy[0], xy[1], 0.0), np.zeros((6, 6))
         C[:2, :2] = covariance
         J = se3.adjoint(se3.from_plane(xy[0], xy[1], 0.0))
-        told = meter.measure(T, J @ C @ J.T, saying(SOUTH))
-        if told is not None:
-            xy, covariance = updated(xy, covariance, told)
+        reported = meter.measure(T, J @ C @ J.T, saying(SOUTH))
+        if reported is not None:
+            xy, covariance = updated(xy, covariance, reported)
     once = updated(here[0][:2, 3], 0.64 * np.eye(2), first)
     assert xy[0] - once[0][0] < 0.4 * (once[0][0] - 2.3)
 
 
-def followed(drive, told):
+def followed(drive, reported):
     """Poses (N, 3) of the default filter by wheels and places, and how often a place was refused."""
     T_start = se3.from_plane(*drive.truth[0])
     Ad = se3.adjoint(T_start)
@@ -141,7 +141,7 @@ def followed(drive, told):
     for t in range(len(drive.truth)):
         if t:
             answer = fusion.predict(t * PERIOD_S, drive.steps[t - 1], drive.covariance, (t - 1) * PERIOD_S)
-        place = meter.measure(not_none(answer.T_odom_body), not_none(answer.covariance), told[t])
+        place = meter.measure(not_none(answer.T_odom_body), not_none(answer.covariance), reported[t])
         if place is not None:
             answer = fusion.update_position(t * PERIOD_S, *place)
             refused += answer.reason is Reason.OUTLIER
@@ -153,19 +153,19 @@ def followed(drive, told):
 @pytest.mark.parametrize("drift", [0.005, 0.03])
 def test_the_default_filter_is_as_good_by_them_as_the_rectifier(rng, drift):
     drive = drive_round(rng, laps=2, drift=drift)
-    told = answers(looks(rng, loop(), drive.truth, 0.85, 1.0), 8)
-    poses, refused = followed(drive, told)
+    reported = answers(looks(rng, loop(), drive.truth, 0.85, 1.0), 8)
+    poses, refused = followed(drive, reported)
     assert error_m(poses, drive.truth) < 0.4 * drive.wheels_error_m
-    assert error_m(poses, drive.truth) < 1.3 * error_m(rectify(drive, told).poses, drive.truth)
+    assert error_m(poses, drive.truth) < 1.3 * error_m(rectify(drive, reported).poses, drive.truth)
     assert refused < 0.02 * len(poses)
 
 
 @pytest.mark.parametrize("kind", ["shuffled", "opposite", "always one"])
 def test_a_forest_without_sense_does_not_ruin_the_wheels(rng, kind):
     drive = drive_round(rng, laps=1)
-    told = answers(looks(rng, loop(), drive.truth, 0.85, 1.0), 8)
-    wrong = {"shuffled": told[rng.permutation(len(told))], "opposite": np.roll(told, 4, axis=1)}
-    wrong["always one"] = np.tile(saying(WEST, 0.97), (len(told), 1))
+    reported = answers(looks(rng, loop(), drive.truth, 0.85, 1.0), 8)
+    wrong = {"shuffled": reported[rng.permutation(len(reported))], "opposite": np.roll(reported, 4, axis=1)}
+    wrong["always one"] = np.tile(saying(WEST, 0.97), (len(reported), 1))
     poses, _ = followed(drive, wrong[kind])
     assert error_m(poses, drive.truth) < 1.1 * drive.wheels_error_m
 

@@ -27,8 +27,8 @@ def forest_on(drive, rng, accuracy=0.85):
 @pytest.mark.parametrize("says", ["unknown", "nothing"])
 def test_without_information_the_wheels_are_left_alone(rng, says):
     drive = drive_round(rng, laps=2)
-    told = None if says == "unknown" else np.full((len(drive.truth), 8), 1 / 8)
-    found = rectify(drive, told).poses
+    reported = None if says == "unknown" else np.full((len(drive.truth), 8), 1 / 8)
+    found = rectify(drive, reported).poses
     np.testing.assert_allclose(found[:, :2], drive.wheels[:, :2], atol=1e-9)
     np.testing.assert_allclose(se2.wrap_angle(found[:, 2] - drive.wheels[:, 2]), 0, atol=1e-9)
 
@@ -62,15 +62,15 @@ def test_covariance_is_honest():
     assert 1 < np.mean(seen) < 6
 
 
-def without_sense(kind, told, truth, rng):
+def without_sense(kind, reported, truth, rng):
     """Answers (N, A) of a forest that is wrong in one of several ways."""
     named = loop().index_at(truth[:, :2])
     if kind == "shuffled":
-        return told[rng.permutation(len(told))]
+        return reported[rng.permutation(len(reported))]
     if kind == "opposite":
-        return np.roll(told, 4, axis=1)
+        return np.roll(reported, 4, axis=1)
     if kind == "always one":
-        return answers(np.full(len(told), 6), 8, 0.97)
+        return answers(np.full(len(reported), 6), 8, 0.97)
     assert kind == "mixed up"
     return answers(np.array([3, 6, 0, 7, 2, 1, 4, 5])[named], 8)
 
@@ -87,36 +87,36 @@ def test_a_forest_without_sense_does_not_ruin_the_wheels(rng, kind, drift):
 def test_runs_of_answers_out_of_order_do_not_ruin_the_wheels(seed):
     rng = np.random.default_rng(seed)
     drive = drive_round(rng, drift=(0.03, -0.02)[seed % 2])
-    told = forest_on(drive, rng)
-    runs = np.array_split(np.arange(len(told)), len(told) // 15)  # 2.4 m each, as long as a corner
-    mixed = told[np.concatenate([runs[i] for i in rng.permutation(len(runs))])]
+    reported = forest_on(drive, rng)
+    runs = np.array_split(np.arange(len(reported)), len(reported) // 15)  # 2.4 m each, as long as a corner
+    mixed = reported[np.concatenate([runs[i] for i in rng.permutation(len(runs))])]
     assert error_m(rectify(drive, mixed).poses, drive.truth) < 1.05 * drive.wheels_error_m
 
 
 @pytest.mark.parametrize("run", [1, 10])
 def test_a_forest_that_is_wrong_and_sure_of_it_in_three_frames_of_ten_still_helps(rng, run):
     drive = drive_round(rng)
-    told = answers(looks(rng, loop(), drive.truth, 0.95, 1.0), 8, 0.95)
-    for start in range(0, len(told), run):
+    reported = answers(looks(rng, loop(), drive.truth, 0.95, 1.0), 8, 0.95)
+    for start in range(0, len(reported), run):
         if rng.random() < 0.3:
-            told[start : start + run] = answers(np.array([rng.integers(8)]), 8, 0.99)
-    assert error_m(rectify(drive, told).poses, drive.truth) < 0.3 * drive.wheels_error_m
+            reported[start : start + run] = answers(np.array([rng.integers(8)]), 8, 0.99)
+    assert error_m(rectify(drive, reported).poses, drive.truth) < 0.3 * drive.wheels_error_m
 
 
 def test_the_wheels_go_on_from_the_rectified_place_once_the_forest_fails(rng):
     drive = drive_round(rng)
-    told = forest_on(drive, rng, 0.95)
-    half = len(told) // 2
-    told[half:] = told[half + rng.permutation(len(told) - half)]
-    found = rectify(drive, told)
+    reported = forest_on(drive, rng, 0.95)
+    half = len(reported) // 2
+    reported[half:] = reported[half + rng.permutation(len(reported) - half)]
+    found = rectify(drive, reported)
     assert found.trust[half - 1] > 0.9
     assert error_m(found.poses, drive.truth) < 0.5 * drive.wheels_error_m
 
 
 def test_the_same_input_gives_the_same_answer_to_the_last_bit(rng):
     drive = drive_round(rng, laps=1)
-    told = forest_on(drive, rng)
-    one, other = (rectify(drive, told) for _ in range(2))
+    reported = forest_on(drive, rng)
+    one, other = (rectify(drive, reported) for _ in range(2))
     assert one.poses.tobytes() == other.poses.tobytes()
     assert one.covariances.tobytes() == other.covariances.tobytes()
 

@@ -23,7 +23,7 @@ TRACK_M, SLIP_M_PER_SQRT_M = 0.52, 0.003
 
 @dataclass(frozen=True)
 class Step:
-    """Of a drive: truth, and what wheels and camera told. `measurement` against the frame before, every other step."""
+    """Of a drive: truth, and wheels and camera. `measurement` is against the frame before, every other step."""
 
     begin_s: float
     end_s: float
@@ -106,7 +106,7 @@ def by_ratios(Z: FloatArray) -> FloatArray:
 
 
 def looked(rng: np.random.Generator, Z: FloatArray, covariance: FloatArray = CAMERA_COVARIANCE) -> MotionEstimate:
-    """What the camera tells of a motion (4, 4) of the base."""
+    """What the camera shows a motion (4, 4) of the base."""
     eta = rng.multivariate_normal(np.zeros(6), covariance)
     T = motions.exp(eta) @ se3.invert(T_BASE_CAMERA) @ Z @ T_BASE_CAMERA
     return MotionEstimate(T, covariance, matches=200, inliers=160)

@@ -70,7 +70,7 @@ def driven(T_reference: np.ndarray, xi: np.ndarray, steps: int = 200) -> PoseBel
 STRAIGHT, ASIDE, BENT = [0.5, 0, 0, 0, 0, 0], [0.3, -0.4, 0, 0, 0, 0], [0.5, 0.02, 0, 0, 0, 0.3]
 
 
-# A pitch a metre is told of motions that hardly bend.
+# A pitch a metre is reported motions that hardly bend.
 WAYS = [*product((STRAIGHT, ASIDE, BENT), (0, 1, 2)), (STRAIGHT, 3), (ASIDE, 3), ([0.5, 0.02, 0, 0, 0, 0.02], 3)]
 
 
@@ -112,8 +112,8 @@ def test_a_motion_that_misses_what_is_known_to_be_missed_is_as_expected(
     reference: np.ndarray, by: np.ndarray, errors: np.ndarray
 ) -> None:
     T_reference = se3.exp(reference)
-    told = se3.adjoint(T_reference) @ by_ratios(se3.exp(by))
-    since = T_reference @ se3.exp(by), T_reference, told
+    reported = se3.adjoint(T_reference) @ by_ratios(se3.exp(by))
+    since = T_reference @ se3.exp(by), T_reference, reported
     seen = se3.exp(-relative.expected(*since)[1] @ errors) @ se3.exp(by)
     np.testing.assert_allclose(relative.residual_kernel(*since, seen, errors), 0, atol=1e-9)
     assert np.abs(relative.residual_kernel(*since, seen, np.zeros(9))).max() <= 3e-3
@@ -148,7 +148,7 @@ def test_wheels_that_are_known_well_tell_what_is_wrong_with_the_camera(rng: np.r
     assert sigma[2] < 0.8 * settings.camera_turn_sigma
 
 
-def test_a_gyroscope_tells_that_the_cameras_turns_are_too_small(rng: np.random.Generator) -> None:
+def test_a_gyroscope_shows_that_the_cameras_turns_are_too_small(rng: np.random.Generator) -> None:
     steps = simulate(Drive(seconds=30, camera_errors=(0.0, 0.0, 0.015)), rng, SETTINGS)
     steps = [replace(step, yaw_rate_rad_s=turned(before, step)) for before, step in pairwise(steps)]
     settings = replace(SETTINGS, **COARSE)
@@ -194,8 +194,8 @@ def test_a_base_that_slides_aside_moves_the_camera_by_less_than_a_ruler_errs() -
     np.testing.assert_allclose(shifts[0], shifts[1], atol=SETTINGS.mount_sigma_m)
 
 
-def test_what_nobody_tells_of_a_camera_is_covered() -> None:
-    """Wheels and camera are both too short, by twice the camera's standard deviation: no event tells."""
+def test_what_no_one_shows_a_camera_is_covered() -> None:
+    """Wheels and camera are both too short, by twice the camera's standard deviation: no event shows."""
     drive = Drive(seconds=40, camera_errors=(0.01, 0.0, 0.0), errors=(0.01, 0.0, 0.0))
     steps = simulate(drive, np.random.default_rng(1), SETTINGS)
     none: dict[str, Any] = dict.fromkeys(

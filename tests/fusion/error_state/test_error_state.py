@@ -73,7 +73,7 @@ def test_wheels_alone_are_followed_and_the_covariance_grows():
     assert (np.diff(xy) > 0).all()
 
 
-def test_a_camera_is_believed_and_told():
+def test_a_camera_is_believed_and_reported():
     steps = drive(errors=(0.02, 0.01, 0.02))
     answers = run(steps)
     assert all(a.status is Status.TRACKING and a.reason is None and not a.slip for a in answers)
@@ -90,10 +90,10 @@ def test_wheels_that_are_wrong_are_learned_of_a_camera_that_is_known_well(rng):
 def test_tracking_coasting_and_tracking_again():
     steps = drive(seconds=4.0, camera_fault=lambda t, motion: blind(motion) if 1 < t <= 2 else motion)
     answers = run(steps)
-    told = {round(a.stamp_s, 2): a.status for a in answers}
-    assert told[1.0] is told[1.2] is Status.TRACKING
-    assert told[1.4] is told[2.0] is Status.COASTING
-    assert told[2.2] is Status.TRACKING
+    reported = {round(a.stamp_s, 2): a.status for a in answers}
+    assert reported[1.0] is reported[1.2] is Status.TRACKING
+    assert reported[1.4] is reported[2.0] is Status.COASTING
+    assert reported[2.2] is Status.TRACKING
 
 
 def test_silence_is_lost_until_a_remembered_pose_is_seen(rng):
@@ -132,7 +132,7 @@ def test_a_place_pulls_within_its_gate_and_not_outside():
     np.testing.assert_allclose(not_none(far.T_odom_body)[:2, 3], [0.25, 0], atol=1e-3)
 
 
-def test_a_gyroscope_tells_the_turn_that_wheels_get_wrong(rng):
+def test_a_gyroscope_shows_the_turn_that_wheels_get_wrong(rng):
     steps = simulate(Drive(seconds=10, slip_m_per_sqrt_m=0.02), rng, SETTINGS)
     alone = [replace(s, measurement=None) for s in steps]
     rates = [replace(s, yaw_rate_rad_s=Drive().twist(s.begin_s + 0.025)[2]) for s in alone]
@@ -196,7 +196,7 @@ def test_events_in_any_order_within_the_window_end_alike(seed):
 
 
 def test_a_frame_between_readings_that_come_after_it(rng):
-    """A frame is taken by the speed at first; once the wheels tell of that time, as if they had told it before."""
+    """A frame is taken by the speed at first; once the wheels tell of that time, as if they had reported it before."""
     steps = drive(steps_a_frame=4)
     one, other = ErrorStateFilter(T_BASE_CAMERA), ErrorStateFilter(T_BASE_CAMERA)
     for fusion, wheels_first in ((one, True), (other, False)):
@@ -369,7 +369,7 @@ def test_a_look_that_is_remembered_at_once_is_as_one_that_is_remembered_afterwar
     same(answers[0], answers[1], atol=0)
 
 
-def test_what_too_short_a_step_tells_counts_with_the_next_ones() -> None:
+def test_what_too_short_a_step_shows_counts_with_the_next_ones() -> None:
     """Two readings of three arrive together: no speed is formed over their stamps, and no way is lost."""
     wheels, fusion = WheelOdometry(Wheels(0.17, 0.17, 0.52, 3200)), ErrorStateFilter()
     for i in range(30):
@@ -381,7 +381,7 @@ def test_what_too_short_a_step_tells_counts_with_the_next_ones() -> None:
     assert abs(answer.twist[0]) < 2 * 0.7
 
 
-def test_the_first_estimate_of_wheels_is_the_start_whatever_step_it_tells() -> None:
+def test_the_first_estimate_of_wheels_is_the_start_whatever_step_it_shows() -> None:
     wheels, fusion = WheelOdometry(Wheels(0.17, 0.17, 0.52, 3200)), ErrorStateFilter()
     for i in range(6):
         estimate = wheels.process(WheelTicks(0.1 * i, 60 * i, 60 * i))

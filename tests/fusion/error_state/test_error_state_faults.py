@@ -86,7 +86,7 @@ def wheels_off_m(steps):
 
 @pytest.mark.parametrize("fault", [spinning, on_ice, lifted])
 @pytest.mark.parametrize("seed", range(2))
-def test_slip_is_told_and_the_camera_leads(fault, seed):
+def test_slip_is_reported_and_the_camera_leads(fault, seed):
     steps, answers = drive_with(seed, wheel_fault=fault)
     assert wheels_off_m(steps) > 0.8
     assert off_m(steps[-1], answers[-1]) < 0.12
@@ -104,8 +104,8 @@ def test_vision_that_leaps_to_a_constant_bias_for_a_second_is_refused(twist):
     steps, answers = drive_with(
         0, camera_fault=lambda t, motion: shifted(motion, twist, FRAME_S) if briefly(t) else motion
     )
-    told = [a for step, a in zip(steps, answers, strict=True) if briefly(step.end_s)]
-    assert all(a.reason is Reason.CONTRADICTION and not a.slip for a in told[1:])
+    reported = [a for step, a in zip(steps, answers, strict=True) if briefly(step.end_s)]
+    assert all(a.reason is Reason.CONTRADICTION and not a.slip for a in reported[1:])
     assert off_m(steps[-1], answers[-1]) < 0.2
     assert covered(steps, answers) >= 0.95
     assert (answers[-1].status, answers[-1].reason) == (Status.TRACKING, None)
@@ -137,7 +137,7 @@ def test_vision_that_creeps_off_with_what_walks_past_is_refused():
     assert off_m(steps[-1], answers[-1]) < 0.2
 
 
-def test_slip_is_told_by_a_camera_whose_whole_view_agrees():
+def test_slip_is_reported_by_a_camera_whose_whole_view_agrees():
     for share in (None, 0.95):
         _, answers = drive_with(
             0, camera_fault=lambda t, motion, of=share: replace(motion, fitting=of), wheel_fault=spinning
@@ -165,8 +165,8 @@ def test_a_view_that_hides_a_direction_never_makes_it_slip():
         return replace(shifted(motion, (0.3, 0.0, 0.2), FRAME_S), degenerate=along_wall)
 
     steps, answers = drive_with(0, camera_fault=before_a_wall)
-    told = in_fault(steps, answers)
-    assert np.mean([a.reason is Reason.CONTRADICTION for a in told]) > 0.5
+    reported = in_fault(steps, answers)
+    assert np.mean([a.reason is Reason.CONTRADICTION for a in reported]) > 0.5
     assert not any(a.slip for a in answers)
     assert off_m(steps[-1], answers[-1]) < 0.2
     assert covered(steps, answers) >= 0.95
@@ -192,9 +192,9 @@ def test_a_blackout_coasts_within_three_sigma():
 def test_a_base_that_is_stopped_dead_looks_as_vision_that_fails_until_that_lasts():
     """The camera leaps in both: the answer is the wheels', 3σ reaches the camera's; then, slip, and nothing is lost."""
     steps, answers = drive_with(0, wheel_fault=lambda t, truth, wheels: (truth * (not faulty(t)), wheels))
-    told = in_fault(steps, answers)
-    assert all(a.reason is Reason.CONTRADICTION for a in told[1:30])
-    assert all(a.slip for a in told[55:])
+    reported = in_fault(steps, answers)
+    assert all(a.reason is Reason.CONTRADICTION for a in reported[1:30])
+    assert all(a.slip for a in reported[55:])
     assert covered(steps, answers) >= 0.9
     assert off_m(steps[-1], answers[-1]) < 0.12
 
@@ -259,12 +259,12 @@ def test_frames_that_are_wrong_now_and_then_do_not_make_all_before_them_uncertai
         answers = run(simulate(drive, np.random.default_rng(3), FLAT))
         assert any(answer.doubtful for answer in answers) == bool(fault)
         sigmas.append(np.sqrt(not_none(answers[-1].covariance)[5, 5]))
-    right, told_wrong = sigmas
-    assert told_wrong < 1.4 * right
+    right, reported_wrong = sigmas
+    assert reported_wrong < 1.4 * right
 
 
 def kept(steps, every):
-    """Motions between frames that are kept: as told at the later one, as poses tell them, and true ones."""
+    """Motions between frames that are kept: as reported at the later one, as poses tell them, and true ones."""
     fusion, found, before = ErrorStateFilter(T_BASE_CAMERA), [], None
     fusion.clone(steps[0].begin_s, "frame")
     for i, step in enumerate(steps):
@@ -273,29 +273,29 @@ def kept(steps, every):
         fusion.clone(step.end_s, "frame")
         if i % every:
             continue
-        told, now = (
+        reported, now = (
             fusion.keep_frame(step.end_s),
             (step.T_truth @ T_BASE_CAMERA, not_none(answer.T_odom_body) @ T_BASE_CAMERA),
         )
         if before is not None:
             true, by_poses = (se3.invert(then) @ here for then, here in zip(before, now, strict=True))
-            found.append((told, by_poses, true))
+            found.append((reported, by_poses, true))
         before = now
     return found
 
 
 def off(found):
-    """How far off motions (K, 6) are as told, and as poses tell them."""
-    told = [motions.log(true @ se3.invert(told[0])) for told, _, true in found]
-    return np.array(told), np.array([motions.log(true @ se3.invert(by_poses)) for _, by_poses, true in found])
+    """How far off motions (K, 6) are as reported, and as poses tell them."""
+    reported = [motions.log(true @ se3.invert(reported[0])) for reported, _, true in found]
+    return np.array(reported), np.array([motions.log(true @ se3.invert(by_poses)) for _, by_poses, true in found])
 
 
 @pytest.mark.parametrize("fault", [spinning, on_ice, lifted])
 @pytest.mark.parametrize("seed", range(2))
-def test_how_far_off_motions_between_kept_frames_are_is_told_while_wheels_slip(fault, seed):
+def test_how_far_off_motions_between_kept_frames_are_is_reported_while_wheels_slip(fault, seed):
     drive = Drive(seconds=8.0, step_s=FRAME_S, errors=(0.02, 0.005, 0.01), wheel_fault=fault)
     found = kept(simulate(drive, np.random.default_rng(seed), FLAT), every=12)
-    nees = [e @ np.linalg.solve(told[1], e) for e, (told, _, _) in zip(off(found)[0], found, strict=True)]
+    nees = [e @ np.linalg.solve(reported[1], e) for e, (reported, _, _) in zip(off(found)[0], found, strict=True)]
     assert np.mean(np.array(nees) < chi2.ppf(0.999, 6)) >= 0.95
 
 
@@ -308,9 +308,9 @@ def test_motions_between_kept_frames_do_not_leap_where_poses_do(seed):
         errors=(0.02, 0.005, 0.01),
         camera_fault=lambda t, motion: shifted(motion, (0.3, 0.0, 0.2), FRAME_S) if faulty(t) else motion,
     )
-    told, leaps = (
+    reported, leaps = (
         np.linalg.norm(e[:, :3], axis=1)
         for e in off(kept(simulate(drive, np.random.default_rng(seed), FLAT), every=12))
     )
     assert leaps.max() > 0.3
-    assert told.max() < 0.5 * leaps.max()
+    assert reported.max() < 0.5 * leaps.max()

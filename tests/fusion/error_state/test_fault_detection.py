@@ -1,4 +1,4 @@
-"""FaultDetection: what is believed after doubt that nobody has settled."""
+"""FaultDetection: what is believed after doubt that no one has settled."""
 
 from __future__ import annotations
 
@@ -62,10 +62,10 @@ def test_noise_of_the_looks_after_doubt_does_not_decide_who_was_right(seed):
     measurements = [looked(undecided(1.5), rng.normal(size=6) * 3e-4) for _ in range(3)]
     detection, _ = updated(detection, 10.0, measurements[0], SETTINGS)  # which ends the doubt
     for k, measurement in enumerate(measurements[1:], 1):
-        told, reason = updated(detection, 10.0 + k * 1e-3, measurement, SETTINGS)
+        reported, reason = updated(detection, 10.0 + k * 1e-3, measurement, SETTINGS)
         assert reason is None
-        assert (apart(detection.primary.T[0], told.primary.T[0]) < [0.005, 0.1]).all()
-        detection = told
+        assert (apart(detection.primary.T[0], reported.primary.T[0]) < [0.005, 0.1]).all()
+        detection = reported
 
 
 def test_a_look_that_is_farther_off_than_slipping_wheels_get_is_refused_and_splits_nothing():

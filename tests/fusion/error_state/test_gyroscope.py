@@ -1,4 +1,4 @@
-"""The default filter's gyroscope: at any rate it tells of the same slips, and of hardly any that is none."""
+"""The default filter's gyroscope: at any rate it shows the same slips, and of hardly any that is none."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def share_of_slips(gyro_hz: int, seeds: int, **ride: Any) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("gyro_hz", [RATES_HZ[0], RATES_HZ[-1]])
 def test_at_rest_there_is_hardly_any_slip_that_is_none(gyro_hz: int) -> None:
-    """However often it tells: it was a quarter of the frames at 1000 Hz."""
+    """However often it shows: it was a quarter of the frames at 1000 Hz."""
     assert share_of_slips(gyro_hz, 4, bias_rad_s=0.01) <= 0.005
 
 
@@ -86,9 +86,9 @@ def test_wheels_that_spin_are_found_out_and_do_not_turn_the_base(gyro_hz: int) -
     for seed in range(2):
         spin: dict[str, Any] = {"speed_m_s": 0.5, "spin": (3.0, 4.0, 1.0), "sees": False, "gyro": known}
         _, answers = ridden(gyro_hz, seed, seconds=6.0, **spin)
-        told = [answer.stamp_s for answer in answers if answer.slip]
-        assert 3.0 < told[0] < 3.1
-        assert sum(3.0 < stamp_s < 4.3 for stamp_s in told) > 50
+        reported = [answer.stamp_s for answer in answers if answer.slip]
+        assert 3.0 < reported[0] < 3.1
+        assert sum(3.0 < stamp_s < 4.3 for stamp_s in reported) > 50
         assert abs(yaw_of(answers[-1])) < 0.1
 
 
@@ -101,7 +101,7 @@ def sigmas_at(gyro_hz: int) -> list[float]:
 
 @pytest.mark.parametrize("gyro_hz", RATES_HZ[1:])
 def test_the_wheels_are_as_well_known_at_any_rate_of_its_readings(gyro_hz: int) -> None:
-    """Of a step of the wheels it tells once, and not as often as it is read."""
+    """Of a step of the wheels it shows once, and not as often as it is read."""
     np.testing.assert_allclose(sigmas_at(gyro_hz), sigmas_at(RATES_HZ[0]), rtol=0.15)
 
 
@@ -123,7 +123,7 @@ def test_a_bias_that_is_kept_stays() -> None:
 
 
 def test_a_bias_found_elsewhere_counts_once() -> None:
-    """The finder started from the same belief: 0.1 ± 0.02 rad/s before, 0.13 ± 0.01 after all that was told."""
+    """The finder started from the same belief: 0.1 ± 0.02 rad/s before, 0.13 ± 0.01 after all that was reported."""
     fusion = ErrorStateFilter(gyro=Gyro(bias_rad_s=0.1, bias_sigma_rad_s=0.02))
     fusion.predict(0.1, np.eye(4), 1e-6 * np.eye(6), 0.0)
     assert fusion.update_gyro_bias(0.1, 0.13, 0.01).reason is None
@@ -133,7 +133,7 @@ def test_a_bias_found_elsewhere_counts_once() -> None:
 
 
 @pytest.mark.parametrize(("bias", "sigma"), [(np.nan, 0.01), (0.1, 0.0), (0.1, 0.02), (0.1, -1.0), (0.1, np.nan)])
-def test_a_bias_that_tells_nothing_is_refused(bias: float, sigma: float) -> None:
+def test_a_bias_that_shows_nothing_is_refused(bias: float, sigma: float) -> None:
     fusion = ErrorStateFilter()
     fusion.predict(0.1, np.eye(4), 1e-6 * np.eye(6), 0.0)
     assert fusion.update_gyro_bias(0.1, bias, sigma).reason is Reason.INVALID

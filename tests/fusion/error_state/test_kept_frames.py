@@ -27,7 +27,7 @@ def before_a_wall(t, motion):
 
 
 def kept(steps, settings=None):
-    """Of frames that are kept: motions as told then, as told once they were settled, and true ones; how many waited."""
+    """Of frames that are kept: motions as first reported, as reported once settled, and true ones; how many waited."""
     fusion, then, settled, places, most = ErrorStateFilter(T_BASE_CAMERA, settings=settings), [], [], [], 0
     fusion.clone(steps[0].begin_s, "frame")
     for i, step in enumerate(steps):
@@ -50,16 +50,16 @@ def driven(seed):
     return simulate(drive, np.random.default_rng(seed), FLAT)
 
 
-def off(told, true):
+def off(reported, true):
     """(K, 6) how far off motions are."""
-    return np.array([motions.log(T @ se3.invert(one[0])) for one, T in zip(told, true, strict=True)])
+    return np.array([motions.log(T @ se3.invert(one[0])) for one, T in zip(reported, true, strict=True)])
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_frames_kept_in_doubt_lie_as_the_sensor_has_them_that_was_right(seed):
     """What lies between both hypotheses is where neither has it, and stays wrong once one is given up."""
     then, settled, true, most = kept(driven(seed))
-    worst_then, worst = (np.abs(off(told, true)[:, 4]).max() for told in (then, settled))
+    worst_then, worst = (np.abs(off(reported, true)[:, 4]).max() for reported in (then, settled))
     assert most >= 2
     assert worst_then > 0.02
     assert worst < 0.5 * worst_then

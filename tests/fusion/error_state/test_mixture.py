@@ -57,7 +57,7 @@ def test_covering_is_as_uncertain_as_another_belief_everywhere(rng):
 
 
 def test_what_covers_another_belief_knows_the_way_since_a_clone_as_well_as_before(rng):
-    """Only a measurement at a pose from before both went apart tells which of them is right."""
+    """Only a measurement at a pose from before both went apart says which of them is right."""
     one = belief_somewhere(rng, 1).cloned("late", 9.0, 4)
     far = np.zeros(len(one.covariance))
     far[[0, 1, 5]] = [0.1, -0.2, 0.3]

@@ -1,4 +1,4 @@
-"""How noisy the wheels are, learned from preintegrated motions; and the odometer by which these are told."""
+"""How noisy the wheels are, learned from preintegrated motions; and the odometer by which these are reported."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from wheelsight.estimation.pose_belief import (
 )
 
 SETTINGS = FilterParameters.of()
-# Wheels and camera err by noise alone: what is told of it is told of nothing else.
+# Wheels and camera err by noise alone: what is reported it is reported nothing else.
 _KNOWN: dict[str, Any] = dict.fromkeys(
     ("scale_sigma", "drift_sigma_rad_per_m", "turn_sigma", "camera_lag_sigma_s"), 1e-6
 ) | dict.fromkeys(("scale_walk", "drift_walk_rad_per_m", "turn_walk", "camera_lag_walk_s"), 0.0)
@@ -40,7 +40,7 @@ def remembering(memory_m: float) -> FilterParameters:
     return replace(SETTINGS, wheel_noise_memory_m=memory_m)
 
 
-def test_an_odometer_tells_of_a_stretch_what_wheels_alone_would(rng: np.random.Generator) -> None:
+def test_an_odometer_shows_a_stretch_what_wheels_alone_would(rng: np.random.Generator) -> None:
     whole, stretch, middle = Odometer(), Odometer(), None
     for i in range(12):
         step = WheelStep(0.1 * i, 0.1 * (i + 1), rng.normal(size=6) * 0.1, np.diag(rng.uniform(1e-4, 2e-4, 6)))
@@ -50,12 +50,12 @@ def test_an_odometer_tells_of_a_stretch_what_wheels_alone_would(rng: np.random.G
         if i > 4:
             stretch = stretch.moved_by_wheels(step, 1.0).turned(0.02, 0.1)
     assert middle is not None
-    told = whole.since(middle)
-    np.testing.assert_allclose(told.T, stretch.T, atol=1e-12)
+    reported = whole.since(middle)
+    np.testing.assert_allclose(reported.T, stretch.T, atol=1e-12)
     # In two parts a step's noise enters at two places.
-    np.testing.assert_allclose(told.covariance, stretch.covariance, rtol=0.1, atol=2e-5)
+    np.testing.assert_allclose(reported.covariance, stretch.covariance, rtol=0.1, atol=2e-5)
     for name in ("way_m", "rolled_s", "turn_rad", "turned_s"):
-        np.testing.assert_allclose(getattr(told, name), getattr(stretch, name), atol=1e-12)
+        np.testing.assert_allclose(getattr(reported, name), getattr(stretch, name), atol=1e-12)
 
 
 def noise_after(ratio: float, seed: int, seconds: float = 60.0, slips_s: float = np.inf) -> list[float]:
@@ -109,44 +109,45 @@ def ride_and_look(off_rad: float, spread: float = 1e-3) -> tuple[Preintegration,
 
 def test_a_ride_that_fits_too_well_makes_wheels_better_and_one_that_does_not_worse() -> None:
     for off_rad, is_better in ((0.0, True), (0.012, False)):
-        preintegration, told, measurement, belief = ride_and_look(off_rad)
-        ratio = WheelNoise().after(preintegration, told, measurement, belief, SETTINGS).ratio
+        preintegration, reported, measurement, belief = ride_and_look(off_rad)
+        ratio = WheelNoise().after(preintegration, reported, measurement, belief, SETTINGS).ratio
         assert (ratio < WheelNoise().ratio) == is_better
 
 
 def test_no_single_ride_decides() -> None:
-    preintegration, told, measurement, belief = ride_and_look(1.0)
-    nats = not_none(WheelNoise().after(preintegration, told, measurement, belief, remembering(1e6)).nats)
+    preintegration, reported, measurement, belief = ride_and_look(1.0)
+    nats = not_none(WheelNoise().after(preintegration, reported, measurement, belief, remembering(1e6)).nats)
     assert np.ptp(nats - BEFORE) <= 4.0 + 1e-9
 
 
 def test_what_was_known_fades_along_the_way() -> None:
-    preintegration, told, measurement, belief = ride_and_look(0.0, spread=1.0)  # which tells nothing
+    preintegration, reported, measurement, belief = ride_and_look(0.0, spread=1.0)  # which shows nothing
     known = WheelNoise(nats=np.linspace(5.0, 0.0, 21), ratio=0.1)
     kept, lost = (
-        known.after(preintegration, told, measurement, belief, remembering(memory_m)).nats for memory_m in (1e9, 1e-3)
+        known.after(preintegration, reported, measurement, belief, remembering(memory_m)).nats
+        for memory_m in (1e9, 1e-3)
     )
     np.testing.assert_allclose(not_none(kept), not_none(known.nats), atol=1e-3)
     np.testing.assert_allclose(not_none(lost), BEFORE, atol=1e-3)
 
 
-def test_a_ride_that_wheels_told_half_of_is_not_judged() -> None:
-    preintegration, told, _, _ = ride_and_look(0.0)
-    assert preintegration.is_covered(told, 1.0, share=0.95)
-    assert not preintegration.is_covered(told, 2.0, share=0.95)
-    assert preintegration.is_covered(told, 2.0, share=0.4)
+def test_a_ride_that_wheels_reported_half_of_is_not_judged() -> None:
+    preintegration, reported, _, _ = ride_and_look(0.0)
+    assert preintegration.is_covered(reported, 1.0, share=0.95)
+    assert not preintegration.is_covered(reported, 2.0, share=0.95)
+    assert preintegration.is_covered(reported, 2.0, share=0.4)
     assert not preintegration.is_covered(Odometer(rolled_s=1.0), 1.0, share=0.95)
 
 
 def test_errors_as_known_when_the_ride_began_are_no_noise() -> None:
-    """Wheels that are known to turn too little are expected to, and the less that is sure, the less it tells."""
-    preintegration, told, measurement, belief = ride_and_look(0.02)
+    """Wheels that are known to turn too little are expected to, and the less that is sure, the less it shows."""
+    preintegration, reported, measurement, belief = ride_and_look(0.02)
     drift = np.zeros(LAG + 1 - ERRORS.start)
     drift[1] = 0.02  # rad/m
-    d, R, N = replace(preintegration, errors=drift).against(measurement, told, belief)
+    d, R, N = replace(preintegration, errors=drift).against(measurement, reported, belief)
     np.testing.assert_allclose(d, 0, atol=1e-3)
     _, wider, same = replace(preintegration, unsure=preintegration.unsure + np.diag(np.square(drift))).against(
-        measurement, told, belief
+        measurement, reported, belief
     )
     np.testing.assert_allclose(wider[1, 1] - R[1, 1], 0.02**2, rtol=0.1)
     np.testing.assert_allclose(same, N)

@@ -29,7 +29,7 @@ def test_a_delay_is_learned_from_turns(true_s: float, known_s: float) -> None:
     assert delay.seconds == pytest.approx(true_s, abs=0.002)
 
 
-def test_what_hardly_turns_tells_no_delay() -> None:
+def test_what_hardly_turns_shows_no_delay() -> None:
     delay = DepthDelay(0.0)
     for _ in range(200):
         delay.learn(np.array([0.002, 0.0, 0.0]), np.array([-0.1, 0.0, 0.0]))

@@ -72,7 +72,7 @@ def test_another_sensor_stands_in_for_what_does_not_fit_or_is_not_seen(is_alone:
 
 
 @pytest.mark.parametrize("is_alone", [True, False])
-def test_a_gap_and_a_leap_are_suspected_whoever_helps(is_alone: bool) -> None:
+def test_a_gap_and_a_leap_are_suspected_anyone_who_helps(is_alone: bool) -> None:
     leap = np.array([1.5, 0, 0, 0, 0, 0])
     assert after().suspects(fitting(0.8), 0.5, is_alone=is_alone, is_steady=True)
     assert after().suspects(fitting(0.8, leap), STEP_S, is_alone=is_alone, is_steady=True)

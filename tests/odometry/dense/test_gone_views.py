@@ -117,7 +117,7 @@ def there_and_back() -> list[tuple[FloatArray, RgbdFrame]]:
     ids=["room for all", "room for two", "room for two, and no loops"],
 )
 def test_on_the_way_back_no_keyframe_is_made(settings: dict[str, Any], is_tied: bool, comes_back: bool) -> None:
-    """With room for two views as with room for all, once loops tie them; before, each place was kept anew."""
+    """With room for two views as with room for all, once loops tie them; before, each place was kept again."""
     subject, counts = dense(**settings), list[int]()
     for T, frame in there_and_back():
         answer = subject.process(frame)

@@ -22,7 +22,7 @@ def test_keypoints_that_do_not_tell_how_sure_they_are_tell_no_pose(
     monkeypatch: pytest.MonkeyPatch, value: float
 ) -> None:
     """Rounding may leave a direction with no variance at all; a chi-square by that would end the drive."""
-    asked, told = ViewTracker.track, KeypointTracker.track
+    asked, reported = ViewTracker.track, KeypointTracker.track
     answers = []
 
     def unsure(*arguments: object) -> object:
@@ -34,7 +34,7 @@ def test_keypoints_that_do_not_tell_how_sure_they_are_tell_no_pose(
         return replace(found, motion=replace(found.motion, covariance=flat), view=view)
 
     def watched(*arguments: object) -> object:
-        answers.append(told(*arguments))  # type: ignore[arg-type]
+        answers.append(reported(*arguments))  # type: ignore[arg-type]
         return answers[-1]
 
     monkeypatch.setattr(ViewTracker, "track", unsure)

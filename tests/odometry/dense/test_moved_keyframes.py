@@ -81,7 +81,7 @@ def test_where_one_keyframe_is_moved_what_hangs_on_it_comes_along_and_nothing_el
     np.testing.assert_array_equal(subject.store.T_map_keyframe[:newest], still.store.T_map_keyframe[:newest])
 
 
-def test_the_last_pose_moves_with_its_keyframe_where_nothing_else_tells_the_next(frames: list[RgbdFrame]) -> None:
+def test_the_last_pose_moves_with_its_keyframe_where_nothing_else_shows_the_next(frames: list[RgbdFrame]) -> None:
     """Moved while the camera is covered: the place is found again where it lies by now."""
     subject = dense(lost_after=3)
     run(subject, [*frames[:5], *(covered_frame(f.stamp_s) for f in frames[5:7])])
@@ -114,7 +114,7 @@ class MovableRoom:
         return PredictedView(frame.depth_m, normal, grey)
 
 
-def test_a_map_that_has_moved_with_its_keyframes_is_asked_anew(frames: list[RgbdFrame]) -> None:
+def test_a_map_that_has_moved_with_its_keyframes_is_asked_again(frames: list[RgbdFrame]) -> None:
     model = MovableRoom(np.array(TRUTH.T_frame_body[0]))
     subject = DenseOdometry(Calibration.registered_camera(SMALL), DenseSettings(), model)
     run(subject, frames[:8])

@@ -165,7 +165,7 @@ def test_information_counts_independent_residuals_only(monkeypatch: pytest.Monke
     np.testing.assert_allclose(thirty.covariance, 30 * one.covariance, rtol=1e-9)
 
 
-def test_what_only_the_reference_shows_tells_nothing() -> None:
+def test_what_only_the_reference_shows_shows_nothing() -> None:
     """From where a corridor's painted end was in sight to where it is plain, nothing shows how far one has come."""
     painted = [replace(plane, is_painted=True) for plane in CORRIDOR]
     odometry = dense(reference="previous")

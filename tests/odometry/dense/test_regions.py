@@ -72,7 +72,7 @@ def test_at_a_wrong_pose_all_would_move_so_none_does(parts: Bench) -> None:
 
 
 def test_a_pose_that_the_room_contradicts_may_be_as_far_off_as_that_says(parts: Bench) -> None:
-    """Whoever follows somebody close by has most pixels on his side, and most of the room against him."""
+    """Anyone who follows somebody close by has most pixels on his side, and most of the room against him."""
     first, second = seen(np.eye(4), 0.0, 1.0), seen(MOTION, 0.1, 0.8)
     with_person = se3.exp([0.0, 0.0, 0.2, 0.0, 0.0, 0.0]) @ MOTION
     assert misfits_of(parts, first, second, MOTION).pose_error()[0] == 0

@@ -48,9 +48,9 @@ def test_a_prior_stands_in_for_keypoints_after_a_failure(corner: list[RgbdFrame]
     run(alone, corner[:5])
     for subject in (with_prior, alone):
         assert subject.process(covered_frame(corner[5].stamp_s)).reason is Reason.TOO_LITTLE_DEPTH
-    told = with_prior.process(corner[6], on_the_way(2))
-    assert told.status is Status.TRACKING
-    assert apart(on_the_way(6), not_none(told.T_odom_body))[0] < 0.01
+    reported = with_prior.process(corner[6], on_the_way(2))
+    assert reported.status is Status.TRACKING
+    assert apart(on_the_way(6), not_none(reported.T_odom_body))[0] < 0.01
     assert alone.process(corner[6]).reason is Reason.NOT_RECOGNISED
 
 
@@ -87,20 +87,20 @@ def test_wheels_that_spin_do_not_lead_the_camera_astray(
 def test_it_goes_on_where_others_tell_it_to(frames: list[RgbdFrame]) -> None:
     subject = dense()
     run(subject, frames[:3])
-    T_told, covariance = se3.exp([0.5, -0.3, 0.2, 0.1, 0.4, 0.0]), np.diag([1e-4] * 3 + [1e-5] * 3)
-    again = subject.restart(frames[6], T_told, covariance)
+    T_reported, covariance = se3.exp([0.5, -0.3, 0.2, 0.1, 0.4, 0.0]), np.diag([1e-4] * 3 + [1e-5] * 3)
+    again = subject.restart(frames[6], T_reported, covariance)
     assert again.status is Status.TRACKING
-    np.testing.assert_array_equal(again.T_odom_body, T_told)
+    np.testing.assert_array_equal(again.T_odom_body, T_reported)
     np.testing.assert_array_equal(again.covariance, covariance)
     np.testing.assert_array_equal(again.motion.T_reference_current, np.eye(4))
     assert again.frame is not None
     assert subject.surface(again.frame, frames[6]).depth_m.any()
     for k in (7, 8, 9):
         answer = subject.process(frames[k])
-        T_expected = T_told @ se3.invert(IN_WORLD[6]) @ IN_WORLD[k]
+        T_expected = T_reported @ se3.invert(IN_WORLD[6]) @ IN_WORLD[k]
         assert answer.status is Status.TRACKING
         assert apart(T_expected, not_none(answer.T_odom_body))[0] < 5e-3
-        # What was told stays uncertain.
+        # What was reported stays uncertain.
         assert np.linalg.eigvalsh(not_none(answer.covariance) - 0.99 * covariance)[0] > 0
 
 
@@ -131,7 +131,7 @@ def test_without_depth_there_is_no_restart(frames: list[RgbdFrame]) -> None:
 
 
 @pytest.mark.parametrize("far", [1e9, np.nan, np.inf])
-def test_an_alignment_that_runs_away_ends_where_it_began_and_tells_nothing(
+def test_an_alignment_that_runs_away_ends_where_it_began_and_shows_nothing(
     frames: list[RgbdFrame], corner: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch, far: float
 ) -> None:
     def run_away(sums: FloatArray, T: FloatArray, *_: FloatArray) -> float:
@@ -151,17 +151,17 @@ def test_an_alignment_that_runs_away_ends_where_it_began_and_tells_nothing(
 
 
 def test_a_restart_right_after_the_first_frame_forgets_to_straighten_that(frames: list[RgbdFrame]) -> None:
-    """A rolling shutter's first frame is straightened once the second tells the speed; that is not one far away."""
+    """A rolling shutter's first frame is straightened once the second shows the speed; that is not one far away."""
     calibration = Calibration.registered_camera(SMALL, rolling_shutter_s=0.02)
     subject = dense(calibration)
     elsewhere = [frame_of(CORNER, on_the_way(k), frames[0].stamp_s + 0.1 * k, noise_seed=k) for k in range(1, 5)]
     run(subject, [frames[0]])
-    T_told = se3.exp([2.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    subject.restart(elsewhere[0], T_told, 1e-4 * np.eye(6))
+    T_reported = se3.exp([2.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    subject.restart(elsewhere[0], T_reported, 1e-4 * np.eye(6))
     for k, frame in enumerate(elsewhere[1:], 1):
         answer = subject.process(frame, WAY)
         assert answer.status is Status.TRACKING
-        assert apart(T_told @ on_the_way(k), not_none(answer.T_odom_body))[0] < 0.02
+        assert apart(T_reported @ on_the_way(k), not_none(answer.T_odom_body))[0] < 0.02
 
 
 def test_a_second_frame_that_keypoints_alone_found_leaves_the_first_in_its_place(

@@ -207,7 +207,7 @@ class Luring:
 
 
 @pytest.mark.slow
-def test_what_hardly_tells_the_way_does_not_lure_the_camera_off_its_pace(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_hardly_shows_the_way_does_not_lure_the_camera_off_its_pace(monkeypatch: pytest.MonkeyPatch) -> None:
     """A spot is too little to tell the motion, yet enough to pull; it does so by as much in every frame."""
     poses = [se3.from_parts(np.eye(3), [0.01 * k, 0, 0]) for k in range(15)]
     wall = [Plane((0, 0, 1), 1.5, is_painted=True)]

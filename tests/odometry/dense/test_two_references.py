@@ -24,7 +24,7 @@ def met(T_short: FloatArray, short: MotionEstimate, T_long: FloatArray, long: Mo
     return joined(T_short, short, T_long, long, np.zeros((6, 6)))
 
 
-def told(T_reference_current: FloatArray, covariance: FloatArray) -> MotionEstimate:
+def reported(T_reference_current: FloatArray, covariance: FloatArray) -> MotionEstimate:
     return MotionEstimate(T_reference_current, covariance)
 
 
@@ -36,7 +36,7 @@ def spread(rng: np.random.Generator) -> FloatArray:
 
 def test_ways_as_sure_as_each_other_meet_where_the_short_one_counts_twice() -> None:
     C = np.diag([1e-6] * 3 + [1e-7] * 3)
-    T = met(T_SHORT, told(np.eye(4), C), T_LONG, told(np.eye(4), C))
+    T = met(T_SHORT, reported(np.eye(4), C), T_LONG, reported(np.eye(4), C))
     expected = T_SHORT @ se3.exp(2 / 3 * se3.log(se3.invert(T_SHORT) @ T_LONG))
     np.testing.assert_allclose(T, expected, atol=1e-12)
 
@@ -44,7 +44,7 @@ def test_ways_as_sure_as_each_other_meet_where_the_short_one_counts_twice() -> N
 @pytest.mark.parametrize("seed", range(3))
 def test_ways_meet_where_least_squares_has_them(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    motions = [told(se3.exp(rng.normal(0, 0.5, 6)), spread(rng)) for _ in range(2)]
+    motions = [reported(se3.exp(rng.normal(0, 0.5, 6)), spread(rng)) for _ in range(2)]
     # Each as a left perturbation in its reference's frame, which stands where the motion comes from.
     roots = [
         np.linalg.inv(np.linalg.cholesky(times * not_none(m.covariance)))
@@ -54,8 +54,8 @@ def test_ways_meet_where_least_squares_has_them(seed: int) -> None:
     def residuals(xi: FloatArray) -> FloatArray:
         T = T_SHORT @ se3.exp(xi)
         off = []
-        for T_told, motion, root in zip((T_SHORT, T_LONG), motions, roots, strict=True):
-            T_map_reference = T_told @ se3.invert(not_none(motion.T_reference_current))
+        for T_reported, motion, root in zip((T_SHORT, T_LONG), motions, roots, strict=True):
+            T_map_reference = T_reported @ se3.invert(not_none(motion.T_reference_current))
             there = se3.invert(T_map_reference) @ T
             off.append(root @ se3.log(there @ se3.invert(not_none(motion.T_reference_current))))
         return np.concatenate(off)
@@ -68,25 +68,25 @@ def test_ways_meet_where_least_squares_has_them(seed: int) -> None:
 def test_where_nothing_is_left_but_what_both_share_the_short_one_stands(left: float) -> None:
     """It ended a drive: a matrix of rounding alone cannot be solved."""
     C = np.diag([1e-6] * 3 + [1e-7] * 3)
-    given = (T_SHORT, told(np.eye(4), C), T_LONG, told(np.eye(4), C))
+    given = (T_SHORT, reported(np.eye(4), C), T_LONG, reported(np.eye(4), C))
     np.testing.assert_array_equal(joined(*given, C - left * np.eye(6)), T_SHORT)
 
 
 def test_ways_that_contradict_each_other_leave_the_short_one() -> None:
     C = np.diag([1e-6] * 3 + [1e-7] * 3)
     T_far = T_SHORT @ se3.exp([0.02, 0, 0, 0, 0, 0])
-    np.testing.assert_array_equal(met(T_SHORT, told(np.eye(4), C), T_far, told(np.eye(4), C)), T_SHORT)
+    np.testing.assert_array_equal(met(T_SHORT, reported(np.eye(4), C), T_far, reported(np.eye(4), C)), T_SHORT)
 
 
 @pytest.mark.parametrize("place", [0, 1])
 def test_what_does_not_show_all_is_not_mixed_in(place: int) -> None:
-    motions = [told(np.eye(4), 1e-6 * np.eye(6))] * 2
+    motions = [reported(np.eye(4), 1e-6 * np.eye(6))] * 2
     motions[place] = replace(motions[place], degenerate=np.eye(6)[:1])
     np.testing.assert_array_equal(met(T_SHORT, motions[0], T_LONG, motions[1]), T_SHORT)
 
 
 @pytest.mark.slow
-def test_motions_told_by_two_keyframes_drift_less(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_motions_reported_by_two_keyframes_drift_less(monkeypatch: pytest.MonkeyPatch) -> None:
     corridor = [
         Plane((1, 0, 0), 1.2, is_painted=True),
         Plane((-1, 0, 0), 1.2, is_painted=True),

@@ -40,9 +40,9 @@ def keypoint_tracker() -> KeypointTracker:
     return KeypointTracker(Calibration.registered_camera(SMALL))
 
 
-def tell(monkeypatch: pytest.MonkeyPatch, told: KeypointPose | None) -> None:
+def tell(monkeypatch: pytest.MonkeyPatch, reported: KeypointPose | None) -> None:
     """Let keypoints say that, whatever is seen."""
-    monkeypatch.setattr(KeypointTracker, "track", lambda *_: told)
+    monkeypatch.setattr(KeypointTracker, "track", lambda *_: reported)
     monkeypatch.setattr(KeypointTracker, "recognise", lambda *_: None)
 
 
@@ -81,7 +81,7 @@ def test_a_plain_wall_is_no_pose_for_long(frames: list[RgbdFrame]) -> None:
     assert all(a.T_odom_body is None for a in answers[25:])
 
 
-def test_a_plain_wall_is_a_pose_where_somebody_else_tells_the_motion() -> None:
+def test_a_plain_wall_is_a_pose_where_somebody_else_shows_the_motion() -> None:
     subject, missed = dense(), 0
     way = se3.exp([0.01, 0, 0, 0, 0, 0])
     T = np.eye(4)
@@ -96,7 +96,7 @@ def test_a_plain_wall_is_a_pose_where_somebody_else_tells_the_motion() -> None:
 def test_what_was_unseen_for_too_long_is_forgotten_where_keypoints_tell_the_place(
     frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A view that tells no motion for long ends tracking, but not for good: what comes after is a known place again."""
+    """A view that shows no motion for long ends tracking, but not for good: what comes after is a known place again."""
     subject = dense(max_unseen_s=0.1)
     run(subject, frames[:4])
 
@@ -134,7 +134,7 @@ def test_few_keypoints_that_agree_do_not_outweigh_surfaces(
 ) -> None:
     subject = dense()
     run(subject, frames[:7])
-    tell(monkeypatch, told_at(se3.from_parts(np.eye(3), [0.2, 0, 0]) @ IN_WORLD[7], 36))
+    tell(monkeypatch, reported_at(se3.from_parts(np.eye(3), [0.2, 0, 0]) @ IN_WORLD[7], 36))
     answer = subject.process(frames[7], se3.invert(IN_WORLD[6]) @ IN_WORLD[7] if is_helped else None)
     assert answer.status is Status.TRACKING
     assert apart(IN_WORLD[7], not_none(answer.T_odom_body))[0] < 5e-3
@@ -147,13 +147,13 @@ def test_keypoints_that_clearly_contradict_surfaces_are_the_pose(
     """Surfaces that look alike fit anywhere; most of a hundred keypoints agree at one place alone."""
     subject = dense()
     run(subject, frames[:7])
-    told = told_at(se3.from_parts(np.eye(3), [off_m, 0, 0]) @ IN_WORLD[7])
-    tell(monkeypatch, told)
+    reported = reported_at(se3.from_parts(np.eye(3), [off_m, 0, 0]) @ IN_WORLD[7])
+    tell(monkeypatch, reported)
     answer = subject.process(frames[7])
     assert answer.status is Status.TRACKING
-    np.testing.assert_allclose(not_none(answer.T_odom_body), told.T_map_camera, atol=1e-9)
+    np.testing.assert_allclose(not_none(answer.T_odom_body), reported.T_map_camera, atol=1e-9)
     # What surfaces have against it makes it less certain.
-    assert (np.linalg.eigvalsh(not_none(answer.covariance) - told.covariance) > -1e-12).all()
+    assert (np.linalg.eigvalsh(not_none(answer.covariance) - reported.covariance) > -1e-12).all()
 
 
 def test_what_keypoints_track_is_tracked_where_surfaces_show_nothing(
@@ -175,18 +175,20 @@ def test_what_keypoints_track_is_tracked_where_surfaces_show_nothing(
 SLIP = se3.exp([0.02, 0, 0, 0, 0, 0])  # in a thirtieth of a second
 
 
-def told_at(T_map_camera: FloatArray, inliers: int = 80) -> KeypointPose:
+def reported_at(T_map_camera: FloatArray, inliers: int = 80) -> KeypointPose:
     return KeypointPose(np.asarray(T_map_camera), 1e-4 * np.eye(6), 90, inliers)
 
 
-@pytest.mark.parametrize("told", [None, told_at(IN_WORLD[7] @ se3.exp([0.2, 0, 0, 0, 0, 0]), 30), told_at(IN_WORLD[7])])
+@pytest.mark.parametrize(
+    "reported", [None, reported_at(IN_WORLD[7] @ se3.exp([0.2, 0, 0, 0, 0, 0]), 30), reported_at(IN_WORLD[7])]
+)
 def test_a_pose_that_wheels_do_not_expect_stays_where_keypoints_do_not_contradict_it(
-    frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch, told: KeypointPose | None
+    frames: list[RgbdFrame], monkeypatch: pytest.MonkeyPatch, reported: KeypointPose | None
 ) -> None:
     """Wheels slip. Keypoints that know nothing, or of which few agree, contradict nothing."""
     subject = dense()
     run(subject, frames[:7])
-    tell(monkeypatch, told)
+    tell(monkeypatch, reported)
     answer = subject.process(frames[7], se3.invert(IN_WORLD[6]) @ IN_WORLD[7] @ SLIP)
     assert answer.status is Status.TRACKING
     assert apart(IN_WORLD[7], not_none(answer.T_odom_body))[0] < 5e-3
@@ -200,7 +202,7 @@ def test_a_pose_that_neither_wheels_nor_keypoints_expect_is_not_taken(
     subject = dense()
     run(subject, frames[:7])
     by_wheels = IN_WORLD[7] @ se3.exp([0.06, 0, 0, 0, 0, 0])
-    tell(monkeypatch, told_at(by_wheels))
+    tell(monkeypatch, reported_at(by_wheels))
     answer = subject.process(frames[7], se3.invert(IN_WORLD[6]) @ by_wheels)
     assert answer.status is Status.TRACKING
     assert apart(by_wheels, not_none(answer.T_odom_body))[0] < 0.02  # surfaces are 0.06 off, keypoints know it to 0.01
@@ -231,7 +233,7 @@ def test_a_leap_is_believed_only_with_keypoints(frames: list[RgbdFrame], monkeyp
 
 @pytest.mark.parametrize("degrees", [-25, -20, -16, 16, 20, 25])
 def test_a_turn_too_wide_to_follow_is_no_wrong_pose(degrees: float) -> None:
-    """On a slow camera: surfaces slide to where something fits, and only how badly it does tells."""
+    """On a slow camera: surfaces slide to where something fits, and only how badly it does shows."""
     start = np.array(TRUTH.T_frame_body[0])
     turned = start @ se3.exp([0, 0, 0, 0, np.deg2rad(degrees), 0])
     calibration = replace(Calibration.registered_camera(CAMERA), T_base_camera=RobotModel().T_base_camera)
@@ -248,8 +250,8 @@ def test_after_a_while_most_keypoints_must_agree(
     """Another corridor with the same door: a fifth of 100 keypoints agreed on a place 7 m away, and surfaces too."""
     subject, last_s = dense(), frames[6].stamp_s
     run(subject, [*frames[:7], *(covered_frame(last_s + 0.1 * k) for k in range(1, 24))])
-    told = KeypointPose(IN_WORLD[7], 1e-4 * np.eye(6), 100, inliers)
-    tell(monkeypatch, told)
+    reported = KeypointPose(IN_WORLD[7], 1e-4 * np.eye(6), 100, inliers)
+    tell(monkeypatch, reported)
     answer = subject.process(room_frame(TRUTH.T_frame_body[7], last_s + 2.4, depth_noise=True))
     assert (answer.T_odom_body is not None) == (inliers >= 50)
     assert inliers >= 50 or answer.reason is Reason.NOT_RECOGNISED

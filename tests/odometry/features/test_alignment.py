@@ -74,7 +74,7 @@ def test_noise_twice_as_large_as_stated_shows(rng):
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.3, 0.6])
-def test_the_motion_is_found_and_the_right_pairs_told_apart(rng, outliers):
+def test_the_motion_is_found_and_the_right_pairs_distinguished(rng, outliers):
     for seed in range(5):
         T = motion(rng)
         pairs = pairs_of(rng, T, 200, noise=0.0, outliers=outliers)

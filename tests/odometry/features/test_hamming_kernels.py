@@ -76,7 +76,7 @@ def test_match_all_agrees_with_opencv_s_cross_check(rng):
     ours = match_all(first, second, 256)
     theirs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(first.view(np.uint8), second.view(np.uint8))
     apart = distances(first, second)
-    # Where two are equally near either may be chosen, so pairs are compared by those nobody rivals.
+    # Where two are equally near either may be chosen, so pairs are compared by those no one rivals.
     sole = ((apart == apart.min(axis=1, keepdims=True)).sum(axis=1) == 1) & (apart.argmin(axis=1) >= 0)
     sole_back = (apart == apart.min(axis=0)).sum(axis=0) == 1
     pairs = {(int(i), int(j)) for i, j in zip(*ours, strict=True) if sole[i] and sole_back[j]}

@@ -55,7 +55,7 @@ def test_keyframes_are_kept_with_what_was_seen(frames: list[RgbdFrame]) -> None:
 
 
 @pytest.mark.parametrize("reference", MODES)
-def test_each_pose_is_told_relative_to_a_keyframe(frames: list[RgbdFrame], reference: str) -> None:
+def test_each_pose_is_reported_relative_to_a_keyframe(frames: list[RgbdFrame], reference: str) -> None:
     subject = odometry(reference=reference)
     for frame in frames:
         answer = subject.process(frame)
@@ -113,7 +113,7 @@ def test_tracking_goes_on_after_one_keyframe_moved_a_little(frames: list[RgbdFra
 
 
 def test_a_keyframe_alone_takes_its_frames_along(frames: list[RgbdFrame]) -> None:
-    """Against the previous frame, nothing but the keyframe that it hangs on tells where that is."""
+    """Against the previous frame, nothing but the keyframe that it hangs on shows where that is."""
     subject = odometry(reference="previous")
     run(subject, frames[:MIDDLE])
     T_new_old = se3.exp([0.3, 0.1, -0.2, 0.1, 0.2, 0.0])
@@ -158,7 +158,7 @@ def test_a_lens_is_taken_out_of_what_is_kept() -> None:
     subject = odometry(Calibration.registered_camera(camera))
     v, u = np.mgrid[:240, :320]
     color = np.repeat(((u // 16 + v // 16) % 2 * 200 + 20)[..., None], 3, axis=2).astype(np.uint8)
-    # Depth that tells in which direction a pixel looks.
+    # Depth that shows in which direction a pixel looks.
     x = camera.normalise(np.stack([u, v], axis=-1))[..., 0]
     answer = subject.process(RgbdFrame(0.0, color, (2 + 0.5 * x).astype(np.float32)))
     keyframe = subject.store[not_none(answer.keyframe)]

@@ -40,11 +40,11 @@ def test_it_goes_on_where_others_tell_it_to(frames: list[RgbdFrame], reference: 
         assert error_of(answer, T_TOLD @ se3.invert(WORLD[6]) @ WORLD[k])[0] < 0.02
         assert (
             np.linalg.eigvalsh(not_none(answer.covariance) - 0.99 * COVARIANCE)[0] > 0
-        )  # what was told stays uncertain
+        )  # what was reported stays uncertain
 
 
 def test_what_was_known_is_given_up(frames: list[RgbdFrame]) -> None:
-    """Nothing tells where the old map lies in what others tell, so that it is not met again at its old pose."""
+    """Nothing shows where the old map lies in what others tell, so that it is not met again at its old pose."""
     subject = odometry(lost_after=2)
     run(subject, frames[:3])
     subject.restart(frames[6], T_TOLD, COVARIANCE)
@@ -62,7 +62,7 @@ def test_without_keypoints_there_is_no_restart(frames: list[RgbdFrame]) -> None:
     assert error_of(subject.process(frames[4]), WORLD[4])[0] < 0.02
 
 
-def test_the_pose_that_is_told_is_the_cameras_not_the_colour_cameras(frames: list[RgbdFrame]) -> None:
+def test_the_pose_that_is_reported_is_the_cameras_not_the_colour_cameras(frames: list[RgbdFrame]) -> None:
     camera = PinholeCamera(320, 240, 262.0, 260.0, 161.3, 118.4)
     T_color_depth = se3.from_parts(np.eye(3), [0.03, 0.0, 0.0])
     subject = odometry(Calibration(color=camera, depth=camera, T_color_depth=T_color_depth))

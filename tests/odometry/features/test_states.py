@@ -94,7 +94,7 @@ def test_miss_counts_as_a_failed_frame(frames, reference):
     assert subject.process(frames[3]).status is Status.TRACKING
 
 
-def test_what_is_told_of_the_last_frame(frames):
+def test_what_is_reported_of_the_last_frame(frames):
     subject = odometry()
     run(subject, frames[:10])
     answer = subject.process(frames[10])

@@ -111,7 +111,7 @@ def test_a_bias_that_is_known_stays() -> None:
     assert odometry.gyro_bias_rad_s == 0.02
 
 
-def test_the_reading_in_which_the_wheels_come_to_rest_tells_nothing_of_the_bias() -> None:
+def test_the_reading_in_which_the_wheels_come_to_rest_shows_nothing_of_the_bias() -> None:
     odometry = WheelOdometry(WHEELS, gyro=Gyro(1e-3))
     odometry.process(WheelTicks(0.0, 0, 0), 9.0)
     odometry.process(WheelTicks(0.02, 5, 5), 9.0)

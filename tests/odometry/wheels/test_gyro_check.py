@@ -1,4 +1,4 @@
-"""GyroCheck: a gyroscope that tells of the wheels' turns is believed, and each way in which it may not is named."""
+"""GyroCheck: a gyroscope that shows the wheels' turns is believed, and each way in which it may not is named."""
 
 from __future__ import annotations
 

@@ -157,16 +157,16 @@ def test_a_wheel_that_spins_is_known_by_the_others_and_covered(wheels: Holonomic
     assert off_m < 3 * math.sqrt(np.trace(C[:2, :2]))
 
 
-def test_slip_is_told_while_it_lasts() -> None:
-    odometry, told = HolonomicOdometry(MECANUM), []
+def test_slip_is_reported_while_it_lasts() -> None:
+    odometry, reported = HolonomicOdometry(MECANUM), []
     spinning = np.zeros((200, 4))
     spinning[50:80, 2] = 0.01
     for reading in readings_of(MECANUM, np.tile([0.01, 0.0, 0.0], (200, 1)), spinning):
         odometry.process(reading)
-        told.append(odometry.is_slipping)
-    assert not any(told[:51])
-    assert all(told[60:81])
-    assert not any(told[-40:])
+        reported.append(odometry.is_slipping)
+    assert not any(reported[:51])
+    assert all(reported[60:81])
+    assert not any(reported[-40:])
 
 
 def test_three_wheels_cannot_contradict_each_other(rng: np.random.Generator) -> None:

@@ -26,7 +26,7 @@ def readings(seed: int) -> list[WheelTicks]:
 
 
 def errors_s(fault: ClockFault, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of stamps and of the times that are told, while the robot is on its way, from the third second on."""
+    """Of stamps and of the times that are reported, while the robot is on its way, from the third second on."""
     true = readings(seed)
     taken_s = {(one.left, one.right): one.stamp_s for one in true}
     subject, off = ReadingTimes(WHEELS), []
@@ -65,7 +65,7 @@ def test_noise_of_stamps_is_found_and_made_less(seed: int) -> None:
 
 
 @SEEDS
-def test_readings_in_pairs_are_told_apart(seed: int) -> None:
+def test_readings_in_pairs_are_distinguished(seed: int) -> None:
     stamps_s, times_s = errors_s(ReadingsTogether(2, 1e-3), seed)
     assert times_s.std() < 0.6 * stamps_s.std()
 

@@ -84,7 +84,7 @@ def log_of(
 
 
 @pytest.mark.parametrize("bias_sigma_rad_s", [1e-3, 0.02, 0.5])
-def test_on_the_spot_the_yaw_is_as_sure_as_all_that_was_told_makes_it(bias_sigma_rad_s: float) -> None:
+def test_on_the_spot_the_yaw_is_as_sure_as_all_that_was_reported_makes_it(bias_sigma_rad_s: float) -> None:
     """By closed form, of wheels W ~ N(θ, q) and a gyroscope G ~ N(θ + b T, g), b ~ N(0, σ²): of G - W all is seen."""
     gyro, sigmas = Gyro(0.004, 0.0, bias_sigma_rad_s, 0.0), []
     true = np.tile([-0.01, 0.01], (401, 1))
@@ -141,7 +141,7 @@ def test_errors_of_noisy_wheels_are_as_large_as_the_covariance_says(
 def test_with_a_biased_gyroscope_too(
     standing_s: float, bias_sigma_rad_s: float, slip: float, rng: np.random.Generator
 ) -> None:
-    """Of wheels as noisy as said or less so, after a rest or without. That ways are less noisy, too, nobody tells."""
+    """Of wheels as noisy as said or less so, after a rest or without. That ways are less noisy, too, no one shows."""
     gyro = Gyro(0.004, 0.0, bias_sigma_rad_s=bias_sigma_rad_s, bias_walk_rad_s_per_sqrt_s=1e-4)
     true = np.concatenate([np.zeros((round(standing_s / PERIOD_S), 2)), true_steps(rng)])
     T_true, _ = final(true, "arc")

@@ -374,7 +374,7 @@ def test_steps_make_up_the_pose_and_its_covariance(rng: np.random.Generator) -> 
     assert way.end_s == pytest.approx(2.0)
 
 
-def test_a_reading_that_was_refused_tells_no_way_and_the_next_one_goes_on_from_it() -> None:
+def test_a_reading_that_was_refused_shows_no_way_and_the_next_one_goes_on_from_it() -> None:
     odometry = WheelOdometry(replace(WHEELCHAIR, max_gap_s=0.5))
     for stamp_s, ticks in ((0.0, 0), (0.1, 60)):
         odometry.process(WheelTicks(stamp_s, ticks, ticks))

@@ -223,8 +223,8 @@ def both() -> Drive:
 
 def test_images_without_stamps_are_stamped_by_receipt(opened) -> None:
     recording = opened(stamped(DEPTH, stamped(COLOR, both(), None), None))
-    told = [warning for warning in recording.warnings if "the time of receipt is used" in warning]
-    assert [warning.partition(":")[0] for warning in told] == [COLOR, DEPTH]
+    reported = [warning for warning in recording.warnings if "the time of receipt is used" in warning]
+    assert [warning.partition(":")[0] for warning in reported] == [COLOR, DEPTH]
     frames = [event for event in recording.events() if isinstance(event, RgbdFrame)]
     assert [frame.stamp_s for frame in frames] == pytest.approx(
         [START_S + 0.15 + n / 30 for n in range(FRAMES)], abs=1e-5

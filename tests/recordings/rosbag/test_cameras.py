@@ -38,10 +38,10 @@ T_BASE_CAMERA = se3.from_quaternion([0.1, 0.0, 0.4], LOOKS_AHEAD)
 @pytest.mark.parametrize("make", [MAKE, MAKE1])
 def test_brown_distortion(make: Messages) -> None:
     D = (0.1, -0.2, 0.001, 0.002, 0.05)
-    camera, told = camera_of(make.info(OPTICAL, D=D), False)
+    camera, reported = camera_of(make.info(OPTICAL, D=D), False)
     assert (camera.width, camera.height, camera.fx, camera.cx) == (WIDTH, HEIGHT, FOCAL_PX, (WIDTH - 1) / 2)
     assert camera.distortion == D
-    assert told is None
+    assert reported is None
 
 
 def test_a_rectified_image_has_the_projections_numbers_and_no_distortion() -> None:
@@ -64,8 +64,8 @@ def test_a_part_of_the_sensor_with_joined_pixels() -> None:
 def test_eight_coefficients_are_fitted_by_five() -> None:
     rational = (0.4, 0.02, 1e-4, -2e-4, 0.001, 0.3, 0.01, 0.002)
     wide = {"fx": 400.0, "width": 640, "height": 480}
-    camera, told = camera_of(MAKE.info(OPTICAL, "rational_polynomial", rational, **wide), False)
-    assert told is None
+    camera, reported = camera_of(MAKE.info(OPTICAL, "rational_polynomial", rational, **wide), False)
+    assert reported is None
     k1, k2, p1, p2, k3, k4, k5, k6 = rational
     x, y = np.meshgrid(np.linspace(-0.8, 0.8, 9), np.linspace(-0.6, 0.6, 7))
     r2 = x**2 + y**2
@@ -79,16 +79,16 @@ def test_eight_coefficients_are_fitted_by_five() -> None:
 
 def test_a_lens_that_five_coefficients_miss_is_said_by_its_median_and_share() -> None:
     wild = (30.0, 5.0, 0.0, 0.0, 1.0, 29.0, 16.0, 0.5)
-    _, told = camera_of(MAKE.info(OPTICAL, "rational_polynomial", wild, fx=320.0, width=640, height=480), False)
-    assert "0.81 px in the median, and by more than 0.5 px in 69 % of the image" in not_none(told)
+    _, reported = camera_of(MAKE.info(OPTICAL, "rational_polynomial", wild, fx=320.0, width=640, height=480), False)
+    assert "0.81 px in the median, and by more than 0.5 px in 69 % of the image" in not_none(reported)
 
 
 def test_a_pole_outside_the_image_spoils_no_fit() -> None:
     """1 - 1.2 r² is 0 at r = 0.91, within the image's size but beyond what it shows: 0.68 in its corners."""
     pole = (-0.3, 0.1, 0.0, 0.0, 0.0, -1.2, 0.0, 0.0)
     info = MAKE.info(OPTICAL, "rational_polynomial", pole, fx=350.0, width=640, height=480)
-    camera, told = camera_of(info, False)
-    assert "0.16 px in the median, and by more than 0.5 px in 1 % of the image" in not_none(told)
+    camera, reported = camera_of(info, False)
+    assert "0.16 px in the median, and by more than 0.5 px in 1 % of the image" in not_none(reported)
     p = np.array([0.5, 0.3, 1.0])
     r2 = 0.34
     seen = p[:2] * (1 - 0.3 * r2 + 0.1 * r2**2) / (1 - 1.2 * r2)
@@ -179,8 +179,8 @@ def test_tf_that_contradicts_itself_is_said(opened) -> None:
     again = [("base_link", "camera_link", (0.5, 0, 0), (0, 0, 0, 1)), ("mast", OPTICAL, (0, 0, 0), LOOKS_AHEAD)]
     drive.add(0.2, "/tf_static", drive.make.tf(*again))
     recording = opened(drive)
-    told = [warning for warning in recording.warnings if "contradicts itself" in warning]
-    assert len(told) == 2
+    reported = [warning for warning in recording.warnings if "contradicts itself" in warning]
+    assert len(reported) == 2
     np.testing.assert_allclose(recording.calibration.T_base_camera, T_BASE_CAMERA, atol=1e-12)
 
 

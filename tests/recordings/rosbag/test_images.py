@@ -57,7 +57,7 @@ def test_grey_has_three_equal_channels(encoding: str) -> None:
 
 @pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
-def test_bayer_patterns_are_told_by_their_first_four_pixels(pattern: str, bits: int) -> None:
+def test_bayer_patterns_are_reported_by_their_first_four_pixels(pattern: str, bits: int) -> None:
     mosaic = np.empty((HEIGHT, WIDTH), np.uint8)
     for place, name in enumerate(pattern):
         row, column = divmod(place, 2)
@@ -145,7 +145,7 @@ def test_compressed_floats_are_as_fine_as_disparities() -> None:
         ("bgr8", "/camera/depth/view", False),
     ],
 )
-def test_depth_is_told_from_infrared(encoding: str, topic: str, expected: bool) -> None:
+def test_depth_is_reported_from_infrared(encoding: str, topic: str, expected: bool) -> None:
     assert is_depth(encoding, topic) is expected
 
 

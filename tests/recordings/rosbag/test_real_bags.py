@@ -1,4 +1,4 @@
-"""Bags that nobody here wrote: read where they hold something, and told what they lack where they do not."""
+"""Bags that no one here wrote: read where they hold something, and reported what they lack where they do not."""
 
 from __future__ import annotations
 

@@ -295,6 +295,6 @@ def test_a_recorder_whose_clock_is_set_back_loses_nothing(opened, by_s: float, c
     recording = opened(drive)
     for kind in (RgbdFrame, WheelSpeeds, YawRate):
         np.testing.assert_allclose(stamps_of(recording, kind), expected(kind, 12.0, camera_hz), atol=2e-6)
-    told = [warning for warning in recording.warnings if "clock of the recorder was set back" in warning]
-    assert {warning.split(":")[0] for warning in told} == {COLOR, DEPTH, ODOM, IMU}
+    reported = [warning for warning in recording.warnings if "clock of the recorder was set back" in warning]
+    assert {warning.split(":")[0] for warning in reported} == {COLOR, DEPTH, ODOM, IMU}
     assert not any("left out" in warning or "lost" in warning for warning in recording.warnings)

@@ -1,4 +1,4 @@
-"""Wheels told of by counts, speeds, fields and tf; what is preferred; sideways motion; and truth."""
+"""Wheels reported by counts, speeds, fields and tf; what is preferred; sideways motion; and truth."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def own_wheels(tmp_path_factory) -> str:
 
 
 def apart(names: tuple[str, str] = ("/lwheel", "/rwheel"), bits: int = 16) -> Drive:
-    """Counts that begin near the end of what 16 bits hold; the right wheel is told of 5 ms later."""
+    """Counts that begin near the end of what 16 bits hold; the right wheel is reported 5 ms later."""
     drive, first = Drive(), 32_700
     for at_s in STAMPS_S:
         for name, rate, late_s in zip(names, RATES, (0, 0.005), strict=True):
@@ -234,16 +234,16 @@ def on_a_lever(lever_m: float) -> Drive:
 def test_sideways_motion_of_two_wheels_is_said_with_its_share_and_the_camera_leads(
     opened, own_wheels: str, share: float
 ) -> None:
-    told = f"m that were checked ({100 * share:.0f} %) are sideways, which two wheels cannot show"
+    reported = f"m that were checked ({100 * share:.0f} %) are sideways, which two wheels cannot show"
     alone = opened(aside(share), calibration=own_wheels)
     assert len(alone.wheel_faults) == 1
-    assert told in alone.wheel_faults[0]
+    assert reported in alone.wheel_faults[0]
     assert alone.wheel_faults[0] in alone.warnings
     drive = aside(share)
     drive.messages += camera_drive().messages
     recording = opened(drive, calibration=own_wheels)
     assert (recording.wheel_count, recording.frame_count) == (0, 6)
-    assert any("/odom is left out" in warning and told in warning for warning in recording.warnings)
+    assert any("/odom is left out" in warning and reported in warning for warning in recording.warnings)
     assert recording.wheel_faults == ()
     assert opened(drive, calibration=own_wheels, topics=("wheels=/odom",)).wheel_count == 60
 
@@ -360,8 +360,8 @@ def test_joints_of_four_mecanum_wheels_are_known_by_their_names(opened, holonomi
     for at_s in STAMPS_S:
         angles = np.array(angles_at(MECANUM, at_s))[order]
         speeds = np.array(angles_at(MECANUM, 1.0))[order]
-        told = (angles.tolist(), []) if by == "angles" else ([], speeds.tolist())
-        with_arm = [[0.0, *one] if one else [] for one in told]
+        reported = (angles.tolist(), []) if by == "angles" else ([], speeds.tolist())
+        with_arm = [[0.0, *one] if one else [] for one in reported]
         drive.add(at_s, "/joint_states", drive.make.joints(at_s, ["arm", *(names[i] for i in order)], *with_arm))
     recording = opened(drive, calibration=holonomic(MECANUM))
     assert holonomic_end_of(recording) == pytest.approx(moved(2.95), abs=3e-3)

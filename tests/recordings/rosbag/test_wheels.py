@@ -46,7 +46,7 @@ def test_a_message_that_was_dropped_loses_nothing(opened) -> None:
     assert end_of(opened(drive)) == pytest.approx(circle(2.95), abs=1e-5)
 
 
-def test_a_driver_that_tells_only_speeds(opened) -> None:
+def test_a_driver_that_shows_only_speeds(opened) -> None:
     drive = Drive()
     for at_s in np.arange(0, 3, 0.05).tolist():
         drive.add(at_s, "/odom", drive.make.odometry(at_s, (0, 0, 0), (0.5, 0.3)))
@@ -172,7 +172,7 @@ def test_up_is_where_gravity_says(opened, rate, acceleration) -> None:
     assert any(warning.startswith("/imu") for warning in recording.warnings)
 
 
-def test_the_mount_of_tf_tells_which_way_is_up(opened) -> None:
+def test_the_mount_of_tf_shows_which_way_is_up(opened) -> None:
     drive = with_imu(*UP_IS_Y)
     on_its_side = (math.sin(math.pi / 4), 0, 0, math.cos(math.pi / 4))
     drive.add(0.0, "/tf_static", drive.make.tf(("base_link", "imu_link", (0, 0, 0), on_its_side)))

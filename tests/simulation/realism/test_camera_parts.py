@@ -114,18 +114,18 @@ def test_frames_are_lost_and_stamped_as_often_and_as_far_as_said():
     times = frame_times(20_000, 30.0, settings, np.random.default_rng(5))
     assert 1 - len(times) / 20_000 == pytest.approx(settings.dropped, rel=0.2)
     assert times.taken_s[0] == 0
-    late_s = times.told_s - times.taken_s
+    late_s = times.reported_s - times.taken_s
     assert late_s.mean() == pytest.approx(0.01, abs=1e-4)
     assert late_s.std() == pytest.approx(settings.camera_jitter_s, rel=0.05)
-    assert np.diff(times.told_s).min() > 0
-    np.testing.assert_array_equal(exact_times(4, 10.0).told_s, [0, 0.1, 0.2, 0.3])
+    assert np.diff(times.reported_s).min() > 0
+    np.testing.assert_array_equal(exact_times(4, 10.0).reported_s, [0, 0.1, 0.2, 0.3])
 
 
 def test_readings_keep_their_order_and_counts():
     readings = [WheelTicks(round(0.02 * k, 6), k, -k) for k in range(3000)]
-    told = as_stamped(readings, StampSettings(burst_share=0.05), np.random.default_rng(2))
-    assert [(tick.left, tick.right) for tick in told] == [(tick.left, tick.right) for tick in readings]
-    stamps_s = np.array([tick.stamp_s for tick in told])
+    reported = as_stamped(readings, StampSettings(burst_share=0.05), np.random.default_rng(2))
+    assert [(tick.left, tick.right) for tick in reported] == [(tick.left, tick.right) for tick in readings]
+    stamps_s = np.array([tick.stamp_s for tick in reported])
     steps_s = np.diff(stamps_s)
     assert steps_s.min() > 0
     assert steps_s.min() < 0.005  # those behind a reading that was held arrive with it

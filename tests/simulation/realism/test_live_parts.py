@@ -1,4 +1,4 @@
-"""Parts that are told while a robot drives, beside those of a drive that is known before."""
+"""Parts that are reported while a robot drives, beside those of a drive that is known before."""
 
 from __future__ import annotations
 

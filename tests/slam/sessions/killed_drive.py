@@ -1,4 +1,4 @@
-"""A drive that writes its map until it is killed: python killed_drive.py FOLDER; it tells each keyframe that it has."""
+"""A drive that writes its map until it is killed: python killed_drive.py FOLDER; it shows each keyframe that it has."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def test_what_is_known_better_than_before_is_no_negative_way() -> None:
     assert np.linalg.eigvalsh(edge.covariance).min() > 0.99e-6
 
 
-def test_an_estimate_of_another_keyframe_tells_no_edge() -> None:
+def test_an_estimate_of_another_keyframe_shows_no_edge() -> None:
     lost = Estimate(4.0, Status.FAILING)
     other = Estimate(4.0, Status.TRACKING, pose(4), np.eye(6), keyframe=KeyframeId(3), T_keyframe_body=np.eye(4))
     for estimate in (None, lost, other):

@@ -26,7 +26,7 @@ def test_the_largest_piece_counts_wherever_it_begins(tmp_path: Path) -> None:
     assert_array_equal(in_largest_piece(found), [False, False, True, True, True])
 
 
-def test_an_edge_that_tells_nothing_holds_nothing_together(tmp_path: Path) -> None:
+def test_an_edge_that_shows_nothing_holds_nothing_together(tmp_path: Path) -> None:
     assert in_largest_piece(written(tmp_path / "vague", [(0, 1), (1, 2)], 3, sigma=0.4)).sum() == 1
     assert in_largest_piece(written(tmp_path / "sure", [(0, 1), (1, 2)], 3, sigma=0.2)).all()
 

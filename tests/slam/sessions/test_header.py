@@ -14,7 +14,7 @@ from wheelsight.core.errors import MapError
 from wheelsight.slam.maps import MapFolder
 
 
-def test_a_map_of_another_camera_is_told(written: Path) -> None:
+def test_a_map_of_another_camera_is_reported(written: Path) -> None:
     folder = MapFolder.open(written)
     folder.check_camera(Calibration.registered_camera(replace(CAMERA, fx=60.5)))
     wrong = {
@@ -30,10 +30,10 @@ def test_a_map_of_another_camera_is_told(written: Path) -> None:
         folder.check_camera(apart)
 
 
-def test_another_depth_factor_is_told(tmp_path: Path) -> None:
+def test_another_depth_factor_is_reported(tmp_path: Path) -> None:
     MapFolder.create(tmp_path / "map", CALIBRATION, depth_factor=5000.0).close()
     folder = MapFolder.open(tmp_path / "map")
-    folder.check_camera(CALIBRATION)  # nobody says
+    folder.check_camera(CALIBRATION)  # no one says
     with pytest.raises(MapError, match="its depth factor is 5000, here 1000"):
         folder.check_camera(CALIBRATION, 1000.0)
 

@@ -51,9 +51,9 @@ def test_images_come_back_to_the_last_bit(rng: np.random.Generator, known: float
 
 def test_depth_that_is_none_is_refused() -> None:
     """Steps that lead below 1."""
-    told = np.zeros((4, 4, 3), np.uint8)
-    told[..., 1] = 2
-    code = cv2.imencode(".webp", told, [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes()
+    reported = np.zeros((4, 4, 3), np.uint8)
+    reported[..., 1] = 2
+    code = cv2.imencode(".webp", reported, [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes()
     with pytest.raises(MapError, match="its depth is out of range"):
         images.unpacked_depth(code)
 

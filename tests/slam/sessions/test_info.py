@@ -28,10 +28,10 @@ def test_figures_of_a_map(tmp_path: Path) -> None:
     journals = [path.stat().st_size for path in (tmp_path / "map").glob("*.journal")]
     assert (found.bytes, found.keyframe_bytes) == (sum(files), sum(journals) / 8)
     assert (found.surfel_bytes, found.recognition_bytes) == (None, None)
-    told = json.loads(json.dumps(found.to_dict()))
-    assert told["camera"]["fx"] == 60.0
-    assert told["health"] == {"is_whole": True, "notes": []}
-    assert told["keyframes"] == 8
+    reported = json.loads(json.dumps(found.to_dict()))
+    assert reported["camera"]["fx"] == 60.0
+    assert reported["health"] == {"is_whole": True, "notes": []}
+    assert reported["keyframes"] == 8
 
 
 def test_an_empty_map_has_figures(tmp_path: Path) -> None:
@@ -47,7 +47,7 @@ def test_a_map_is_found_in_the_folder_of_its_run(tmp_path: Path, place: str) -> 
     assert find_map(str(tmp_path / "run")) == tmp_path / "run" / place
 
 
-def test_what_is_no_map_is_told(tmp_path: Path) -> None:
+def test_what_is_no_map_is_reported(tmp_path: Path) -> None:
     with pytest.raises(MapError, match="is no map, and no folder of a run with one"):
         find_map(tmp_path)
     with pytest.raises(MapError, match="there is no such folder"):

@@ -67,7 +67,7 @@ def test_every_border_loses_nothing_before_it(whole: Path) -> None:
 
 
 @given(at=st.integers(0, BORDERS[-1] - 1), bit=st.integers(0, 7))
-def test_a_flipped_bit_costs_one_record_and_is_told(whole: Path, at: int, bit: int) -> None:
+def test_a_flipped_bit_costs_one_record_and_is_reported(whole: Path, at: int, bit: int) -> None:
     path = whole.with_name("flipped.journal")
     data = bytearray(whole.read_bytes())
     data[at] ^= 1 << bit
@@ -108,7 +108,7 @@ def test_a_newer_version_and_what_is_no_journal_are_refused(tmp_path: Path) -> N
         read_journal(path)
 
 
-def test_nothing_is_overwritten_and_a_full_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_overwritten_and_a_full_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.journal"
     written(path)
     with pytest.raises(OutputError):
@@ -117,10 +117,10 @@ def test_nothing_is_overwritten_and_a_full_disk_is_told(tmp_path: Path, monkeypa
     journal = JournalWriter(tmp_path / "b.journal")
     journal.append(7, 0, CONTENTS[0])
     journal.append(7, 1, CONTENTS[1])
-    with pytest.raises(OutputError, match="no space left on the disk") as told:
+    with pytest.raises(OutputError, match="no space left on the disk") as reported:
         journal.append(7, 2, CONTENTS[2])
-    assert isinstance(told.value.__cause__, OSError)
-    assert told.value.__cause__.errno == errno.ENOSPC
+    assert isinstance(reported.value.__cause__, OSError)
+    assert reported.value.__cause__.errno == errno.ENOSPC
     journal.close()
     found = read_journal(tmp_path / "b.journal")
     assert ([record.key for record, _ in found.records], found.torn_bytes) == ([0, 1], 5)

@@ -47,7 +47,7 @@ def test_a_map_comes_back(written: Path) -> None:
     assert_array_equal(found.contents.places[3].T_odom_keyframe, pose(3))
 
 
-def test_the_newest_poses_and_the_edges_that_hold_are_told(copied: Path) -> None:
+def test_the_newest_poses_and_the_edges_that_hold_are_reported(copied: Path) -> None:
     folder = MapFolder.open(copied, read_only=False)
     loops = folder.append_edges([edge(6, 0, is_loop=True), edge(5, 1, is_loop=True)])
     assert loops == (COUNT - 1, COUNT)
@@ -124,13 +124,13 @@ def test_a_full_disk_costs_what_comes_after(tmp_path: Path, monkeypatch: pytest.
     assert found.contents.health.torn_bytes == 3000 - FIRST_RECORD
 
 
-def test_what_recognises_is_kept_completed_or_made_anew(copied: Path) -> None:
+def test_what_recognises_is_kept_completed_or_made_again(copied: Path) -> None:
     settings = RecognitionSettings()
     made: list[tuple[int, int]] = []
     folder = MapFolder.open(copied, read_only=False)
-    anew = folder.recognizer(settings, lambda done, total: made.append((done, total)))
+    again = folder.recognizer(settings, lambda done, total: made.append((done, total)))
     assert made == [(k + 1, COUNT) for k in range(COUNT)]
-    assert anew.keyframes == tuple(range(COUNT))
+    assert again.keyframes == tuple(range(COUNT))
     part = Recognizer(settings)
     for number in range(4):
         part.add(KeyframeId(number), folder.store[KeyframeId(number)])
@@ -138,10 +138,10 @@ def test_what_recognises_is_kept_completed_or_made_anew(copied: Path) -> None:
     made.clear()
     completed = folder.recognizer(settings, lambda done, total: made.append((done, total)))
     assert made == [(1, 3), (2, 3), (3, 3)]
-    for found in (anew, completed):
+    for found in (again, completed):
         view = folder.store[KeyframeId(5)]
         assert found.candidates(view, 1)[0].keyframe == 5
-    assert anew.candidates(keyframe(2)) == completed.candidates(keyframe(2))
+    assert again.candidates(keyframe(2)) == completed.candidates(keyframe(2))
     folder.save_recognition(completed)
     made.clear()
     assert len(folder.recognizer(settings, lambda done, total: made.append((done, total)))) == COUNT
@@ -177,7 +177,7 @@ def test_a_map_of_before_is_read_recognised_and_extended(copied: Path) -> None:
 
 
 def test_recognition_leaves_descriptors_to_the_keyframes(copied: Path) -> None:
-    """And is made anew where a keyframe is another by now."""
+    """And is made again where a keyframe is another by now."""
     folder = MapFolder.open(copied, read_only=False)
     known = folder.recognizer()
     folder.save_recognition(known)

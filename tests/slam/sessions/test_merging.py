@@ -123,7 +123,7 @@ def test_a_folder_that_holds_something_is_refused_before_the_work(maps: Path, tm
 
 
 def test_what_damage_took_and_what_lies_nowhere_is_left_out(maps: Path, tmp_path: Path) -> None:
-    """One keyframe of Monday is lost; a second piece of Tuesday hangs by an edge that tells nothing."""
+    """One keyframe of Monday is lost; a second piece of Tuesday hangs by an edge that shows nothing."""
     monday = Path(shutil.copytree(maps / "monday", tmp_path / "monday"))
     journal = monday / "keyframes-00000.journal"
     data = bytearray(journal.read_bytes())

@@ -1,4 +1,4 @@
-"""The occupancy map of a map folder: written when it is finished, made anew with it, and edits that outlast both."""
+"""The occupancy map of a map folder: written when it is finished, made again with it, and edits that outlast both."""
 
 from __future__ import annotations
 
@@ -63,9 +63,9 @@ def test_a_drive_leaves_its_occupancy_map_when_it_is_finished(tmp_path: Path) ->
     for number, T in enumerate(WAY):
         at_once.add(KeyframeId(number), view(T, float(number)), T)
     assert_array_equal(plan.occupancy, at_once.grid().occupancy)
-    told = info_of(folder)
-    assert told.occupancy_bytes == sum((folder.path / name).stat().st_size for name in FILES)
-    assert told.edits == 0
+    reported = info_of(folder)
+    assert reported.occupancy_bytes == sum((folder.path / name).stat().st_size for name in FILES)
+    assert reported.edits == 0
     inner, outer = driven_way(folder)
     assert len(inner) == len(outer) == len(WAY) / 2
     np.testing.assert_allclose([inner[0, :2], outer[0, :2]], [[0.3, 0.0], [-0.9, 0.0]], atol=1e-9)
@@ -139,7 +139,7 @@ def test_a_zone_whose_keyframe_is_lost_stays_where_it_was_drawn(kept: Path) -> N
 
 
 def test_what_lies_nowhere_for_sure_is_not_in_it(tmp_path: Path) -> None:
-    """Two views of a drive that was cut in two: nobody knows how they lie to the others."""
+    """Two views of a drive that was cut in two: no one knows how they lie to the others."""
     way = [*WAY[:4], *(se3.from_plane(20.0, 0.0, 0.0) @ T for T in WAY[4:6])]
     store = KeyframeStore()
     writer = MapWriter(MapFolder.create(tmp_path / "map", ROBOT), store)
@@ -152,7 +152,7 @@ def test_what_lies_nowhere_for_sure_is_not_in_it(tmp_path: Path) -> None:
     assert grid.kind.shape[1] * grid.resolution_m < 8.0
 
 
-def test_the_way_is_cut_where_nobody_knows_how_the_robot_drove(tmp_path: Path) -> None:
+def test_the_way_is_cut_where_no_one_knows_how_the_robot_drove(tmp_path: Path) -> None:
     """A long step, and a second drive that a loop joins to the first."""
     east = se3.from_plane(2.0, 0.0, 0.0)
     way = [*WAY[:2], *(east @ T for T in WAY[2:6])]

@@ -1,4 +1,4 @@
-"""A map made anew: of a wall that two keyframes see, each from its own place."""
+"""A map made again: of a wall that two keyframes see, each from its own place."""
 
 from __future__ import annotations
 

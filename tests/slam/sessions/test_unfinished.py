@@ -48,9 +48,9 @@ def moments(out: Path, kept: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[
     def keep() -> None:
         watchers, _watchers[:] = _watchers[:], []  # what follows opens files, too
         try:
-            told = str([(file.name, file.stat().st_size) for file in sorted(out.glob("*"))])
-            if out.exists() and told != state[0]:
-                state[0] = told
+            reported = str([(file.name, file.stat().st_size) for file in sorted(out.glob("*"))])
+            if out.exists() and reported != state[0]:
+                state[0] = reported
                 copies.append(Path(shutil.copytree(out, kept / str(len(copies)))))
         finally:
             _watchers[:] = watchers
@@ -95,7 +95,7 @@ def test_at_each_moment_of_a_command_its_map_says_that_it_is_incomplete(
     assert len(copies) > 12
     assert info_of(MapFolder.open(out)).health.notes == ()
     assert sorted(file.name for file in out.iterdir() if file.name.startswith(".")) == []
-    told = 0
+    reported = 0
     for at, copy in enumerate(copies):
         if (copy / "map.json").exists() and at < len(copies) - 1:
             with pytest.raises(MapError, match=rf"is incomplete: {command} was ended \(run it again\)"):
@@ -103,8 +103,8 @@ def test_at_each_moment_of_a_command_its_map_says_that_it_is_incomplete(
             health = info_of(MapFolder.open(copy, is_incomplete_read=True)).health
             assert not health.is_whole
             assert health.notes[0] == f"The map is incomplete: {command} was ended; run it again."
-            told += 1
-    assert told > 8
+            reported += 1
+    assert reported > 8
     for copy in copies[:-1:6]:
         made = COMMANDS[command](first, second, copy)
         assert made is not None

@@ -64,11 +64,11 @@ def test_a_drive_leaves_its_map(tmp_path: Path) -> None:
     surfels = found.surfels()
     assert surfels is not None
     assert len(surfels) == 0
-    MapFolder.open(tmp_path / "map", read_only=False).close()  # nobody holds it
+    MapFolder.open(tmp_path / "map", read_only=False).close()  # no one holds it
 
 
 def test_a_keyframe_is_written_once_it_is_settled(tmp_path: Path) -> None:
-    """The first is made anew at the second frame."""
+    """The first is made again at the second frame."""
     store = KeyframeStore()
     folder = MapFolder.create(tmp_path / "map", CALIBRATION, SETTINGS)
     writer = MapWriter(folder, store)
@@ -115,10 +115,10 @@ def test_poses_that_move_all_the_time_do_not_fill_the_disk(tmp_path: Path, monke
         writer.update(answer(19))
     writer.close()
     (graph,) = (tmp_path / "map").glob("graph-*")
-    told = [
+    reported = [
         unpack_poses(bytes(held)) for record, held in read_journal(graph).records if record.kind == RecordKind.POSES
     ]
-    while_driving, (last, _) = told[:-1], told[-1]
+    while_driving, (last, _) = reported[:-1], reported[-1]
     assert 0 < sum(len(numbers) for numbers, _ in while_driving) <= 2 * 20
     assert all(7 in numbers for numbers, _ in while_driving)
     assert len(last) <= 20
@@ -175,7 +175,7 @@ def test_loops_are_kept_and_those_that_were_false_are_not(tmp_path: Path) -> Non
     assert [(one.first, one.second) for one in found.edges if not one.is_loop] == [(k, k + 1) for k in range(5)]
 
 
-def test_a_keyframe_that_could_not_be_made_is_told(tmp_path: Path) -> None:
+def test_a_keyframe_that_could_not_be_made_is_reported(tmp_path: Path) -> None:
     def fail():
         raise ValueError("no image")
 
@@ -190,7 +190,7 @@ def test_a_keyframe_that_could_not_be_made_is_told(tmp_path: Path) -> None:
     assert len(MapFolder.open(tmp_path / "map").store) == 1
 
 
-def test_on_a_full_disk_the_drive_goes_on_and_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_a_full_disk_the_drive_goes_on_and_it_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     FullDisk("keyframes-00001.journal", 2000).take_over(monkeypatch)
     store = KeyframeStore()
     writer = MapWriter(MapFolder.create(tmp_path / "map", CALIBRATION, SETTINGS), store, RECOGNITION)
@@ -206,7 +206,9 @@ def test_on_a_full_disk_the_drive_goes_on_and_it_is_told(tmp_path: Path, monkeyp
     assert len(found.recognizer(RECOGNITION)) == 3
 
 
-def test_whatever_goes_wrong_the_drive_goes_on_and_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_whatever_goes_wrong_the_drive_goes_on_and_it_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def fail(*_: object) -> None:
         raise ZeroDivisionError("nobody thought of this")
 
@@ -216,7 +218,7 @@ def test_whatever_goes_wrong_the_drive_goes_on_and_it_is_told(tmp_path: Path, mo
     drive(writer, store, 3)
     writer.close()
     writer.close()
-    assert writer.warnings == ("The map is not written any further: ZeroDivisionError: nobody thought of this.",)
+    assert writer.warnings == ("The map is not written any further: ZeroDivisionError: no one thought of this.",)
     MapFolder.open(tmp_path / "map", read_only=False).close()
 
 
@@ -248,18 +250,18 @@ def test_a_kill_at_any_moment_costs_the_last_seconds_alone(tmp_path: Path, seed:
     assert child.stdout is not None
     chosen = random.Random(seed)
     last = chosen.randrange(1, 40)
-    told = -1
+    reported = -1
     for line in child.stdout:
-        told = int(line)
-        if told >= last:
+        reported = int(line)
+        if reported >= last:
             break
     threading.Event().wait(chosen.uniform(0, 0.06))
     child.send_signal(signal.SIGKILL)
-    told = max([told, *(int(line) for line in child.stdout if line.endswith(b"\n"))])
+    reported = max([reported, *(int(line) for line in child.stdout if line.endswith(b"\n"))])
     child.wait()
     child.stdout.close()
     found = MapFolder.open(path, read_only=False)  # what the dead process held is free
-    assert told + 1 - len(found.store) <= 5 * KEYFRAMES_A_SECOND
+    assert reported + 1 - len(found.store) <= 5 * KEYFRAMES_A_SECOND
     assert found.contents.health.is_whole
     assert all(found.store[number].stamp_s == number % 8 for number in found.store)
     ends = [(one.first, one.second) for one in found.edges]

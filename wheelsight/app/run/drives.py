@@ -332,7 +332,7 @@ def near_floor_m(calibration: Calibration, config: Config) -> float:
 
 @contextmanager
 def localization_of(
-    make: Make, *arguments: Any, in_step: bool, tells_keyframes: bool = False
+    make: Make, *arguments: Any, in_step: bool, keeps_keyframes: bool = False
 ) -> Iterator[Localization]:
     """A localization, ready to answer in the block.
 
@@ -340,7 +340,7 @@ def localization_of(
         make: makes the localizer from the arguments and `waits`; see `LocalizerApart`.
         arguments: of `make`.
         in_step: whether it answers before the robot goes on.
-        tells_keyframes: see `LocalizerApart`.
+        keeps_keyframes: see `LocalizerApart`.
 
     Raises errors of `make`, and DeviceError if the localizer's process dies.
     """
@@ -348,7 +348,7 @@ def localization_of(
         with make(*arguments, waits=True) as answering:
             yield LocalizerInStep(answering)
         return
-    apart = LocalizerApart(make, *arguments, tells_keyframes=tells_keyframes)
+    apart = LocalizerApart(make, *arguments, keeps_keyframes=keeps_keyframes)
     with closing(LocalizerBeside(apart)) as beside:
         yield beside
 
@@ -474,7 +474,7 @@ def exploring(
     # The localization is closed last: others look at its keyframes.
     with (
         localization_of(
-            mapping_localizer, calibration, config, Path(path), in_step=in_step, tells_keyframes=True
+            mapping_localizer, calibration, config, Path(path), in_step=in_step, keeps_keyframes=True
         ) as localization,
         closing(worker) as growing,
         closing(planning_worker(in_step=in_step, takes_real_time=takes_real_time)) as planning,

@@ -30,7 +30,7 @@ SUMS = 66
 
 # What `how` holds, (10,) float32: gate in metres a metre of depth, scale of plane residuals, σ of grey, gain, offset,
 # Huber's limit, weight of grey (0: depth alone), σ of the colour camera's place in pixels, the slope of grey a pixel
-# below which it may be noise and tells nothing, and how much of a residual is taken for the frame's own noise.
+# below which it may be noise and shows nothing, and how much of a residual is taken for the frame's own noise.
 
 # So many pixels side by side are done at once, by buffers whose size the compiler knows.
 _STRETCH = 320
@@ -294,7 +294,7 @@ def offset(T: Any, T_held: Any) -> Any:
 def solve(total: Any, hold: Any, held: Any) -> Any:
     """-H⁻¹ b (6,) by Cholesky, with information `hold` (6, 6) that says to undo `held` (6,).
 
-    H is damped so slightly that only directions nobody saw feel it.
+    H is damped so slightly that only directions no one saw feel it.
     """
     H, k, trace = np.empty((6, 6)), 0, 0.0
     x = -total[21:27] - total[GREY_SUMS + 21 : GREY_SUMS + 27]
@@ -565,7 +565,7 @@ def _solve(sums: Any) -> Any:
 
 # Compiled inner loops of what frame and reference both show of a motion: products of the one's and the other's.
 #
-# A pixel tells a motion by its plane's normal and by its slope of grey. Both come with noise, which shows motions
+# A pixel shows a motion by its plane's normal and by its slope of grey. Both come with noise, which shows motions
 # that nothing shows; but the noise of two images is independent, so that in products of one's Jacobians with the
 # other's it averages out, as does what only one of both shows.
 
