@@ -170,10 +170,8 @@ def as_stamped(readings: Sequence[Reading], settings: StampSettings, rng: np.ran
     late_s = np.abs(settings.wheel_jitter_s * rng.standard_normal(len(taken_s)))
     is_held = rng.random(len(taken_s)) < settings.burst_share
     late_s += is_held * rng.uniform(0, settings.burst_s, len(taken_s))
-    reported_s = _growing(taken_s + late_s)
-    return tuple(
-        replace(reading, stamp_s=stamp_s) for reading, stamp_s in zip(readings, reported_s.tolist(), strict=True)
-    )
+    times_s = _growing(taken_s + late_s)
+    return tuple(replace(reading, stamp_s=stamp_s) for reading, stamp_s in zip(readings, times_s.tolist(), strict=True))
 
 
 def _growing(stamps_s: FloatArray) -> FloatArray:

@@ -328,7 +328,7 @@ def gather(hits: Any, boxes: Boxes, rays_world: Any, tile: Any, origin: Any, vie
 # Faces of a box meet at 90 degrees; a curved face turns by less from a pixel to the next, unless it is tiny.
 _SAME_FACE = 0.9
 # x and y from a pixel's middle, in pixels. With the ray through the middle there is one in each fifth of the width and
-# of the height: upright and level edges, of which rooms are full, are reported as finely as by a grid of 25.
+# of the height: upright and level edges, of which rooms are full, are found as finely as by a grid of 25.
 OFFSETS = np.array([[-0.4, 0.2], [-0.2, -0.4], [0.2, 0.4], [0.4, -0.2]])
 
 

@@ -13,6 +13,8 @@
 static uint16_t pinged;                        /* when the last ping began */
 static uint8_t is_triggered;
 static uint8_t was_high, has_risen, has_fallen; /* a bit for each ranger, since then */
+static uint8_t seen_levels;
+static uint16_t seen; /* when the pins were last looked at */
 static uint16_t rose[RANGERS], lasted[RANGERS];
 static struct nearby sent;
 
@@ -29,13 +31,10 @@ static void follow(uint8_t ranger, uint8_t is_high, uint16_t ticks)
         if (is_high && !(was_high & bit)) {
             has_risen |= bit;
             rose[ranger] = ticks;
-            lasted[ranger] = 0;
         }
-    } else if (!(has_fallen & bit)) {
-        if (is_high)
-            lasted[ranger] = ticks - rose[ranger];
-        else
-            has_fallen |= bit;
+    } else if (!(has_fallen & bit) && !is_high) {
+        has_fallen |= bit;
+        lasted[ranger] = seen - rose[ranger];
     }
 }
 
@@ -58,8 +57,10 @@ void nearby_watch(uint16_t ticks)
         is_triggered = 0;
         nearby_trigger(0);
     }
-    for (uint8_t i = 0; i < RANGERS; i++)
+    for (uint8_t i = 0; levels != seen_levels && i < RANGERS; i++)
         follow(i, levels >> i & 1, ticks);
+    seen_levels = levels;
+    seen = ticks;
     if (since >= PING_TICKS) {
         for (uint8_t i = 0; i < RANGERS; i++)
             sent.echo_us[i] = echo_us(i);

@@ -80,7 +80,7 @@ def test_nothing_is_said_until_a_program_opens_the_port(board: Stm32, host: UsbH
     first, *others = heard(board, host, decoder, 0.2)
     assert isinstance(first, Counts)
     assert first.clock_us > 300_000  # nothing from before
-    assert len(others) == pytest.approx(9, abs=2)
+    assert len([message for message in others if isinstance(message, Counts)]) == pytest.approx(9, abs=2)
     host.open_port(False)
     host.read()
     assert heard(board, host, decoder, 0.2) == []

@@ -197,7 +197,7 @@ SOUND = {"kind": "speed", "polygon": SQUARE.tolist(), "limit_m_s": 0.5}
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
-        ({"kind": "slow"}, "kind is 'slow' (one of keep_out, speed, wiped, area)"),
+        ({"kind": "slow"}, "kind is 'slow' (one of keep_out, speed, wiped, area, floor)"),
         ({"limit_m_s": None}, "limit_m_s is None of speed (speed zones have a limit"),
         ({"limit_m_s": -1}, "limit_m_s is -1 (metres a second, over 0"),
         ({"limit_m_s": "fast"}, "limit_m_s is 'fast'"),
@@ -233,8 +233,8 @@ def test_an_edit_that_is_wrong_is_named(tmp_path: Path, change: dict[str, Any], 
         ("{", "is no JSON"),
         ("[]", "is not of format 'wheelsight-map-edits'"),
         (
-            '{"format": "wheelsight-map-edits", "version": 3, "edits": []}',
-            "its version is 3, and this wheelsight reads 2",
+            '{"format": "wheelsight-map-edits", "version": 4, "edits": []}',
+            "its version is 4, and this wheelsight reads 3",
         ),
         ('{"format": "wheelsight-map-edits", "version": true, "edits": []}', "its version is True"),
         ('{"format": "wheelsight-map-edits", "version": 1}', "its edits are no list"),

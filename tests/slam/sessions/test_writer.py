@@ -210,7 +210,7 @@ def test_whatever_goes_wrong_the_drive_goes_on_and_it_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
-        raise ZeroDivisionError("nobody thought of this")
+        raise ZeroDivisionError("no one thought of this")
 
     monkeypatch.setattr("wheelsight.slam.maps.folder.pack_place", fail)
     store = KeyframeStore()
