@@ -12,7 +12,7 @@
 #define AWAY_MS 100 /* for a host to notice that the board has begun anew */
 
 /* Powers of two, so that an index wraps by a mask. One place stays free, which tells full from empty. */
-#define OUT_SIZE 512u
+#define OUT_SIZE 1024u
 #define IN_SIZE 256u
 
 enum {
