@@ -18,9 +18,9 @@ Duties = tuple[float, float]
 
 # Share of a tick within which the edges of a wheel come, so that the last one does not fall into the next tick.
 _WITHIN = 0.98
-# A step of `Stm32`, longer than in tests, so that a simulated second takes less than one of a slow core. A round of the
-# program's main loop then takes about 0.2 ms.
-_STM32_SLICE_S = 160e-6
+# A step of `Stm32`, longer than in tests, so that a simulated second takes about one of a slow core. Beyond 0.1 ms the
+# program's main loop is so slow that counts come late: 3 of 290 at 0.16 ms.
+_STM32_SLICE_S = 100e-6
 _POWER_UP_S = 0.1
 
 

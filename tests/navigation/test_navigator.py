@@ -161,7 +161,8 @@ def test_behind_a_shut_door_it_says_that_no_way_leads_there() -> None:
 
 
 def test_a_door_that_the_map_has_open_and_somebody_shut_is_found_shut() -> None:
-    subject = ride(SHUT, mapped=DIVIDED, settings=HASTY)
+    impatient = HASTY.navigator.model_copy(update={"patience_s": 10.0})
+    subject = ride(SHUT, mapped=DIVIDED, settings=HASTY.model_copy(update={"navigator": impatient}))
     subject.navigator.go_to_pose(GOAL)
     subject.go(60)
     result = not_none(subject.navigator.result)

@@ -116,7 +116,7 @@ class SnapshotMaker:
             "status": status_words(feedback),
             "monitor": monitor_words(feedback),
             "held": "" if feedback.monitor is None or feedback.monitor.reason is None else monitor_words(feedback),
-            "pace": "" if pace is TimeCause.FULL_SPEED else str(pace),
+            "pace": "" if pace in (TimeCause.FULL_SPEED, TimeCause.GAINS_SPEED) else str(pace),
             "wheels_off": feedback.has_wheel_fault,
             "stays": None if feedback.stays_at is None else [round(float(at), 2) for at in feedback.stays_at],
             "speed_m_s": round(feedback.forward_m_s, 2),
