@@ -112,7 +112,7 @@ def test_back_returns_to_where_the_drive_began(
     begin = robot.pose.copy()
     result = wheelsight(*words, "--to", goal, "--back", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    there, back = result.stdout.splitlines()
+    there, back, _spent = result.stdout.splitlines()
     assert there.startswith("arrived at (")
     assert back.startswith("arrived at the start: ")
     assert drive.start is not None

@@ -9,7 +9,7 @@ import pytest
 from narrowing import not_none
 from navigation.rooms import Ride, is_near
 
-from benchmarks.plain_rooms import Walls, walls_about
+from benchmarks.plain_rooms import DepthEye, Walls, walls_about
 from wheelsight.app.run.drive_record import monitor_words
 from wheelsight.core.calibration import Calibration
 from wheelsight.core.calibration_parts import DepthNoise
@@ -161,8 +161,8 @@ def ride_before_a_ghost(monkeypatch: pytest.MonkeyPatch) -> Ride:
     ride.robot.walls = Walls.of(*OPEN)
     sees = ride.robot.walls.depth_m
 
-    def blind_beyond(T_map_camera: np.ndarray) -> np.ndarray:
-        depth = sees(T_map_camera)
+    def blind_beyond(T_map_camera: np.ndarray, eye: DepthEye) -> np.ndarray:
+        depth = sees(T_map_camera, eye)
         return np.where(depth < 4.1 - T_map_camera[0, 3], depth, 0.0)
 
     monkeypatch.setattr(ride.robot.walls, "depth_m", blind_beyond)
