@@ -53,7 +53,7 @@ NOT_RUN = {
     "rerun ": "opens a window; tests/viewer reads the files",
     "wheelsight wheels ": "needs a wheel controller; tests/cli/test_wheels.py",
     "wheelsight devices": "shows this machine; tests/cli/test_devices.py",
-    "wheelsight calibrate robot robot.yaml --from ": "needs the map of a drive; tests/calibration/test_self_calibration.py",
+    "wheelsight calibrate robot robot.yaml --from ": "needs a map; tests/calibration/test_self_calibration.py",
     "wheelsight batch RECORDING": "of whole recordings; docs/batch.md's is of short ones",
     "wheelsight record ": "needs a wheel controller or a camera; tests/cli/test_record.py, test_record_camera.py",
     "wheelsight run --live ": "needs a camera or a wheel controller; tests/cli/test_run_live.py",
