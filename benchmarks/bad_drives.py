@@ -216,7 +216,7 @@ def _driven(
 
 
 def _hidden_share(recording: SimulatedRecording, people: Passersby, stamp_s: float) -> float:
-    """Share of the view's width behind anyone who hides most of it."""
+    """Share of the view's width behind a person who hides most of it."""
     camera = camera_model(recording.settings.camera, recording.settings.size).camera
     T_camera_odom = se3.invert(recording.renderer.carriage.T_world_camera(stamp_s)[0])
     shares = [0.0]

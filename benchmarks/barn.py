@@ -59,7 +59,7 @@ NEWER, SLOWEST = 2.0, 8.0
 _TITLE = "Fields of the BARN challenge"
 _PUBLISHED = (
     ("DWA on a Jackal with a lidar (published: the challenge's README)", "500", "88.0 %", "4.8 %", "0.169", "—", "34"),
-    ("best of 2026 in simulation, likewise (published: its report)", "500", "—", "—", "0.498", "—", "—"),
+    ("best of 2026 in simulation, with a lidar (published: its report)", "500", "—", "—", "0.498", "—", "—"),
 )
 _HEADER = ("robot", "fields", "crossed", "touched", "score", "by own speed", "s")
 # Share of the top speed from which on a robot counts as fast; and speeds below which it stands, or turns in place.

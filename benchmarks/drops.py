@@ -8,7 +8,7 @@ and a frame arrives 0.1 s after its stamp. Half of the chairs have it level (the
 half look down by 0.4 rad.
 
 "Past the edge" is how far the deepest point of the outline lies within the place, by the truth. For carpet, mat and wet
-floor it is the same: a camera cannot tell them from a hole.
+floor it is the same: a camera cannot distinguish them from a hole.
 """
 
 from __future__ import annotations

@@ -81,7 +81,7 @@ class Followed:
 
 
 class PlayedSensors:
-    """A camera and a wheel controller at once, of a recording that begins when they are reported to.
+    """A camera and a wheel controller at once, of a recording that begins on command.
 
     Before that the camera shows the first frame again and again, as of a robot that stands, and the wheels say nothing.
     """

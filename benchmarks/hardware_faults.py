@@ -81,7 +81,7 @@ def run_fault(hardware: str, kind: FaultKind, seed: int, drive: DriveModel | Non
                     watch.said = error.problem
             # A motor that runs on is led down to a stop, so that the control meets it.
             command = STOP if is_stopped and kind == "motor runs on" else VelocityCommand(speed_m_s)
-            watch.hear(robot.step(command))
+            watch.add(robot.step(command))
     neutral_m = watch.neutral_m
     return HardwareRun(
         kind, watch.speed_m_s, neutral_m, watch.stands_m, watch.unread_m if kind in _READABLE else neutral_m, watch.said
@@ -96,7 +96,7 @@ class _Watch:
         self._at, self._way_m, self._read_m = robot.T_world_base[:2, 3], 0.0, 0.0
         self.speed_m_s, self.neutral_m, self.stands_m, self.unread_m, self.said = 0.0, math.inf, math.inf, 0.0, ""
 
-    def hear(self, events: Sequence[object]) -> None:
+    def add(self, events: Sequence[object]) -> None:
         """Take the events of a period."""
         if any(isinstance(event, WheelTicks) for event in events):
             self._read_m = self._way_m

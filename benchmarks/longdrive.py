@@ -55,7 +55,7 @@ def drive(recording: SimulatedRecording, surfels: KnownSurfels) -> tuple[Passage
     """Predict and fuse each frame where it truly was; how long it took to prepare frames, and to do that.
 
     Processor time of all threads together, since a drive takes long and other programs hardly change it; but machines
-    get slower when they are warm, or their memory is full, and preparing a frame, of which the map is no part, shows.
+    get slower when they are warm or their memory is full. The time to prepare a frame, without the map, shows that.
     """
     poses = TruePoses(recording)
     stamps_s: list[float] = []

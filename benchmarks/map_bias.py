@@ -1,8 +1,8 @@
 """`python -m benchmarks.map_bias`: whether surfaces of a map lie too near or too far, though it is fed with true poses.
 
-Noise is averaged out; what is left draws along, frame by frame, a camera tracked in the map. Depth of frames and of
-what the map shows from the true pose, less the true depth, in the mean over a simulated drive, by how far off surfaces
-are. Pixels whose neighbours are of another surface, by the true depth, do not count.
+Noise is averaged out; the rest moves a camera that is tracked in the map a little with each frame. The tables have the
+mean depth of frames and of the map from the true pose, less the true depth, by the distance of the surface. Pixels
+whose neighbours are of another surface, by the true depth, do not count.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ def _watch(port: int, seconds: float) -> tuple[int, int]:
 
 
 def _until(socket: ClientConnection, what: Callable[[dict[str, Any]], bool], longest_s: float) -> dict[str, Any]:
-    """What is reported the robot once something is so. Raises TimeoutError."""
+    """Return what the page reports of the robot once a condition holds. Raises TimeoutError."""
     ends_s, alive_s = time.monotonic() + longest_s, 0.0
     while time.monotonic() < ends_s:
         reported = json.loads(socket.recv(timeout=_WAIT_S))

@@ -150,7 +150,7 @@ UNITS = {"milliseconds": (1e3, "1e3"), "microseconds": (1e6, "1e6"), "nanosecond
 @pytest.mark.parametrize("start_s", [100.0, 1.76e9])
 @pytest.mark.parametrize("way_in", FRAMES_GO_IN)
 def test_frames_stamped_in_other_units_are_refused(begin: Begin, way_in: str, start_s: float, unit: str) -> None:
-    """What is longer ago than 150 years at the first frame, others once four have reported how far they step."""
+    """Stamps over 150 years old are refused at the first frame, others once four frames show their step."""
     per_second, divisor = UNITS[unit]
     process, unsaid = begin(way_in), 0 if start_s * per_second > 5e9 else 3
     reported = (

@@ -46,7 +46,7 @@ class Board(Protocol):
         """
 
     def reset(self) -> None:
-        """Reset the chip: its program begins anew."""
+        """Reset the chip: its program begins again."""
 
     def hang(self) -> None:
         """Let the chip's program stand still; its watchdog remains."""

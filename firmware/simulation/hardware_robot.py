@@ -89,7 +89,7 @@ class SimulatedLine:
         return len(self._to_host)
 
     def read(self, count: int) -> bytes:
-        """Up to so many bytes; none if none are there."""
+        """Return up to `count` bytes; none if none are there."""
         taken = bytes(self._to_host[:count])
         del self._to_host[:count]
         return taken

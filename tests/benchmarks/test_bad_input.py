@@ -45,7 +45,7 @@ def events() -> list[Event]:
 
 
 class Tracker:
-    """Knows the truth from its own start, but for what it is reported to get wrong."""
+    """Knows the truth from its own start, but for the errors that it is given."""
 
     def __init__(
         self,

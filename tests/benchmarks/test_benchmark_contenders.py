@@ -15,7 +15,7 @@ from wheelsight.core.messages import RgbdFrame
 CAMERA = PinholeCamera(640, 480, 524.0, 520.0, 322.6, 236.8)
 REGISTERED = Calibration.registered_camera(CAMERA)
 COLOR_CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 316.0, 242.0)
-# Rolled by half a radian, so that a motion reported the wrong camera is off by half of it.
+# Rolled by half a radian, so that a motion of the wrong camera is off by half of it.
 T_COLOR_DEPTH = se3.from_parts(so3.exp(np.array([0.0, 0.0, 0.5])), np.array([-0.025, 0.0, 0.002]))
 TRUTH = wobbling_trajectory(4)
 # Voxels of 20 mm tell nothing of ways as short as this; they go through the same code.

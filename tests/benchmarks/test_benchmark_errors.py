@@ -1,4 +1,4 @@
-"""What anyone who calls a benchmark can mend is reported in one line; what is the program's fault keeps its trace."""
+"""Errors that the caller of a benchmark can correct are one line; those of the program keep their trace."""
 
 from __future__ import annotations
 

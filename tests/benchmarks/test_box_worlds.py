@@ -1,4 +1,4 @@
-"""Boxes stand where they are reported to, in a hall and in a world that was made without them."""
+"""Boxes stand where they are placed, in a hall and in a world that was made without them."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ def leap(by_s: float, at_s: float = 2.0, sensors: Sensors = "both", **how: Any) 
 def test_what_is_right_is_right_whatever_the_stamps_say(monkeypatch: pytest.MonkeyPatch, row: Row) -> None:
     figures = measured(monkeypatch, row)
     assert [e.posed for e in figures.errors.values()] == [1.0] * 3
-    # The camera alone is reported no readings, so Knows stands still there.
+    # The camera alone gets no readings, so Knows stands still there.
     assert figures.errors[JOINED].rmse_m < 1e-6 > figures.errors[WHEELS].rmse_m
     assert figures.errors[CAMERA].rmse_m > 0.5
 

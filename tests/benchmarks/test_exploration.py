@@ -50,7 +50,7 @@ def test_it_comes_through_what_it_fits_through(gap_m: float, is_passed: bool) ->
     row, column = plan.cells_at(np.array([6.0, 2.0])).tolist()
     assert bool(reached[row, column]) is is_passed
     assert (covered_m2(plan) > 30.0) is is_passed
-    # For anyone who is no wheelchair all of it is open floor.
+    # For any robot but a wheelchair all of it is open floor.
     assert plan.open_floor(START)[row, column]
 
 

@@ -197,7 +197,7 @@ def test_all_four_answer_and_the_paper_goes_by_the_camera_reported() -> None:
     (found,) = measure_joined([ORDINARY], seeds=[2], duration_s=3.0, odometry="features")
     assert isinstance(found, JoinedFigures)
     assert set(found.accuracy) == {WHEELS, CAMERA, PAPER, JOINED}
-    # Were the paper's filter reported no camera, it would have no pose.
+    # Without a camera the paper's filter would have no pose.
     assert all(accuracy.rmse_m < 0.1 for accuracy in found.accuracy.values())
 
 

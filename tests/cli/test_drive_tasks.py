@@ -1,4 +1,4 @@
-"""`wheelsight drive`: along a way of before, and back to the start; the robot is drawn, and reported where it is."""
+"""`wheelsight drive`: along an earlier way, and back to the start; the robot is drawn, and knows where it is."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from wheelsight.io.devices.wire_formats import Ack, Counts, FrameDecoder, LinkCo
 
 @pytest.fixture
 def paper_chip(chip: Chip) -> Chip:
-    """A chip reported to use the paper's format; its answer, the last frame, has been read."""
+    """A chip that was commanded to use the paper's format; its answer, the last frame, has been read."""
     chip.command(LinkCommand.SET_FORMAT, b"\1")
     chip.run(0.005)
     answer = chip.messages()[-1]

@@ -78,7 +78,7 @@ def test_covariance_is_that_of_scattered_readings(rng, monkeypatch):
 
 
 def test_steps_of_the_wheels_are_turned_into_the_joined_frame():
-    """A heading of the wheels that is wrong by 90° only matters as long as vision has not reported it."""
+    """A heading of the wheels that is wrong by 90° only matters until vision corrects it."""
     fusion = LigockiFilter(LigockiSettings(weight=0.5))
     fusion.update(0.0, np.eye(4), np.eye(4))
     for k in range(60):

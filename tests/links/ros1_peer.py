@@ -1,5 +1,5 @@
-"""A node of ROS 1 by rospy, which Debian's Python runs: `ros1_peer.py hear SECONDS` prints poses of /odom and cells of
-/map as JSON; `ros1_peer.py drive SECONDS` publishes /odom of a circle at 50 Hz.
+"""A node of ROS 1 by rospy, which Debian's Python runs: `ros1_peer.py listen SECONDS` prints poses of /odom and cells
+of /map as JSON; `ros1_peer.py drive SECONDS` publishes /odom of a circle at 50 Hz.
 """
 
 # mypy: ignore-errors
@@ -18,7 +18,7 @@ from tf2_msgs.msg import TFMessage
 SPEED_M_S, TURN_RAD_S = 0.4, 0.5
 
 
-def hear(seconds: float) -> None:
+def listen(seconds: float) -> None:
     found, lock = {"odom": [], "map": [], "tf": []}, threading.Lock()
 
     def note(name, value):
@@ -58,4 +58,4 @@ def drive(seconds: float) -> None:
 
 if __name__ == "__main__":
     rospy.init_node("peer", anonymous=True, disable_signals=True)
-    {"hear": hear, "drive": drive}[sys.argv[1]](float(sys.argv[2]))
+    {"listen": listen, "drive": drive}[sys.argv[1]](float(sys.argv[2]))

@@ -107,7 +107,7 @@ def test_rosbag_reads_each_bag_that_is_written(ros1: dict[str, str], bags: dict[
 
 @pytest.mark.slow
 def test_rosbag_plays_a_run_to_a_subscriber(master: dict[str, str], bags: dict[str, Path]) -> None:
-    subscriber = subprocess.Popen([PYTHON, str(PEER), "hear", "12"], env=master, stdout=subprocess.PIPE, text=True)
+    subscriber = subprocess.Popen([PYTHON, str(PEER), "listen", "12"], env=master, stdout=subprocess.PIPE, text=True)
     assert subscriber.stdout is not None
     try:
         assert subscriber.stdout.readline() == "ready\n"
@@ -119,10 +119,10 @@ def test_rosbag_plays_a_run_to_a_subscriber(master: dict[str, str], bags: dict[s
         subscriber.kill()
         subscriber.wait()
         subscriber.stdout.close()
-    heard = {row[0]: row for row in found["odom"]}
+    received = {row[0]: row for row in found["odom"]}
     recorded = odometry_of(bags["run"])
-    assert len(heard) > 0.9 * len(recorded)
-    for stamp_s, x, y, frame, child in heard.values():
+    assert len(received) > 0.9 * len(recorded)
+    for stamp_s, x, y, frame, child in received.values():
         at = np.argmin(np.abs(recorded[:, 0] - stamp_s))
         assert (stamp_s, x, y) == pytest.approx(tuple(recorded[at]), abs=1e-6)
         assert (frame, child) == ("odom", "base_link")

@@ -58,7 +58,7 @@ class Sight:
 
 
 class Eye:
-    """Camera odometry by keyframes that is reported the truth, T_odom_base, and what each stamp's frame shows.
+    """Camera odometry by keyframes that knows the truth, T_odom_base, and what each stamp's frame shows.
 
     Attributes:
         taken_s: when frames were taken, by their index, where their stamps do not tell it.
@@ -205,7 +205,7 @@ class Drive:
         return given
 
     def eye(self) -> Eye:
-        """What sees it; faults are reported by seconds since the begin."""
+        """What sees it; faults are given by seconds since the begin."""
         return Eye(self.truth, lambda stamp_s: self.faults(stamp_s - self.begin_s))
 
 

@@ -45,7 +45,7 @@ def compared(
 
 
 def wheels_with(left: float, right: float, *, swaps: bool = False) -> Callable[[float, float], Piece]:
-    """Way and turn that are reported where the true ones are given and each wheel counts a factor more."""
+    """Way and turn by the wheels where the true ones are given and each wheel counts a factor more."""
 
     def reported(way: float, turn: float) -> Piece:
         half = WHEELS.track_width_m / 2

@@ -1,4 +1,4 @@
-"""Joined runs whose calibration or inputs are wrong: reported by a warning, and answered by who is right."""
+"""Joined runs whose calibration or inputs are wrong: a warning says so, and the right sensor answers."""
 
 from __future__ import annotations
 

@@ -245,7 +245,7 @@ def test_wheels_that_spin_are_reported_and_the_camera_leads(ran: Callable[..., R
 
 
 def test_while_wheels_slip_the_camera_is_reported_that_it_goes_on_as_it_went(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And reported what the wheels say second; both only until these are believed again."""
+    """And with the motion by the wheels second; both only until these are used again."""
     made = spinning(drive(), 2.0, 3.5, 0.6)
     eye = made.eye()
     subject, _ = joined(monkeypatch, eye)

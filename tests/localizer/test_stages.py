@@ -40,7 +40,7 @@ def test_stages_of_a_frame_sum_up_to_the_whole(way: str, tmp_path: Path) -> None
 
 
 class Clock:
-    """Time that passes when it is reported to: the thread works for half of it."""
+    """Time that passes on command: the thread works for half of it."""
 
     def __init__(self) -> None:
         self.now_s = 100.0

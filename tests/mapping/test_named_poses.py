@@ -1,4 +1,4 @@
-"""Names of poses: kept, found, reported where they are missing, and moved with their keyframes."""
+"""Names of poses: kept, found, refused where they are missing, and moved with their keyframes."""
 
 from __future__ import annotations
 

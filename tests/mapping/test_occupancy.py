@@ -162,7 +162,7 @@ def test_what_was_taken_away_is_gone_after_some_looks() -> None:
 
 @cache
 def about_the_room() -> OccupancyMapper:
-    """Whose keyframes anyone who takes it may move."""
+    """Its keyframes may be moved by the test that takes it."""
     return mapped(turning(8))
 
 

@@ -1,4 +1,4 @@
-"""Which way is up, reported by surfels."""
+"""Which way is up, by surfels."""
 
 from __future__ import annotations
 

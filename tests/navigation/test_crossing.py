@@ -1,4 +1,4 @@
-"""A person crosses a robot's way: reported where he walks, it arrives sooner and keeps away from him."""
+"""A person crosses a robot's way: a robot that knows where he walks arrives sooner and keeps away from him."""
 
 from __future__ import annotations
 

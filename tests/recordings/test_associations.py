@@ -1,4 +1,4 @@
-"""Ready lists of pairs: which image of two is depth is reported by names, else by the images, else refused."""
+"""Ready lists of pairs: names show which image of two is depth, else the images do, else they are refused."""
 
 from __future__ import annotations
 

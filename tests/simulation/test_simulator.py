@@ -207,7 +207,7 @@ def test_driven_into_a_wall_it_stops_and_says_so() -> None:
     assert simulator.clearance_m() < 0.01
     assert "is blocked" in simulator.stop_reason
     T_there = simulator.T_world_base
-    run(simulator, VelocityCommand(-0.2), 2.0)  # not before it was reported to stand
+    run(simulator, VelocityCommand(-0.2), 2.0)  # not before it was commanded to stand
     assert abs(moved(T_there, simulator.T_world_base)[0]) < 0.01
     run(simulator, STOP, 0.5)
     assert simulator.stop_reason == ""

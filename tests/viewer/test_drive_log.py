@@ -40,7 +40,7 @@ def test_the_robot_is_in_the_map_where_the_drive_has_it(driven: tuple[Shown, lis
     start_s = shown.rows["/__properties/recording"]["start_s"][0][0]
     known = [feedback for feedback in reported if feedback.pose is not None]
     np.testing.assert_allclose(shown.times_s("/map/odom/robot") + start_s, [one.stamp_s for one in known], atol=1e-6)
-    # What the map's walls say of where odom lies is reported when it changes, before the robot's pose of that time.
+    # The pose of odom by the map's walls is logged when it changes, before the robot's pose of that time.
     reported_s, at_s = shown.times_s("/map/odom"), shown.times_s("/map/odom/robot")
     T_map_odom = shown.transforms("/map/odom")[np.searchsorted(reported_s, at_s, side="right") - 1]
     T = T_map_odom @ shown.transforms("/map/odom/robot")

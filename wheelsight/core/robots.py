@@ -71,6 +71,11 @@ class Robot(Protocol):
     ) -> None: ...
 
 
+def nearby_of(robot: Robot) -> NearbyReading | None:
+    """Return the last reading of a robot's bumpers and rangers, its attribute `nearby`; None for a robot without."""
+    return getattr(robot, "nearby", None)
+
+
 @runtime_checkable
 class EventSource(Protocol):
     """Events in order of time, with the calibration of their sensors.
@@ -161,7 +166,7 @@ class WatchedRobot:
     @property
     def nearby(self) -> NearbyReading | None:
         """The last reading of bumpers and rangers of a robot that has them; None else."""
-        return getattr(self._robot, "nearby", None)
+        return nearby_of(self._robot)
 
     @property
     def stop_reason(self) -> str:

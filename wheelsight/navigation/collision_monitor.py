@@ -739,7 +739,7 @@ class FloorMemory:
 
     def _echoes_at(self, pose: Pose, reach_m: float) -> FloatArray:
         """Return the echoes (N, 2) within reach, in the frame of a pose, but those deep under the robot."""
-        apart = (self._echoes[:, :2] - pose[:2]) @ np.array([[pose[2], -pose[3]], [pose[3], pose[2]]])
+        apart = in_frame(self._echoes[:, :2], pose)
         is_clear = all_outside_m(self._outline.sides, apart) > -_INSIDE_M
         return np.asarray(apart[(np.hypot(*apart.T) < reach_m) & is_clear])
 
@@ -750,10 +750,9 @@ class FloorMemory:
         stands, an obstacle stays. Remembered obstacles under the robot are removed.
         """
         old = self._all_remembered(pose, now_s, reach_m)
-        apart = self._newest - np.array(pose[:2])
-        apart = apart[np.hypot(*apart.T) < reach_m]
-        apart = apart @ np.array([[pose[2], -pose[3]], [pose[3], pose[2]]])
-        return np.ascontiguousarray(np.concatenate([apart, old[:, :2], self._echoes_at(pose, reach_m)]))
+        newest = in_frame(self._newest, pose)
+        newest = newest[np.hypot(*newest.T) < reach_m]
+        return np.ascontiguousarray(np.concatenate([newest, old[:, :2], self._echoes_at(pose, reach_m)]))
 
     def remembered(self, reach_m: float) -> FloatArray:
         """Return remembered obstacles (N, 2) in the current base: within reach those that the newest frame lacks.
@@ -791,10 +790,8 @@ class FloorMemory:
             deep, first = self._hidden_within(reach_m + deep_m)
         else:
             self._hidden = deep, first = self._hidden or self._hidden_within(_WINDOW_M / 2)
-        x, y, c, s = last.pose
-        away = (np.argwhere(deep > deep_m) + first + 0.5) * _CELL_M - (x, y)
-        away = away[np.hypot(*away.T) < reach_m]
-        return np.asarray(away @ np.array([[c, -s], [s, c]]))
+        away = in_frame(np.asarray((np.argwhere(deep > deep_m) + first + 0.5) * _CELL_M, float), last.pose)
+        return np.asarray(away[np.hypot(*away.T) < reach_m])
 
     def _hidden_within(self, reach_m: float) -> tuple[Float32Array, tuple[int, int]]:
         """Return (m, m), the depth in metres into unseen floor, 0 where it was seen, and i and j of the first cell."""
@@ -827,6 +824,12 @@ def _placed(points: FloatArray, pose: Pose) -> FloatArray:
     """Return points (N, 2) of the frame of a pose, in the plane."""
     x, y, c, s = pose
     return np.asarray(points @ np.array([[c, s], [-s, c]]) + np.array([x, y]))
+
+
+def in_frame(points: FloatArray, pose: Pose) -> FloatArray:
+    """Return points (N, 2) of the plane in the frame of a pose."""
+    x, y, c, s = pose
+    return np.asarray((points - np.array([x, y])) @ np.array([[c, -s], [s, c]]))
 
 
 class VelocityRamp:

@@ -23,7 +23,7 @@ from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.geometry.se2 import wrap_angle
 from wheelsight.core.messages import STOP, VelocityCommand
-from wheelsight.core.robots import STOPPED, Localization, Robot
+from wheelsight.core.robots import STOPPED, Localization, Robot, nearby_of
 from wheelsight.core.threads import OneCaller, Worker, one_at_a_time
 from wheelsight.navigation.behaviours import (
     Behaviour,
@@ -367,7 +367,7 @@ class Navigator(OneCaller):
         now_s, before_s = self._robot.now_s, self._stepped_s
         self._stepped_s, most_s = now_s, self.settings.navigator.held_s
         silent = None
-        self.monitor.add_nearby(getattr(self._robot, "nearby", None))
+        self.monitor.add_nearby(nearby_of(self._robot))
         try:
             self.senses.update(events, now_s)
         except WheelsightError as error:
@@ -566,9 +566,8 @@ class Navigator(OneCaller):
     def _passes_goal(self, task: NavigationTask, plan: Plan, now_s: float) -> bool:
         """Drive on past a goal that needs no stop while the next plan is computed; return whether the robot does."""
         state = self.senses.where.state
-        if task.goals.is_asked_for or self._planner.is_busy or state is None or to_go_m(plan, state.pose) < _PASSING_M:
-            return False
-        if not self._planner.is_free(plan, ONWARD_M):
+        is_short = state is None or to_go_m(plan, state.pose) < _PASSING_M
+        if task.goals.is_asked_for or is_short or self._planner.is_busy or not self._planner.is_free(plan, ONWARD_M):
             return False
         task.goals.reached()
         task.restart_progress()
@@ -740,8 +739,7 @@ class NavigationTask:
         self.is_lost = self.awaits_way = self.is_refused = False
         self.tries = self.skips = self.searches = 0
         self._tried_s = now_s
-        self._has_awaited_way = False
-        self.may_clear = False
+        self._has_awaited_way = self.may_clear = False
         self._why_lost = ""
         self.known_s = now_s
         # Progress: where and when the robot last made some, and where it is.

@@ -94,11 +94,8 @@ class PlannerClient:
         """Whether a plan is being computed, even if it was dropped. Its goals must not change until then."""
         return self._worker.is_busy
 
-    def ask(self, goals: Goals, now_s: float, last: Plan | None = None) -> None:
-        """Request a plan from the current pose, which must be known. It replaces an earlier request.
-
-        A last plan to the same goal, which the robot drives, is repaired where that is possible.
-        """
+    def ask(self, goals: Goals, now_s: float) -> None:
+        """Request a plan from the current pose, which must be known. It replaces an earlier request."""
         where = self._senses.where
         assert where.state is not None
         pose, floor = where.state.pose, self._senses.floor_now()
@@ -109,7 +106,7 @@ class PlannerClient:
             ahead = goals.upcoming(pose, costmap)
             if not ahead:
                 return PlanningResult(None, floor.T_map_odom)
-            made, is_blind = self._planner.plan(costmap, floor.costmap, hidden, pose, ahead, last)
+            made, is_blind = self._planner.plan(costmap, floor.costmap, hidden, pose, ahead)
             found = self._judged(made, costmap, floor, pose, ahead[-1])
             if isinstance(found, Plan) and found.goal_change and len(ahead) == 1 and self._senses.floor.is_fixed:
                 mapped = Costmap.of(floor.layer, floor.footprint, floor.settings)
@@ -239,21 +236,16 @@ class CautiousPlanner:
         hidden: FloatArray,
         pose: FloatArray,
         goals: Sequence[FloatArray],
-        last: Plan | None = None,
     ) -> tuple[Plan | PlanFailure, bool]:
         """Return a plan from a pose (3,) through goals, or the failure.
 
         Args:
             avoiding: returns the same costmap with more obstacles at (N, 2).
             hidden: (M, 3) unseen floor as in `FloorNow`; empty if it does not matter.
-            last: a plan that is repaired if it leads to the only goal.
 
         Returns:
             It, and whether it crosses floor near the robot that no camera will have seen by then, as none avoids it.
         """
-        repaired = None if last is None else self.route.repaired(costmap, last, pose, goals)
-        if repaired is not None and self.blind_at(costmap, hidden, repaired, pose, LOCAL_M / 2) is None:
-            return repaired, False
         found = plain = self.route.plan(costmap, pose, goals)
         if isinstance(plain, PlanFailure):
             return plain, False
@@ -315,11 +307,6 @@ class RoutePlanner:
             cost=sum(plan.cost for plan in plans),
             states=sum(plan.states for plan in plans),
         )
-
-    def repaired(self, costmap: Costmap, last: Plan, start: FloatArray, goals: Sequence[FloatArray]) -> Plan | None:
-        """Return a plan from a pose (3,) that leads on along another one to the only goal; None if there is none."""
-        is_same = len(goals) == 1 and np.allclose(last.goal, np.where(np.isnan(goals[0]), last.goal, goals[0]))
-        return self.planner.repaired(costmap, last, start) if is_same and self._path_planner is self.planner else None
 
     def why_in_wall(self, costmap: Costmap, goal: FloatArray) -> PlanFailure | None:
         """Return the failure `GOAL_IN_WALL` for a goal (2,) or (3,) in an obstacle of a map, thin or thick."""

@@ -17,7 +17,7 @@ from wheelsight.core.errors import ArgumentError
 from wheelsight.core.estimates import Status
 from wheelsight.core.geometry import FloatArray
 from wheelsight.core.messages import STOP, StickPosition, VelocityCommand
-from wheelsight.core.robots import CONTROL_PERIOD_S, Robot, RobotLimits
+from wheelsight.core.robots import CONTROL_PERIOD_S, Robot, RobotLimits, nearby_of
 from wheelsight.core.threads import OneCaller, one_at_a_time
 from wheelsight.navigation.clearance_kernels import can_pass, clear_share, moved
 from wheelsight.navigation.collision_monitor import (
@@ -25,6 +25,7 @@ from wheelsight.navigation.collision_monitor import (
     ControlChain,
     MonitorResult,
     MonitorState,
+    in_frame,
 )
 from wheelsight.navigation.perception import DepthViewer
 from wheelsight.navigation.senses import WhereNow, watch_floor
@@ -270,8 +271,7 @@ class SharedControl:
 
 def _seen_from(points: FloatArray, arc: tuple[float, float]) -> FloatArray:
     """Points (N, 2) from the end of an arc."""
-    x, y, c, s = moved((0.0, 0.0, 1.0, 0.0), *arc)
-    return np.ascontiguousarray((points - (x, y)) @ np.array([[c, -s], [s, c]]))
+    return np.ascontiguousarray(in_frame(points, moved((0.0, 0.0, 1.0, 0.0), *arc)))
 
 
 class Assist(OneCaller):
@@ -332,7 +332,7 @@ class Assist(OneCaller):
         """Run one period: send the command, read the sensors, choose the next command. Raises what the robot raises."""
         events = self._robot.step(self._chain.command)
         now_s = self._robot.now_s
-        self.monitor.add_nearby(getattr(self._robot, "nearby", None))
+        self.monitor.add_nearby(nearby_of(self._robot))
         watch_floor(self.monitor, events, self._where, self._viewer)
         intended = self.intended(now_s)
         override_s = self._override_s(now_s, intended)

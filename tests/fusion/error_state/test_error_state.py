@@ -196,7 +196,7 @@ def test_events_in_any_order_within_the_window_end_alike(seed):
 
 
 def test_a_frame_between_readings_that_come_after_it(rng):
-    """A frame is taken by the speed at first; once the wheels tell of that time, as if they had reported it before."""
+    """A frame is placed by the speed at first; once the wheels cover that time, as if they had done so before."""
     steps = drive(steps_a_frame=4)
     one, other = ErrorStateFilter(T_BASE_CAMERA), ErrorStateFilter(T_BASE_CAMERA)
     for fusion, wheels_first in ((one, True), (other, False)):

@@ -26,7 +26,7 @@ from wheelsight.estimation.pose_belief import (
 )
 
 SETTINGS = FilterParameters.of()
-# Wheels and camera err by noise alone: what is reported it is reported nothing else.
+# Wheels and camera err by noise alone.
 _KNOWN: dict[str, Any] = dict.fromkeys(
     ("scale_sigma", "drift_sigma_rad_per_m", "turn_sigma", "camera_lag_sigma_s"), 1e-6
 ) | dict.fromkeys(("scale_walk", "drift_walk_rad_per_m", "turn_walk", "camera_lag_walk_s"), 0.0)

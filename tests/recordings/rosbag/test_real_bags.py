@@ -1,4 +1,4 @@
-"""Bags that no one here wrote: read where they hold something, and reported what they lack where they do not."""
+"""Bags of other authors: read where they hold data, and refused with what they lack where they do not."""
 
 from __future__ import annotations
 

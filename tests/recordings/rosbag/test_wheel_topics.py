@@ -1,4 +1,4 @@
-"""Wheels reported by counts, speeds, fields and tf; what is preferred; sideways motion; and truth."""
+"""Wheels by counts, speeds, fields and tf; which is preferred; sideways motion; and truth."""
 
 from __future__ import annotations
 
