@@ -39,7 +39,7 @@ def ride_past_a_ghost(monkeypatch: pytest.MonkeyPatch) -> Ride:
     By itself the layer would keep that for an hour.
     """
     monkeypatch.setattr(perception, "_STAYS", 1000.0)
-    settings = NavigationSettings(controller="pure_pursuit", navigator=NavigatorSettings(tries=3))
+    settings = NavigationSettings(controller="pure_pursuit", navigator=NavigatorSettings(tries=3, patience_s=0))
     ride = Ride.of(Walls.of(*OPEN, IN_THE_DOOR), BEGIN, SIZE_M, Walls.of(*OPEN), settings)
     ride.go(STOOD_S)
     ride.navigator.go_to_pose(AWAY)
@@ -67,7 +67,7 @@ def test_without_that_it_bars_the_door(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Senses, "clear", lambda self, *, only_ahead=False: None)
     ride = ride_past_a_ghost(monkeypatch)
     result = not_none(ride.navigator.result)
-    assert (result.has_arrived, result.reason) == (False, NavigationReason.NO_PLAN)
+    assert (result.has_arrived, result.reason) == (False, NavigationReason.BLOCKED)
     assert result.recoveries == 3
     assert ride.robot.base.pose[0] < 2.0
 
@@ -155,10 +155,13 @@ def ride_before_a_ghost(monkeypatch: pytest.MonkeyPatch) -> Ride:
     """Somebody stood long in the only door and left; nothing in the next room gives depth."""
     monkeypatch.setattr(Senses, "clear", lambda self, *, only_ahead=False: None)
     beyond = tuple(((x, 2.3), (x, 3.7)) for x in (4.0,))
-    settings = NavigationSettings(controller="pure_pursuit", navigator=NavigatorSettings(tries=2))
+    navigator = NavigatorSettings(tries=2, patience_s=0)
+    settings = NavigationSettings(controller="pure_pursuit", navigator=navigator)
     ride = Ride.of(Walls.of(*OPEN, *beyond), BEGIN, SIZE_M, Walls.of(*OPEN), settings)
     stand(ride, 15.0)
     ride.robot.walls = Walls.of(*OPEN)
+    # Floor that returns no depth is an obstacle of its own, but for a person who has declared it.
+    ride.navigator.senses.floor.declared = (np.array([[2.0, 1.0], [8.0, 1.0], [8.0, 5.0], [2.0, 5.0]]),)
     sees = ride.robot.walls.depth_m
 
     def blind_beyond(T_map_camera: np.ndarray, eye: DepthEye) -> np.ndarray:
@@ -186,7 +189,7 @@ def test_a_plan_that_fails_for_a_ghost_says_that_no_depth_is_behind_it(monkeypat
     assert monitor_words(ride.navigator.feedback).endswith(ride.navigator.feedback.stays)
     ride.go(60.0)
     result = not_none(ride.navigator.result)
-    assert result.reason is NavigationReason.NO_PLAN
+    assert result.reason is NavigationReason.BLOCKED
     assert re.search(NOT_SEEN_THROUGH, result.detail)
     assert ride.navigator.feedback.stays == ""
 
