@@ -19,7 +19,7 @@ from wheelsight_report.drawing import BLUE, GREY, ORANGE
 from wheelsight_report.plotly import make_subplots
 
 Row = tuple[str, ...]
-Pair = tuple[float, ...]
+Pair = tuple[float, float]
 _HEAD = ("", "straight on", "± σ", "turns", "± σ")
 _WORDS = {"straight": "Straight on", "turn": "Turns"}
 # Rim speeds from which the way to a standstill is stated.
@@ -47,16 +47,19 @@ def drive_rows(fit: DriveFit) -> list[Row]:
         name = f"way to a stand from {speed:g} m/s, m"
         return row(name, lambda a: of(a, a.stop_s(0.0)), lambda a: of(a, a.stop_sigma_s))
 
-    def each_way(name: str, values: Callable[[DriveAxis], Pair], sigmas: Callable[[DriveAxis], Pair]) -> list[Row]:
+    def each_way(
+        name: str, values: Callable[[DriveAxis], Pair], sigmas: Callable[[DriveAxis], Pair | None] = lambda axis: None
+    ) -> list[Row]:
         """A row for positive and a row for negative commands."""
-        return [
-            row(
-                f"{name}, {way}",
-                lambda axis, i=i: f"{values(axis)[i]:.3f}",  # type: ignore[misc]
-                lambda axis, i=i: f"{sigmas(axis)[i]:.3f}" if sigmas(axis) else "",  # type: ignore[misc]
-            )
-            for i, way in enumerate(("command > 0", "command < 0"))
-        ]
+
+        def one(i: int, way: str) -> Row:
+            def sigma(axis: DriveAxis) -> str:
+                pair = sigmas(axis)
+                return "" if pair is None else f"{pair[i]:.3f}"
+
+            return row(f"{name}, {way}", lambda axis: f"{values(axis)[i]:.3f}", sigma)
+
+        return [one(0, "command > 0"), one(1, "command < 0")]
 
     def full_speed(axis: DriveAxis) -> Pair:
         return axis.speed_m_s(axis.largest_command[0]), axis.speed_m_s(-axis.largest_command[1])
@@ -72,8 +75,8 @@ def drive_rows(fit: DriveFit) -> list[Row]:
         row("time constant, slowing down, s", lambda a: f"{a.fall_s:.3f}", lambda a: f"{a.fall_sigma_s:.3f}"),
         *each_way(f"dead zone{unit}", lambda a: a.dead_zone, lambda a: a.dead_zone_sigma),
         *each_way("full speed, m/s", full_speed, full_sigma),
-        *each_way("largest command", lambda a: a.largest_command, lambda a: ()),
-        *each_way("largest rim speed, m/s", lambda a: a.largest_speed_m_s, lambda a: ()),
+        *each_way("largest command", lambda a: a.largest_command),
+        *each_way("largest rim speed, m/s", lambda a: a.largest_speed_m_s),
         row("largest acceleration, m/s²", lambda a: f"{a.acceleration_m_s2:.2f}"),
         row("largest braking, m/s²", lambda a: f"{a.braking_m_s2:.2f}"),
         row("residual RMS, m/s", lambda a: f"{a.residual_m_s:.4f}"),
