@@ -164,8 +164,12 @@ def test_ticks_that_waited_are_no_sign_of_life(robot: LinkRobot, controller: Sim
     before = len(controller.commands)
     events = run(robot, AHEAD, 0.3)
     assert len(events) > 5
+    run(robot, STOP, 0.3)
     assert all(body == drive_body(0, 0) for kind, body in controller.commands[before:] if kind == LinkCommand.DRIVE)
-    assert robot.stop_reason == "no wheel readings come"
+    # STOP releases what has halted the robot only once readings come again.
+    assert robot.stop_reason.startswith("the program stood still")
+    controller.is_muted = False
+    wait(robot, lambda: not robot.stop_reason)
 
 
 def test_without_steps_the_link_stops_the_motors(robot: LinkRobot, controller: SimulatedController) -> None:

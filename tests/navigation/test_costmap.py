@@ -10,6 +10,7 @@ from navigation.floors import CHAIR, costmap_of, static_of
 from scipy.ndimage import distance_transform_edt
 
 from wheelsight.core.errors import ArgumentError
+from wheelsight.core.geometry import se2
 from wheelsight.mapping.map_edits import EditKind, MapEdit, MapEdits
 from wheelsight.mapping.occupancy import CellKind, OccupancyGrid
 from wheelsight.navigation import CellState, Costmap, CostmapSettings, LiveObstacles, StaticLayer
@@ -122,6 +123,20 @@ def test_a_live_cell_beside_an_obstacle_of_the_map_is_that_obstacle_and_makes_no
     expected = is_wall.copy()
     expected[20, 18] = expected[17, 5] = True
     np.testing.assert_array_equal(costmap.is_lethal, expected)
+
+
+@given(st.floats(-np.pi, np.pi), st.floats(-0.01, 0.01), st.floats(-0.01, 0.01))
+def test_seen_obstacles_of_the_map_add_nothing_however_their_frame_lies(yaw: float, x: float, y: float) -> None:
+    """A live cell across two cells of the map marks both, so it is compared before, and not cell by cell after."""
+    is_wall = np.zeros((40, 40), bool)
+    is_wall[18:24, 15:27] = True
+    T = se2.from_parts(x, y, yaw)
+    away = se2.apply(se2.invert(T), (np.argwhere(is_wall)[:, ::-1] + 0.5) * 0.05)
+    seen, origin = np.zeros((120, 120), bool), (-3.0, -3.0)
+    at = np.floor((away[:, ::-1] - origin) / 0.05).astype(int)
+    seen[at[:, 0], at[:, 1]] = True
+    costmap = Costmap.of(static_of(is_wall), CHAIR, None, live(seen, origin), (x, y, yaw))
+    np.testing.assert_array_equal(costmap.is_lethal, is_wall)
 
 
 def test_a_live_cell_on_unknown_floor_beside_an_obstacle_stays() -> None:

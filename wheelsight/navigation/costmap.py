@@ -193,12 +193,21 @@ class Costmap:
             of = kernels.CellFrame(live.resolution_m, *live.origin)
             to = kernels.CellFrame(static.resolution_m, *static.origin)
             T = x, y, np.cos(yaw), np.sin(yaw)
-            kernels.mark_occupied(live.is_occupied, of, T, to, CellState.OCCUPIED.value, state)
-            # A live cell on free floor beside an obstacle of the map is that obstacle, seen with the errors of cells
-            # and pose: both would make a door a cell narrower at each side. The collision monitor has all points.
+            # A live cell beside an obstacle of the map is that obstacle, seen with the errors of cells and pose: both
+            # would make a door narrower at each side, by two cells where a live one lies across two. The collision
+            # monitor has all points.
             is_known = (static.state == CellState.OCCUPIED).astype(np.uint8)
-            is_beside = cv2.dilate(is_known, np.ones((3, 3), np.uint8)) > 0
-            state[is_beside & (static.state == CellState.FREE)] = CellState.FREE
+            is_beside = (cv2.dilate(is_known, np.ones((3, 3), np.uint8)) > 0) & (static.state != CellState.UNKNOWN)
+            occupied = np.argwhere(live.is_occupied)
+            middles = live.origin + (occupied[:, ::-1] + 0.5) * live.resolution_m
+            xy = se2.apply(se2.from_parts(x, y, yaw), middles) - static.origin
+            cells = np.floor(xy[:, ::-1] / static.resolution_m).astype(np.int64)
+            is_inside = ((cells >= 0) & (cells < state.shape)).all(axis=1)
+            row, column = np.where(is_inside[:, None], cells, 0).T
+            is_new = np.zeros_like(live.is_occupied)
+            added = occupied[~(is_inside & is_beside[row, column])]
+            is_new[added[:, 0], added[:, 1]] = True
+            kernels.mark_occupied(is_new, of, T, to, CellState.OCCUPIED.value, state)
         place = static.resolution_m, static.origin, "map"
         made = _made(state, static.speed_m_s, place, footprint.inscribed_m, settings or CostmapSettings())
         return replace(made, is_assumed=static.is_assumed)
