@@ -95,10 +95,19 @@ def test_floor_that_somebody_said_is_free_is_looked_at_all_the_same() -> None:
     assert np.cos(np.arctan2(away[1], away[0]) - view[2]) > np.cos(HALF_RAD)
 
 
+def test_little_floor_of_much_is_left() -> None:
+    state = room()
+    state[38:43, 70:75] = CellState.UNKNOWN
+    assert explorer_of().upcoming(MIDDLE, costmap_of(state)) == ()
+    free = state.copy()
+    free[:, :28] = free[:, 80:] = free[:26] = free[54:] = CellState.OCCUPIED  # the same floor is more of a small room
+    assert explorer_of().upcoming(MIDDLE, costmap_of(free)) != ()
+
+
 def test_floor_that_stays_unseen_is_left_in_the_end() -> None:
     explorer = explorer_of()
     state = room()
-    state[38:43, 70:75] = CellState.UNKNOWN
+    state[36:45, 70:79] = CellState.UNKNOWN
     views: list[np.ndarray] = []
     while ahead := explorer.upcoming(MIDDLE, costmap_of(state)):
         views += ahead
@@ -114,7 +123,7 @@ def test_floor_that_stays_unseen_is_left_in_the_end() -> None:
 def test_a_view_that_no_way_leads_to_is_left_for_another() -> None:
     explorer = explorer_of()
     state = room()
-    state[38:43, 70:75] = CellState.UNKNOWN
+    state[36:45, 70:79] = CellState.UNKNOWN
     views: list[np.ndarray] = []
     while ahead := explorer.upcoming(MIDDLE, costmap_of(state)):
         views += ahead
