@@ -209,7 +209,8 @@ class Exploration:
     ) -> tuple[FloatArray, FloatArray]:
         """Return (V, 3) views that are not ruled out, and (V,) areas of wanted floor that they show.
 
-        They stand on a grid through the robot's cell `begin`, in the headings that show more than those about them.
+        They stand on a grid through the robot's cell `begin`, in the headings that show more than the others about them
+        that are not ruled out.
         """
         size_m = costmap.resolution_m
         is_close = distances_m(is_wanted, size_m) <= self._sight.far_m
@@ -218,9 +219,7 @@ class Exploration:
         is_asked[begin[0] % step :: step, begin[1] % step :: step] = True
         cells = np.argwhere(np.isfinite(ways_m) & is_close & is_asked)
         gains, headings = self._sight.gains_m2(marks(is_clear, is_wanted), size_m, np.asarray(cells + 0.5, float))
-        within = max(1, int(self._sight.half_rad / (headings[1] - headings[0])))
-        around = np.max([np.roll(gains, k, axis=1) for k in range(-within, within + 1)], axis=0)
-        place, heading = np.nonzero((gains >= _LEAST_M2) & (gains == around))
+        place, heading = np.nonzero(gains >= _LEAST_M2)
         poses = np.column_stack([costmap.middle_of(cells[place]), headings[heading]])
         is_good = np.ones(len(poses), bool)
         for looked in self._looked:
@@ -235,7 +234,11 @@ class Exploration:
             middles = poses[:, :2] + along_m * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
             at = np.clip(costmap.cells_at(middles), 0, np.array(costmap.state.shape) - 1)
             is_good &= costmap.distance_m[at[:, 0], at[:, 1]] >= self._least_m
-        return poses[is_good], gains[place, heading][is_good]
+        gains[place[~is_good], heading[~is_good]] = 0.0
+        within = max(1, int(self._sight.half_rad / (headings[1] - headings[0])))
+        around = np.max([np.roll(gains, k, axis=1) for k in range(-within, within + 1)], axis=0)
+        is_best = gains[place, heading] == around[place, heading]
+        return poses[is_good & is_best], gains[place, heading][is_good & is_best]
 
     def _seen_from(self, view: FloatArray, of: Costmap | StaticLayer, is_wanted: BoolArray) -> IntArray:
         """Return wanted cells (N, 2) that a view shows."""
