@@ -197,12 +197,13 @@ class Costmap:
             # would make a door narrower at each side, by two cells where a live one lies across two. The collision
             # monitor has all points.
             is_known = (static.state == CellState.OCCUPIED).astype(np.uint8)
-            is_beside = (cv2.dilate(is_known, np.ones((3, 3), np.uint8)) > 0) & (static.state != CellState.UNKNOWN)
+            near = cv2.dilate(is_known, np.ones((3, 3), np.uint8))
+            is_beside: BoolArray = (near > 0) & (static.state != CellState.UNKNOWN)
             occupied = np.argwhere(live.is_occupied)
             middles = live.origin + (occupied[:, ::-1] + 0.5) * live.resolution_m
             xy = se2.apply(se2.from_parts(x, y, yaw), middles) - static.origin
             cells = np.floor(xy[:, ::-1] / static.resolution_m).astype(np.int64)
-            is_inside = ((cells >= 0) & (cells < state.shape)).all(axis=1)
+            is_inside = np.asarray(((cells >= 0) & (cells < state.shape)).all(axis=1))
             row, column = np.where(is_inside[:, None], cells, 0).T
             is_new = np.zeros_like(live.is_occupied)
             added = occupied[~(is_inside & is_beside[row, column])]

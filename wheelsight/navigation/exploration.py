@@ -33,7 +33,7 @@ _STOP_M, _TURN_M = 1.0, 0.6
 _NO_WAY_M = 1e3
 # Largest ratio of the cost of the best tour that begins with the present viewpoint to that of the best one.
 _STAYS = 1.15
-# Exploration ends when what views still show is less than this share of free floor, and none shows as much floor.
+# Exploration ends when all views together show less than this share of free floor, and none shows as many m².
 _LEFT, _LEFT_M2 = 0.015, 0.6
 # Share of a viewpoint's floor that makes it unnecessary once it was seen from elsewhere: the next one shows the rest.
 _SHOWN = 0.9

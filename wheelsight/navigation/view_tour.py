@@ -10,7 +10,7 @@ import numpy as np
 
 from wheelsight.core.geometry import BoolArray, FloatArray, IntArray
 
-# Views of a tour: more take longer to choose, and change what comes first in few cases.
+# Views of a tour: more take longer to choose, and change the first one in few cases.
 VIEWS = 8
 # Up to as many views, all orders are compared.
 _ALL_ORDERS = 5
@@ -66,8 +66,8 @@ def covering_views(
 def best_order(costs: FloatArray, gains: FloatArray, first: int | None = None) -> tuple[list[int], float]:
     """Return the order of views with the least cost, and that cost.
 
-    The cost is that of the whole way, and of the mean time after which a cell is seen: a robot that goes by the way
-    alone puts off what is large and far, and comes back for it.
+    The cost is that of the whole way, and of the mean time after which a cell is seen: the shortest way alone puts
+    large, far areas off.
 
     Args:
         costs: (1 + K, 1 + K) from place to place; place 0 is the robot's, the others are the views'.
