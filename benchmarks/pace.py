@@ -115,6 +115,7 @@ class SeenSoFar:
     """A floor that grows by what an ideal camera sees and by what the robot stands on."""
 
     is_fixed = has_keep_out = False
+    driven: FloatArray = np.empty((0, 2))
 
     def __init__(self, plan: TruePlan, footprint: Footprint, start: FloatArray) -> None:
         self._plan, self._footprint, self.revision = plan, footprint, 0
