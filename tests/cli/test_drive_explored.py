@@ -14,6 +14,7 @@ from floor_plans import one_room, write_plan
 from typer.testing import Result
 
 from wheelsight.io.ros_map import FREE, OCCUPIED, read_ros_map
+from wheelsight.navigation import NavigationReason
 from wheelsight.slam.maps import MapFolder, find_map
 
 Command = Callable[..., Result]
@@ -54,6 +55,11 @@ def test_a_room_is_explored_to_its_end_and_driven_in_by_the_map_of_that(wheelsig
     settings.write_text("navigation:\n  follow:\n    goal_m: 0.25\n")
     to = "--config", settings, "--map", home, "--to", ",".join(map(str, ELSEWHERE))
     result = wheelsight("drive", *room, *to, "--out", drive)
-    assert result.exit_code == 0, result.output
-    (goal,) = reported_of(drive)["goals"]
+    # It stands at the goal. Whether these images suffice to be sure of that depends on the views of the exploration:
+    # one of four drives ended 0.02 m from it, as "may be 0.83 m off".
+    reported = json.loads((drive / "drive.json").read_text())
+    (goal,) = reported["goals"]
     assert goal["off_m"] < 0.2
+    assert reported["truth"]["contacts"] == []
+    assert result.exit_code == (0 if reported["has_arrived"] else 1), result.output
+    assert reported["has_arrived"] or goal["reason"] == NavigationReason.UNSURE
