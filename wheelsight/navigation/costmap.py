@@ -198,16 +198,13 @@ class Costmap:
             # monitor has all points.
             is_known = (static.state == CellState.OCCUPIED).astype(np.uint8)
             near = cv2.dilate(is_known, np.ones((3, 3), np.uint8))
-            is_beside: BoolArray = (near > 0) & (static.state != CellState.UNKNOWN)
+            is_beside = (near > 0) & (static.state != CellState.UNKNOWN)
+            beside = replace(static, state=np.where(is_beside, CellState.OCCUPIED, CellState.FREE).astype(np.uint8))
             occupied = np.argwhere(live.is_occupied)
             middles = live.origin + (occupied[:, ::-1] + 0.5) * live.resolution_m
-            xy = se2.apply(se2.from_parts(x, y, yaw), middles) - static.origin
-            cells = np.floor(xy[:, ::-1] / static.resolution_m).astype(np.int64)
-            is_inside = np.asarray(((cells >= 0) & (cells < state.shape)).all(axis=1))
-            row, column = np.where(is_inside[:, None], cells, 0).T
-            is_new = np.zeros_like(live.is_occupied)
-            added = occupied[~(is_inside & is_beside[row, column])]
-            is_new[added[:, 0], added[:, 1]] = True
+            is_mapped = beside.state_at(se2.apply(se2.from_parts(x, y, yaw), middles)) == CellState.OCCUPIED
+            is_new = live.is_occupied.copy()
+            is_new[tuple(occupied[is_mapped].T)] = False
             kernels.mark_occupied(is_new, of, T, to, CellState.OCCUPIED.value, state)
         place = static.resolution_m, static.origin, "map"
         made = _made(state, static.speed_m_s, place, footprint.inscribed_m, settings or CostmapSettings())

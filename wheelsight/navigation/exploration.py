@@ -165,15 +165,13 @@ class Exploration:
         is_clear = self._is_about(self._is_wide(costmap.state, size_m), size_m)
         poses, gains_m2 = self._candidates(costmap, is_wanted, is_clear, ways_m, (row, column))
 
-        def at_cell(view: FloatArray) -> FloatArray:
-            return (view[1::-1] - costmap.origin[::-1]) / size_m
-
         def seen_by(view: FloatArray, is_left: BoolArray) -> IntArray:
-            return self._sight.seen(marks(is_clear, is_left), size_m, at_cell(view), float(view[2]))
+            cell = (view[1::-1] - costmap.origin[::-1]) / size_m
+            return self._sight.seen(marks(is_clear, is_left), size_m, cell, float(view[2]))
 
         aim, least = self._aim, _LEAST_M2 / size_m**2
         if aim is not None:
-            at = np.floor(at_cell(aim.view)).astype(int)
+            at = costmap.cells_at(aim.view[:2])
             is_way = ((at >= 0) & (at < ways_m.shape)).all() and np.isfinite(ways_m[at[0], at[1]])
             aim = aim if is_way and len(seen_by(aim.view, is_wanted)) >= least else None
         cells = costmap.cells_at(poses[:, :2])
@@ -186,15 +184,13 @@ class Exploration:
         places = costmap.cells_at(np.vstack([pose[:2], views[:, :2]]))
         costs_m = np.zeros((len(places), len(places)))
         for k, (row, column) in enumerate(places[1:].tolist(), 1):
-            around = metre.copy()
-            around[row, column] = 1.0
-            costs_m[:, k] = cost_to_go(around, size_m, (row, column))[places[:, 0], places[:, 1]]
+            costs_m[:, k] = cost_to_go(metre, size_m, (row, column))[places[:, 0], places[:, 1]]
         for k, start in enumerate([pose, *views]):
             costs_m[k, 1:] += _STOP_M + _TURN_M * _turns_rad(start, views)
         costs_m[~np.isfinite(costs_m)] = _NO_WAY_M
         order, tour_m = best_order(costs_m, added)
         # The robot stays with its view until another tour is clearly better: two doors alike let it go to and fro.
-        if aim is not None and best_order(costs_m, added, first=0)[1] <= _STAYS * tour_m:
+        if aim is not None and (order[0] == 0 or best_order(costs_m, added, first=0)[1] <= _STAYS * tour_m):
             return aim
         view = views[order[0]]
         return _Viewpoint(view, len(self._seen_from(view, costmap, costmap.is_unseen)))
